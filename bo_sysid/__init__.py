@@ -1,0 +1,27 @@
+"""Find where a MuJoCo simulation and a real machine disagree, and repair the model.
+
+Names are imported when they are first used, so that the command line answers at once.
+"""
+
+import os
+from importlib import import_module
+from typing import Any
+
+# Nothing is rendered unless a command asks for it; dm_control warns without this.
+os.environ.setdefault("MUJOCO_GL", "disable")
+
+__version__ = "0.1.0"
+
+_EXPORTS = {
+    "Recording": "bo_sysid.recording",
+    "Study": "bo_sysid.study",
+    "identify": "bo_sysid.identify",
+}
+
+__all__ = ["Recording", "Study", "identify"]  # noqa: F822 - resolved by __getattr__
+
+
+def __getattr__(name: str) -> Any:
+    if name in _EXPORTS:
+        return getattr(import_module(_EXPORTS[name]), name)
+    raise AttributeError(f"module 'bo_sysid' has no attribute {name!r}")

@@ -1,0 +1,54 @@
+"""One exception tree.
+
+Every error that a user can cause derives from `UserError`; the command line turns it into one
+message and exit code 2. Anything else is a defect of this package and keeps its traceback.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class BoSysidError(Exception):
+    """Base of every error raised by this package."""
+
+
+class UserError(BoSysidError):
+    """The study, the model or a recording is wrong; the message says what and how to repair it."""
+
+
+class StudyError(UserError):
+    """A study file is wrong."""
+
+
+class RecordingError(UserError):
+    """A recording is wrong or cannot be read."""
+
+
+class ModelError(UserError):
+    """A model is wrong or does not compile, or an address matches nothing in it."""
+
+
+class RunError(UserError):
+    """A run folder is damaged, belongs to another study, or was written by another version."""
+
+
+def nearest(name: str, valid: Iterable[str], most: int = 3) -> str:
+    """Return a hint that names the valid choices nearest to `name`.
+
+    Args:
+        name: what was written.
+        valid: the valid choices.
+        most: how many choices to name.
+
+    Returns:
+        For instance ``"did you mean 'elbow'?"`` or, where nothing is near, ``"valid: 'a', 'b'"``;
+        the empty string where there is no valid choice at all.
+    """
+    choices = sorted({str(v) for v in valid})
+    near = difflib.get_close_matches(name, choices, n=most, cutoff=0.5)
+    if near:
+        return "did you mean " + " or ".join(repr(n) for n in near) + "?"
+    if not choices:
+        return ""
+    shown = ", ".join(repr(c) for c in choices[:12])
+    return f"valid: {shown}" + (f" and {len(choices) - 12} more" if len(choices) > 12 else "")

@@ -1,0 +1,112 @@
+"""Parameters of a model and the discrete set B of candidates."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+import pandas as pd
+from scipy.stats import qmc
+
+from bo_sysid.arrays import Point, Points
+from bo_sysid.errors import StudyError
+
+Apply = Literal["set", "scale", "add"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical quantity of the model that is uncertain.
+
+    Attributes:
+        name: name in tables and figures.
+        addresses: the MJCF addresses that take the value (several: tied).
+        low: lower bound, in `unit`.
+        high: upper bound, in `unit`.
+        steps: number of grid values from `low` to `high`, both included.
+        apply: "set" writes the value, "scale" multiplies the model's own, "add" adds to it.
+        unit: unit of the value.
+    """
+
+    name: str
+    addresses: tuple[str, ...]
+    low: float
+    high: float
+    steps: int = 11
+    apply: Apply = "set"
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.addresses:
+            raise StudyError(f"parameter {self.name!r}: needs at least one address")
+        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
+            raise StudyError(
+                f"parameter {self.name!r}: low {self.low:g} must be below high {self.high:g}, "
+                "both finite"
+            )
+        if self.steps < 2:
+            raise StudyError(f"parameter {self.name!r}: steps is {self.steps}; at least 2")
+
+    @property
+    def grid(self) -> Point:
+        """The `steps` grid values, ascending."""
+        return np.linspace(self.low, self.high, self.steps)
+
+
+@dataclass(frozen=True)
+class CandidateSet:
+    """The discrete set B of parameter vectors; a candidate's identity is its row.
+
+    Attributes:
+        parameters: the d parameters, in the order of the columns.
+        points: `N x d` parameter values; never changed after construction.
+    """
+
+    parameters: tuple[Parameter, ...]
+    points: Points
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != len(self.parameters) or not len(points):
+            raise StudyError(
+                f"candidates {points.shape} must be N x {len(self.parameters)} with N at least 1"
+            )
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    @classmethod
+    def from_grid(cls, parameters: Sequence[Parameter], most: int = 200_000) -> Self:
+        """Return the full grid, last parameter fastest.
+
+        Raises:
+            StudyError: the grid has more than `most` points.
+        """
+        size = int(np.prod([float(p.steps) for p in parameters]))
+        if size > most:
+            raise StudyError(
+                f"a grid over {len(parameters)} parameters has {size} candidates, more than "
+                f"{most}; use candidates: {{sobol: 20000}} or fewer steps"
+            )
+        axes = np.meshgrid(*[p.grid for p in parameters], indexing="ij")
+        return cls(tuple(parameters), np.stack([a.ravel() for a in axes], axis=1))
+
+    @classmethod
+    def from_sobol(cls, parameters: Sequence[Parameter], size: int, seed: int = 0) -> Self:
+        """Return the first `size` points of a scrambled Sobol sequence within the bounds."""
+        sampler = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed))
+        unit = sampler.random_base2(int(np.ceil(np.log2(max(size, 2)))))[:size]
+        low = np.array([p.low for p in parameters])
+        high = np.array([p.high for p in parameters])
+        return cls(tuple(parameters), low + unit * (high - low))
+
+    @property
+    def bounds(self) -> Points:
+        """`2 x d` lower and upper bounds."""
+        return np.array([[p.low for p in self.parameters], [p.high for p in self.parameters]])
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def frame(self) -> pd.DataFrame:
+        """Return the candidates as a DataFrame, one column a parameter, one row a candidate."""
+        return pd.DataFrame(self.points, columns=[p.name for p in self.parameters])

@@ -1,0 +1,231 @@
+"""The value of a recording: channels by name, each with a clock of its own."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal, Self
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from bo_sysid.arrays import Samples, Times
+from bo_sysid.errors import RecordingError, nearest
+
+KINDS = ("qpos", "qvel", "act", "ctrl", "goal", "sensor", "aux")
+HELD_KINDS = frozenset({"act", "ctrl", "goal", "aux"})
+_NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
+
+Hold = Literal["none", "zero"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Samples of one quantity.
+
+    Attributes:
+        time: `T` strictly increasing time stamps in [s].
+        values: `T` finite samples, in `unit`.
+        unit: unit of `values` as the model has it (rad, m, rad/s, N m, …); may be empty.
+        source: where the samples came from, for messages.
+        hold: "zero" where the value applies from its stamp until the next one (controls, goals,
+            auxiliary inputs); "none" where it was measured at the stamp and says nothing between.
+    """
+
+    time: Times
+    values: Samples
+    unit: str = ""
+    source: str = ""
+    hold: Hold = "none"
+
+    def __post_init__(self) -> None:
+        time = _frozen(self.time)
+        values = _frozen(self.values)
+        where = self.source or "channel"
+        if time.ndim != 1 or time.shape != values.shape:
+            raise RecordingError(
+                f"{where}: time stamps {time.shape} and values {values.shape} must be two vectors "
+                "of one length"
+            )
+        if time.size < 2:
+            raise RecordingError(f"{where}: {time.size} samples; at least 2 are needed")
+        _require_finite(time, where, "time stamp")
+        _require_finite(values, where, "value")
+        backwards = np.flatnonzero(np.diff(time) <= 0)
+        if backwards.size:
+            k = int(backwards[0]) + 1
+            raise RecordingError(
+                f"{where}: time stamps must increase; row {k} has {time[k]:g} s after "
+                f"{time[k - 1]:g} s"
+            )
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", values)
+
+    def at(self, time: Times) -> Samples:
+        """Return the value held at each of `time`; before the first stamp, the first value."""
+        row = np.searchsorted(self.time, time, side="right") - 1
+        return np.asarray(self.values[np.clip(row, 0, None)])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded of one trajectory of a machine; validated once, when made.
+
+    Channel names follow the column convention: ``qpos.<joint>``, ``qvel.<joint>``,
+    ``act.<actuator>``, ``ctrl.<actuator>``, ``goal.<actuator>``, ``sensor.<name>``, ``aux.<name>``;
+    a joint with several coordinates adds an index, ``qpos.root.3``.
+
+    Attributes:
+        name: a short name, for messages and tables.
+        channels: channel by name.
+        notes: what was done to the data on the way in, one sentence each.
+    """
+
+    name: str
+    channels: Mapping[str, Channel]
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if not self.channels:
+            raise RecordingError(f"{self.name}: a recording needs at least one channel")
+        for name in self.channels:
+            if not _NAME.fullmatch(name):
+                prefix = name.split(".", 1)[0]
+                raise RecordingError(
+                    f"{self.name}: channel {name!r} must be named <kind>.<name>; kind: "
+                    f"{nearest(prefix, KINDS)}"
+                )
+        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        *,
+        name: str = "recording",
+        units: Mapping[str, str] | None = None,
+        **kinds: Mapping[str, ArrayLike],
+    ) -> Self:
+        """Make a recording from arrays that share one clock.
+
+        Args:
+            time: `T` time stamps in [s].
+            name: a short name.
+            units: unit by channel name, where known.
+            **kinds: for each kind of channel (``qpos``, ``qvel``, ``act``, ``ctrl``, ``goal``,
+                ``sensor``, ``aux``) the samples by name; `T x k` arrays become k channels with an
+                index.
+
+        Raises:
+            RecordingError: a kind is unknown or the arrays do not fit together.
+
+        Example:
+            >>> t = np.linspace(0.0, 1.0, 101)
+            >>> r = Recording.from_arrays(t, qpos={"elbow": np.sin(t)}, ctrl={"elbow": np.cos(t)})
+            >>> sorted(r.channels)
+            ['ctrl.elbow', 'qpos.elbow']
+        """
+        stamps = np.asarray(time, float)
+        units = units or {}
+        channels: dict[str, Channel] = {}
+        for kind, group in kinds.items():
+            if kind not in KINDS:
+                raise RecordingError(f"{name}: unknown kind {kind!r}; {nearest(kind, KINDS)}")
+            hold: Hold = "zero" if kind in HELD_KINDS else "none"
+            for item, samples in group.items():
+                for key, column in _columns(f"{kind}.{item}", np.asarray(samples, float)):
+                    unit = units.get(key, units.get(f"{kind}.{item}", ""))
+                    channels[key] = Channel(stamps, column, unit, f"{name}: {key}", hold)
+        return cls(name, channels)
+
+    @classmethod
+    def from_frame(cls, frame: pd.DataFrame, *, name: str = "recording") -> Self:
+        """Make a recording from a DataFrame with a ``time`` column in [s] and channel columns."""
+        if "time" not in frame.columns:
+            raise RecordingError(
+                f"{name}: no column 'time'; {nearest('time', map(str, frame.columns))}"
+            )
+        time = frame["time"].to_numpy(float)
+        channels = {}
+        for column in frame.columns:
+            key = str(column)
+            if key == "time":
+                continue
+            hold: Hold = "zero" if key.split(".", 1)[0] in HELD_KINDS else "none"
+            channels[key] = Channel(time, frame[column].to_numpy(float), "", f"{name}: {key}", hold)
+        return cls(name, channels)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the channels as columns beside ``time``.
+
+        Held channels are given at the stamps of all channels; measured channels are NaN where
+        they have no sample.
+        """
+        time = np.unique(np.concatenate([c.time for c in self.channels.values()]))
+        columns: dict[str, Any] = {"time": time}
+        for name, channel in self.channels.items():
+            if channel.hold == "zero":
+                columns[name] = channel.at(time)
+            else:
+                full = np.full(time.size, np.nan)
+                full[np.searchsorted(time, channel.time)] = channel.values
+                columns[name] = full
+        return pd.DataFrame(columns)
+
+    def of_kind(self, kind: str) -> dict[str, Channel]:
+        """Return the channels of one kind, by what follows the dot."""
+        start = f"{kind}."
+        return {n[len(start) :]: c for n, c in self.channels.items() if n.startswith(start)}
+
+    def between(self, start: float, stop: float) -> Self:
+        """Return the part from `start` to before `stop`, in [s]; holds reach in from before."""
+        channels = {}
+        for name, c in self.channels.items():
+            first, last = np.searchsorted(c.time, [start, stop])
+            if c.hold == "zero":
+                first = max(int(np.searchsorted(c.time, start, side="right")) - 1, 0)
+            if last - first < 2:
+                raise RecordingError(
+                    f"{self.name}: channel {name!r} has fewer than 2 samples from {start:g} s to "
+                    f"{stop:g} s"
+                )
+            channels[name] = Channel(
+                c.time[first:last], c.values[first:last], c.unit, c.source, c.hold
+            )
+        return type(self)(self.name, channels, self.notes)
+
+    def with_notes(self, notes: Iterable[str]) -> Self:
+        """Return a copy with `notes` added."""
+        return type(self)(self.name, self.channels, (*self.notes, *notes))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time stamp over all channels, in [s]."""
+        return (
+            min(float(c.time[0]) for c in self.channels.values()),
+            max(float(c.time[-1]) for c in self.channels.values()),
+        )
+
+
+def _frozen(values: ArrayLike) -> np.ndarray:
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _require_finite(values: np.ndarray, where: str, what: str) -> None:
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise RecordingError(
+            f"{where}: {what} in row {bad[0]} is {values[bad[0]]}; all must be finite "
+            f"({bad.size} of {values.size} are not)"
+        )
+
+
+def _columns(key: str, samples: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    if samples.ndim == 1:
+        return [(key, samples)]
+    if samples.ndim == 2:
+        return [(f"{key}.{i}", samples[:, i]) for i in range(samples.shape[1])]
+    raise RecordingError(f"{key}: samples must have one or two dimensions, not {samples.ndim}")
