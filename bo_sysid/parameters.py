@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -75,7 +75,7 @@ class CandidateSet:
         object.__setattr__(self, "points", points)
 
     @classmethod
-    def from_grid(cls, parameters: Sequence[Parameter], most: int = 200_000) -> Self:
+    def from_grid(cls, parameters: Sequence[Parameter], most: int = 200_000) -> "CandidateSet":
         """Return the full grid, last parameter fastest.
 
         Raises:
@@ -91,7 +91,7 @@ class CandidateSet:
         return cls(tuple(parameters), np.stack([a.ravel() for a in axes], axis=1))
 
     @classmethod
-    def from_sobol(cls, parameters: Sequence[Parameter], size: int, seed: int = 0) -> Self:
+    def from_sobol(cls, parameters: Sequence[Parameter], size: int, seed: int = 0) -> "CandidateSet":
         """Return the first `size` points of a scrambled Sobol sequence within the bounds."""
         sampler = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed))
         unit = sampler.random_base2(int(np.ceil(np.log2(max(size, 2)))))[:size]

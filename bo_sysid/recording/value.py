@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -106,7 +106,7 @@ class Recording:
         name: str = "recording",
         units: Mapping[str, str] | None = None,
         **kinds: Mapping[str, ArrayLike],
-    ) -> Self:
+    ) -> "Recording":
         """Make a recording from arrays that share one clock.
 
         Args:
@@ -140,7 +140,7 @@ class Recording:
         return cls(name, channels)
 
     @classmethod
-    def from_frame(cls, frame: pd.DataFrame, *, name: str = "recording") -> Self:
+    def from_frame(cls, frame: pd.DataFrame, *, name: str = "recording") -> "Recording":
         """Make a recording from a DataFrame with a ``time`` column in [s] and channel columns."""
         if "time" not in frame.columns:
             raise RecordingError(
@@ -178,7 +178,7 @@ class Recording:
         start = f"{kind}."
         return {n[len(start) :]: c for n, c in self.channels.items() if n.startswith(start)}
 
-    def between(self, start: float, stop: float) -> Self:
+    def between(self, start: float, stop: float) -> "Recording":
         """Return the part from `start` to before `stop`, in [s]; holds reach in from before."""
         channels = {}
         for name, c in self.channels.items():
@@ -193,11 +193,11 @@ class Recording:
             channels[name] = Channel(
                 c.time[first:last], c.values[first:last], c.unit, c.source, c.hold
             )
-        return type(self)(self.name, channels, self.notes)
+        return Recording(self.name, channels, self.notes)
 
-    def with_notes(self, notes: Iterable[str]) -> Self:
+    def with_notes(self, notes: Iterable[str]) -> "Recording":
         """Return a copy with `notes` added."""
-        return type(self)(self.name, self.channels, (*self.notes, *notes))
+        return Recording(self.name, self.channels, (*self.notes, *notes))
 
     @property
     def span(self) -> tuple[float, float]:

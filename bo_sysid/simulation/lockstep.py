@@ -1,0 +1,115 @@
+"""Laws that are stepped together with the simulation: controllers and forces.
+
+MuJoCo's batch runs without Python callbacks, so a law is evaluated for all windows at once between
+two steps: a controller writes `ctrl`, a force law adds to `qfrc_applied`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+Signal = Float[np.ndarray, " W"]
+
+
+@dataclass(frozen=True)
+class LawInputs:
+    """What a law may look at, for W simulations at one instant.
+
+    Attributes:
+        time: `W` time since the start of the window in [s].
+        qpos: position of each hinge or slide joint by name, `W`, in [rad] or [m].
+        qvel: velocity of each hinge or slide joint by name, `W`, in [rad/s] or [m/s].
+        ctrl: control of each actuator by name, `W`, as recorded or as written by earlier laws.
+        signals: recorded inputs by channel name (``goal.elbow``, ``aux.voltage``), `W`.
+        timestep: time until the next evaluation in [s].
+        memory: a dictionary of the law's own, empty at the start of every roll-out; a law with
+            history keeps its arrays here.
+    """
+
+    time: Signal
+    qpos: Mapping[str, Signal]
+    qvel: Mapping[str, Signal]
+    ctrl: Mapping[str, Signal]
+    signals: Mapping[str, Signal]
+    timestep: float
+    memory: dict[str, Any] = field(default_factory=dict)
+
+
+Law = Callable[[LawInputs], Signal]
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A law that gives the control of one actuator.
+
+    Attributes:
+        actuator: name of the actuator.
+        law: returns its control for each of W simulations, in the actuator's unit.
+    """
+
+    actuator: str
+    law: Law
+
+
+@dataclass(frozen=True)
+class ForceLaw:
+    """A law that adds a force to one degree of freedom.
+
+    Attributes:
+        joint: name of a hinge or slide joint.
+        law: returns the force on each of W simulations in [N m] or [N].
+    """
+
+    joint: str
+    law: Law
+
+
+class LockStep:
+    """Evaluates laws on the live arrays of a batch; one for each roll-out."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        laws: tuple[Controller | ForceLaw, ...],
+        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        views: Mapping[str, np.ndarray],
+        force: Float[np.ndarray, "W S nv"] | None,
+    ) -> None:
+        self._laws = laws
+        self._signals = signals
+        self._views = views
+        self._force = force
+        self._timestep = float(model.opt.timestep)
+        scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
+        names = [model.joint(j).name for j in scalar]
+        self._dof = {n: int(model.jnt_dofadr[j]) for n, j in zip(names, scalar, strict=True)}
+        self._qpos = {
+            n: views["qpos"][:, int(model.jnt_qposadr[j])]
+            for n, j in zip(names, scalar, strict=True)
+        }
+        self._qvel = {n: views["qvel"][:, k] for n, k in self._dof.items()}
+        self._actuator = {model.actuator(i).name: i for i in range(model.nu)}
+        self._ctrl = {n: views["ctrl"][:, i] for n, i in self._actuator.items()}
+        self._memories: list[dict[str, Any]] = [{} for _ in laws]
+
+    def apply(self, step: int) -> None:
+        """Evaluate every law at the state before simulation step `step`."""
+        applied = self._views["qfrc_applied"]
+        applied[:] = 0.0 if self._force is None else self._force[:, step]
+        signals = {name: values[:, step] for name, values in self._signals.items()}
+        time = np.full(len(applied), step * self._timestep)
+        for law, memory in zip(self._laws, self._memories, strict=True):
+            inputs = LawInputs(
+                time, self._qpos, self._qvel, self._ctrl, signals, self._timestep, memory
+            )
+            value = law.law(inputs)
+            if isinstance(law, Controller):
+                self._views["ctrl"][:, self._actuator[law.actuator]] = value
+            else:
+                applied[:, self._dof[law.joint]] += value

@@ -1,0 +1,212 @@
+"""The simulation core: many starts, many models, one call on all cores."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+from mujoco.batch import Batch, SimulationError
+
+from bo_sysid.arrays import Ctrl
+from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep
+from bo_sysid.simulation.state import State, Trajectory
+
+_STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL | mujoco.mjtState.mjSTATE_ACT
+_CONTROL = mujoco.mjtState.mjSTATE_CTRL
+_CONTROL_AND_FORCE = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+
+
+class Engine:
+    """MuJoCo's batch, kept from call to call while the models keep one structure.
+
+    The results do not depend on the number of threads.
+
+    Args:
+        threads: number of threads, 0 for all cores.
+    """
+
+    def __init__(self, threads: int = 0) -> None:
+        self.threads = threads
+        self._batch: Batch | None = None
+
+    def rollout(
+        self,
+        models: mujoco.MjModel | Sequence[mujoco.MjModel],
+        start: State,
+        ctrl: Ctrl,
+        *,
+        force: Float[np.ndarray, "W S nv"] | None = None,
+        laws: Sequence[Controller | ForceLaw] = (),
+        signals: Mapping[str, Float[np.ndarray, "W S"]] | None = None,
+        sensors: bool = False,
+    ) -> Trajectory:
+        """Simulate W starts for S steps.
+
+        Args:
+            models: one model for all windows or one for each, all of one structure.
+            start: the `W` starts.
+            ctrl: `W x S x nu` controls, each held during its step.
+            force: `W x S x nv` generalised forces in [N m] or [N], each held during its step.
+            laws: controllers and force laws, evaluated before every step in this order.
+            signals: recorded inputs of the laws by channel name, `W x S`.
+            sensors: whether to record `sensordata`.
+
+        Returns:
+            The trajectory; a simulation that diverges is flagged, never raised.
+        """
+        batch = self._prepare(models, start)
+        before = batch.warning[:, :, 1].sum(axis=1)
+        if laws:
+            recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors)
+        else:
+            recorded = self._open_loop(batch, ctrl, force, sensors)
+        states, sensordata, failed = recorded
+        diverged = failed | (batch.warning[:, :, 1].sum(axis=1) > before)
+        return _trajectory(batch.model, start, states, sensordata, diverged)
+
+    def final(
+        self,
+        models: mujoco.MjModel | Sequence[mujoco.MjModel],
+        start: State,
+        ctrl: Float[np.ndarray, "W nu"],
+        steps: int,
+    ) -> tuple[Float[np.ndarray, "W n"], Bool[np.ndarray, " W"]]:
+        """Simulate W starts for `steps` steps under constant controls; return the last states.
+
+        This is the hot path of one-step predictions: nothing in between is recorded.
+
+        Returns:
+            `W x (nq + nv + na)` final states, valid until the next call, and the `W` flags of
+            those that diverged.
+        """
+        batch = self._prepare(models, start)
+        before = batch.warning[:, :, 1].sum(axis=1)
+        if batch.model.nu:
+            batch.bind("ctrl")[:] = ctrl
+        failed = np.zeros(len(start), bool)
+        try:
+            batch.step(nstep=steps)
+        except SimulationError as error:
+            failed[error.ids] = True
+        first = _offset(batch)
+        size = batch.model.nq + batch.model.nv + batch.model.na
+        states = batch.state[:, first : first + size]
+        return states, failed | (batch.warning[:, :, 1].sum(axis=1) > before)
+
+    def _prepare(self, models: mujoco.MjModel | Sequence[mujoco.MjModel], start: State) -> Batch:
+        """Return a batch loaded with the models and the starts, everything else reset."""
+        batch = self._loaded(models, len(start))
+        if batch.model.nmocap:
+            batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # mocap poses may differ by model
+        else:  # all defaults that matter are alike: one reset, copied, at a tenth of the time
+            batch.reset(ids=[0], stage=mujoco.mjtStage.mjSTAGE_NONE)
+            batch.state[:] = batch.state[0]
+        batch.bind("qpos")[:] = start.qpos
+        batch.bind("qvel")[:] = start.qvel
+        if batch.model.na:
+            batch.bind("act")[:] = start.act
+        if start.warmstart is not None:
+            batch.bind("qacc_warmstart")[:] = start.warmstart
+        return batch
+
+    def _loaded(self, models: mujoco.MjModel | Sequence[mujoco.MjModel], count: int) -> Batch:
+        """Return the kept batch where the models fit its structure, else a new one."""
+        if self._batch is not None and self._batch.nsim == count:
+            try:
+                self._batch.set_models(models)
+            except (mujoco.FatalError, ValueError):
+                pass  # another structure: a new batch below
+            else:
+                return self._batch
+        first = models if isinstance(models, mujoco.MjModel) else models[0]
+        self._batch = Batch(first, nsim=count, nthread=self.threads)
+        self._batch.set_models(models)
+        return self._batch
+
+    def _open_loop(
+        self,
+        batch: Batch,
+        ctrl: Ctrl,
+        force: Float[np.ndarray, "W S nv"] | None,
+        sensors: bool,
+    ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
+        steps = ctrl.shape[1]
+        control = ctrl if force is None else np.concatenate([ctrl, force], axis=2)
+        spec = int(_CONTROL if force is None else _CONTROL_AND_FORCE)
+        if sensors:  # sensordata trails the state by one step: run one step more
+            control = np.concatenate([control, control[:, -1:]], axis=1)
+        record = (int(_STATE), "sensordata") if sensors else (int(_STATE),)
+        n = batch.model.nq + batch.model.nv + batch.model.na
+        out: dict[int | str, np.ndarray] = {
+            int(_STATE): np.zeros((batch.nsim, control.shape[1], n)),
+        }
+        if sensors:
+            out["sensordata"] = np.zeros((batch.nsim, control.shape[1], batch.model.nsensordata))
+        failed = np.zeros(batch.nsim, bool)
+        try:
+            batch.rollout(
+                control.shape[1],
+                control=control if control.shape[2] else None,
+                control_spec=spec,
+                record=record,
+                out=out,
+            )
+        except SimulationError as error:
+            failed[error.ids] = True
+        return out[int(_STATE)][:, :steps], out.get("sensordata"), failed
+
+    def _lockstep(
+        self,
+        batch: Batch,
+        ctrl: Ctrl,
+        force: Float[np.ndarray, "W S nv"] | None,
+        laws: Sequence[Controller | ForceLaw],
+        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        sensors: bool,
+    ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
+        steps, model = ctrl.shape[1], batch.model
+        views = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+        sensordata = batch.bind("sensordata") if sensors else None
+        lockstep = LockStep(model, tuple(laws), signals, views, force)
+        first, size = _offset(batch), model.nq + model.nv + model.na
+        states = np.zeros((batch.nsim, steps, size))
+        sensed = np.zeros((batch.nsim, steps + 1, model.nsensordata)) if sensors else None
+        alive = np.ones(batch.nsim, bool)
+        before = batch.warning[:, :, 1].sum(axis=1)
+        for k in range(steps + sensors):
+            k_input = min(k, steps - 1)
+            if model.nu:
+                views["ctrl"][:] = ctrl[:, k_input]
+            lockstep.apply(k_input)
+            try:
+                batch.step(ids=None if alive.all() else np.flatnonzero(alive))
+            except SimulationError as error:
+                alive[error.ids] = False
+            alive &= batch.warning[:, :, 1].sum(axis=1) == before
+            if sensed is not None:
+                sensed[:, k] = sensordata
+            if k < steps:
+                good = batch.state[:, first : first + size]
+                states[:, k] = np.where(alive[:, None], good, states[:, max(k - 1, 0)])
+        return states, sensed, ~alive
+
+
+def _offset(batch: Batch) -> int:
+    """Return where qpos, qvel and act (adjacent in MuJoCo's state) begin in a state row."""
+    return int(mujoco.mj_stateSize(batch.model, int(mujoco.mjtState.mjSTATE_TIME)))
+
+
+def _trajectory(
+    model: mujoco.MjModel,
+    start: State,
+    states: np.ndarray,
+    sensordata: np.ndarray | None,
+    diverged: Bool[np.ndarray, " W"],
+) -> Trajectory:
+    nq, nv = model.nq, model.nv
+    whole = np.concatenate(
+        [np.concatenate([start.qpos, start.qvel, start.act], axis=1)[:, None], states], axis=1
+    )
+    return Trajectory(
+        whole[..., :nq], whole[..., nq : nq + nv], whole[..., nq + nv :], sensordata, diverged
+    )

@@ -1,0 +1,124 @@
+"""Values that enter and leave a simulation: starts of windows and trajectories."""
+
+from dataclasses import dataclass, replace
+
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bo_sysid.arrays import Act, Qpos, Qvel
+
+
+@dataclass(frozen=True)
+class State:
+    """The state of W simulations, in MuJoCo's order and units.
+
+    Attributes:
+        qpos: `W x nq` positions in [m], [rad] or quaternions.
+        qvel: `W x nv` velocities in [m/s] or [rad/s].
+        act: `W x na` activations of actuators with memory.
+        warmstart: `W x nv` accelerations that warm-start the constraint solver; with them a
+            prediction repeats the recorded step to the last bit.
+    """
+
+    qpos: Qpos
+    qvel: Qvel
+    act: Act
+    warmstart: Qvel | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.qpos)
+        if len(self.qvel) != count or len(self.act) != count:
+            raise ValueError(
+                f"qpos, qvel and act have {count}, {len(self.qvel)} and {len(self.act)} rows"
+            )
+
+    def __len__(self) -> int:
+        return len(self.qpos)
+
+    def repeat(self, times: int) -> "State":
+        """Return the whole set of states `times` times over, `times * W` rows."""
+        return replace(
+            self,
+            qpos=np.tile(self.qpos, (times, 1)),
+            qvel=np.tile(self.qvel, (times, 1)),
+            act=np.tile(self.act, (times, 1)),
+            warmstart=None if self.warmstart is None else np.tile(self.warmstart, (times, 1)),
+        )
+
+    def rows(self, index: np.ndarray | slice) -> "State":
+        """Return the states of some windows."""
+        return replace(
+            self,
+            qpos=self.qpos[index],
+            qvel=self.qvel[index],
+            act=self.act[index],
+            warmstart=None if self.warmstart is None else self.warmstart[index],
+        )
+
+    def moved(self, model: mujoco.MjModel, tangent: Float[np.ndarray, "W n"]) -> "State":
+        """Return the states moved along their tangent space.
+
+        Args:
+            model: gives the joints; quaternions are integrated by `mj_integratePos`.
+            tangent: `W x 2 nv`, change of position in [m] or [rad], then change of velocity.
+        """
+        nv = model.nv
+        if model.nq == nv:
+            qpos = self.qpos + tangent[:, :nv]
+        else:
+            qpos = self.qpos.copy()
+            for row, change in zip(qpos, tangent[:, :nv], strict=True):
+                mujoco.mj_integratePos(model, row, change, 1.0)
+        return replace(self, qpos=qpos, qvel=self.qvel + tangent[:, nv:], warmstart=None)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What W simulations did over S steps; index 0 is the start.
+
+    Attributes:
+        qpos: `W x (S+1) x nq`.
+        qvel: `W x (S+1) x nv`.
+        act: `W x (S+1) x na`.
+        sensordata: `W x (S+1) x nsensordata` where sensors were asked for, else None.
+        diverged: `W` flags: MuJoCo warned (bad position, velocity or acceleration, a full
+            buffer) or raised; from there on the rows repeat the last good state.
+    """
+
+    qpos: Float[np.ndarray, "W S1 nq"]
+    qvel: Float[np.ndarray, "W S1 nv"]
+    act: Float[np.ndarray, "W S1 na"]
+    sensordata: Float[np.ndarray, "W S1 ns"] | None
+    diverged: Bool[np.ndarray, " W"]
+
+    def rows(self, index: np.ndarray | slice) -> "Trajectory":
+        """Return the trajectories of some windows."""
+        sensors = None if self.sensordata is None else self.sensordata[index]
+        return replace(
+            self,
+            qpos=self.qpos[index],
+            qvel=self.qvel[index],
+            act=self.act[index],
+            sensordata=sensors,
+            diverged=self.diverged[index],
+        )
+
+
+def tangent_difference(
+    model: mujoco.MjModel, left: Float[np.ndarray, "... nq"], right: Float[np.ndarray, "... nq"]
+) -> Float[np.ndarray, "... nv"]:
+    """Return `left - right` in the tangent space of the joints, in [m] or [rad].
+
+    Hinge and slide joints subtract; quaternions use `mj_differentiatePos`.
+    """
+    if model.nq == model.nv:
+        return np.asarray(left - right)
+    shape = np.broadcast_shapes(left.shape, right.shape)
+    flat_left = np.broadcast_to(left, shape).reshape(-1, model.nq)
+    flat_right = np.broadcast_to(right, shape).reshape(-1, model.nq)
+    out = np.empty((len(flat_left), model.nv))
+    for row, a, b in zip(out, flat_right, flat_left, strict=True):
+        mujoco.mj_differentiatePos(model, row, 1.0, a, b)
+    return out.reshape(*shape[:-1], model.nv)

@@ -1,0 +1,170 @@
+"""The simulation core against MuJoCo's own loop and against analytic solutions."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.simulation import Controller, Engine, ForceLaw, LawInputs, State
+
+PENDULUM = """<mujoco><option timestep="0.001" integrator="{integrator}"/><worldbody>
+  <body name="rod"><joint name="hinge" axis="0 1 0" damping="{damping}"/>
+    <geom name="bob" type="sphere" size="0.01" pos="0 0 -0.5" mass="1"/></body></worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+  <sensor><jointpos name="angle" joint="hinge"/></sensor></mujoco>"""
+
+
+def pendulum(damping: float = 0.0, integrator: str = "RK4") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(PENDULUM.format(damping=damping, integrator=integrator))
+
+
+def starts(count: int, seed: int = 0) -> State:
+    rng = np.random.default_rng(seed)
+    return State(
+        rng.uniform(-1, 1, (count, 1)), rng.uniform(-1, 1, (count, 1)), np.zeros((count, 0))
+    )
+
+
+def loop(model: mujoco.MjModel, start: State, ctrl: np.ndarray) -> np.ndarray:
+    """The independent implementation: one MjData at a time."""
+    out = np.empty((len(start), ctrl.shape[1] + 1, model.nq))
+    for w in range(len(start)):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = start.qpos[w], start.qvel[w]
+        out[w, 0] = data.qpos
+        for k in range(ctrl.shape[1]):
+            data.ctrl[:] = ctrl[w, k]
+            mujoco.mj_step(model, data)
+            out[w, k + 1] = data.qpos
+    return out
+
+
+def test_rollout_equals_the_bare_engine_to_the_last_bit() -> None:
+    model, start = pendulum(0.1), starts(5)
+    ctrl = np.random.default_rng(1).normal(size=(5, 40, 1))
+    trajectory = Engine(threads=1).rollout(model, start, ctrl)
+    np.testing.assert_array_equal(trajectory.qpos, loop(model, start, ctrl))
+    assert not trajectory.diverged.any()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_results_do_not_depend_on_the_number_of_threads(threads: int) -> None:
+    model, start = pendulum(0.1), starts(64)
+    ctrl = np.random.default_rng(1).normal(size=(64, 20, 1))
+    one = Engine(threads=1).rollout(model, start, ctrl)
+    many = Engine(threads=threads).rollout(model, start, ctrl)
+    np.testing.assert_array_equal(one.qpos, many.qpos)
+
+
+def test_models_differ_by_window() -> None:
+    models = [pendulum(d) for d in (0.0, 0.5, 1.0)]
+    start, ctrl = starts(3), np.ones((3, 30, 1))
+    trajectory = Engine().rollout(models, start, ctrl)
+    for w, model in enumerate(models):
+        alone = loop(model, start.rows(np.array([w])), ctrl[w : w + 1])
+        np.testing.assert_array_equal(trajectory.qpos[w], alone[0])
+
+
+def test_an_engine_forgets_the_previous_call() -> None:
+    engine, start = Engine(), starts(4)
+    first = engine.rollout(pendulum(), start, np.zeros((4, 10, 1)), force=np.ones((4, 10, 1)))
+    engine.rollout(pendulum(2.0), starts(4, seed=9), np.ones((4, 10, 1)))
+    engine.final(pendulum(), start, np.ones((4, 1)), steps=3)
+    again = engine.rollout(pendulum(), start, np.zeros((4, 10, 1)), force=np.ones((4, 10, 1)))
+    np.testing.assert_array_equal(first.qpos, again.qpos)
+
+
+def test_another_structure_gets_another_batch() -> None:
+    two = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><joint/><geom size='.1'/><body pos='1 0 0'><joint/>"
+        "<geom size='.1'/></body></body></worldbody></mujoco>"
+    )
+    engine = Engine()
+    engine.rollout(pendulum(), starts(2), np.zeros((2, 3, 1)))
+    start = State(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros((2, 0)))
+    assert engine.rollout(two, start, np.zeros((2, 3, 0))).qpos.shape == (2, 4, 2)
+
+
+def test_small_swing_has_the_analytic_period() -> None:
+    # point mass at 0.5 m (plus the bob's own inertia): omega^2 = m g l / (m l^2 + 2/5 m r^2)
+    omega = np.sqrt(9.81 * 0.5 / (0.25 + 0.4 * 0.01**2))
+    start = State(np.array([[1e-3]]), np.zeros((1, 1)), np.zeros((1, 0)))
+    qpos = Engine().rollout(pendulum(), start, np.zeros((1, 2000, 1))).qpos[0, :, 0]
+    time = np.arange(2001) * 1e-3
+    np.testing.assert_allclose(qpos, 1e-3 * np.cos(omega * time), atol=2e-9)
+
+
+def test_force_equals_a_motor_of_the_same_torque() -> None:
+    start, torque = starts(3), np.random.default_rng(2).normal(size=(3, 25, 1))
+    by_motor = Engine().rollout(pendulum(), start, torque)
+    by_force = Engine().rollout(pendulum(), start, np.zeros((3, 25, 1)), force=torque)
+    np.testing.assert_allclose(by_force.qpos, by_motor.qpos, atol=1e-14)
+
+
+def test_laws_step_with_the_simulation() -> None:
+    """A proportional controller and a damper as laws equal the same physics in MJCF."""
+    start, ctrl = starts(6), np.zeros((6, 200, 1))
+    goal = np.full((6, 200), 0.3)
+
+    def servo(inputs: LawInputs) -> np.ndarray:
+        return 4.0 * (inputs.signals["goal.motor"] - inputs.qpos["hinge"])
+
+    def spring(inputs: LawInputs) -> np.ndarray:
+        return -2.0 * inputs.qpos["hinge"]
+
+    laws = (Controller("motor", servo), ForceLaw("hinge", spring))
+    by_law = Engine().rollout(
+        pendulum(integrator="Euler"), start, ctrl, laws=laws, signals={"goal.motor": goal}
+    )
+    xml = PENDULUM.format(damping=0, integrator="Euler").replace(
+        'axis="0 1 0"', 'axis="0 1 0" stiffness="2"'
+    )
+    xml = xml.replace(
+        '<motor name="motor" joint="hinge"/>', '<position name="motor" joint="hinge" kp="4"/>'
+    )
+    in_mjcf = Engine().rollout(
+        mujoco.MjModel.from_xml_string(xml), start, np.full((6, 200, 1), 0.3)
+    )
+    np.testing.assert_allclose(by_law.qpos, in_mjcf.qpos, atol=1e-12)
+
+
+def test_a_law_keeps_its_memory_within_one_rollout_only() -> None:
+    seen: list[int] = []
+
+    def count(inputs: LawInputs) -> np.ndarray:
+        inputs.memory["calls"] = inputs.memory.get("calls", 0) + 1
+        seen.append(inputs.memory["calls"])
+        return np.zeros_like(inputs.time)
+
+    for _ in range(2):
+        Engine().rollout(
+            pendulum(), starts(2), np.zeros((2, 3, 1)), laws=(ForceLaw("hinge", count),)
+        )
+    assert seen == [1, 2, 3, 1, 2, 3]
+
+
+@pytest.mark.parametrize("with_law", [False, True])
+def test_divergence_is_a_status_per_window(with_law: bool) -> None:
+    start = State(np.zeros((3, 1)), np.array([[0.0], [1e12], [1.0]]), np.zeros((3, 0)))
+    law = (ForceLaw("hinge", lambda inputs: np.zeros_like(inputs.time)),) if with_law else ()
+    trajectory = Engine().rollout(pendulum(), start, np.zeros((3, 5, 1)), laws=law)
+    np.testing.assert_array_equal(trajectory.diverged, [False, True, False])
+    assert np.isfinite(trajectory.qpos).all()
+
+
+@pytest.mark.parametrize("with_law", [False, True])
+def test_sensordata_belongs_to_the_state_of_its_row(with_law: bool) -> None:
+    law = (ForceLaw("hinge", lambda inputs: np.zeros_like(inputs.time)),) if with_law else ()
+    trajectory = Engine().rollout(
+        pendulum(), starts(3), np.zeros((3, 7, 1)), laws=law, sensors=True
+    )
+    assert trajectory.sensordata is not None
+    np.testing.assert_array_equal(trajectory.sensordata, trajectory.qpos)
+
+
+def test_final_equals_the_end_of_a_rollout() -> None:
+    start, held = starts(5), np.random.default_rng(3).normal(size=(5, 1))
+    engine = Engine()
+    whole = engine.rollout(pendulum(0.2), start, np.repeat(held[:, None], 4, axis=1))
+    state, diverged = engine.final(pendulum(0.2), start, held, steps=4)
+    np.testing.assert_array_equal(state, np.hstack([whole.qpos[:, -1], whole.qvel[:, -1]]))
+    assert not diverged.any()
