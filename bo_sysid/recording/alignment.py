@@ -1,0 +1,118 @@
+"""Clocks: what a simulation needs to know about when things were recorded.
+
+Controls are held between their stamps and averaged over each simulation step, exactly; measured
+channels are never interpolated.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from bo_sysid.arrays import Times
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording.value import Channel, Recording
+
+GAP = 1.75  # an interval longer than this many medians misses a sample
+_SNAP = 1e-6  # a step edge this close to a stamp, in steps, is meant to be on it
+
+
+def control_steps(
+    channel: Channel, start_times: Float[np.ndarray, " W"], n_steps: int, dt: float
+) -> Float[np.ndarray, "W S"]:
+    """Return the held value of a channel averaged over each simulation step.
+
+    With u(t) the zero-order hold of the samples, entry (w, s) is
+    1/dt · ∫ u(t) dt from start_w + s·dt to start_w + (s+1)·dt. The first sample extends to before
+    its stamp and the last one beyond it. A step within one hold returns the sample itself, bit for
+    bit, also where rounding puts the step's edge a hair beside the stamp.
+
+    Args:
+        channel: a held channel: control, goal or auxiliary input.
+        start_times: `W` starts of the windows in [s].
+        n_steps: number S of simulation steps.
+        dt: simulation timestep in [s].
+
+    Returns:
+        `W x S` averages, in the channel's unit.
+
+    Raises:
+        RecordingError: `n_steps` or `dt` is not positive.
+    """
+    if n_steps < 1 or not dt > 0:
+        raise RecordingError(f"n_steps {n_steps} and dt {dt:g} s must be positive")
+    edges = _snapped(
+        np.asarray(start_times)[:, None] + np.arange(n_steps + 1) * dt, channel.time, _SNAP * dt
+    )
+    left, right = edges[:, :-1], edges[:, 1:]
+    stamps, values = channel.time, channel.values
+    last_row = stamps.size - 1
+    first = np.clip(np.searchsorted(stamps, left, side="right") - 1, 0, last_row)
+    last = np.clip(np.searchsorted(stamps, right, side="left") - 1, 0, last_row)
+    # integral of the hold from the first stamp to each stamp
+    whole = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(stamps))])
+    after_first = np.minimum(first + 1, last_row)
+    integral = (
+        (stamps[after_first] - left) * values[first]
+        + (whole[last] - whole[after_first])
+        + (right - stamps[last]) * values[last]
+    )
+    return np.where(first == last, values[first], integral / (right - left))
+
+
+def _snapped(times: np.ndarray, stamps: Times, tolerance: float) -> np.ndarray:
+    """Return `times`, those within `tolerance` of a stamp moved onto it."""
+    after = np.clip(np.searchsorted(stamps, times), 1, stamps.size - 1)
+    before = after - 1
+    nearer = np.where(
+        np.abs(times - stamps[before]) <= np.abs(times - stamps[after]), before, after
+    )
+    return np.where(np.abs(times - stamps[nearer]) <= tolerance, stamps[nearer], times)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a clock ticks.
+
+    Attributes:
+        samples: number of stamps.
+        median_dt: median interval in [s].
+        jitter: spread of the intervals about the median, 1.4826·MAD of those that are not gaps,
+            in [s].
+        gaps: number of intervals longer than `GAP` medians.
+        missing: samples that would fill the gaps at the median interval.
+        longest: longest interval in [s].
+    """
+
+    samples: int
+    median_dt: float
+    jitter: float
+    gaps: int
+    missing: int
+    longest: float
+
+    @classmethod
+    def of(cls, time: Times) -> "Sampling":
+        """Return the sampling of `T` increasing time stamps in [s], T at least 2."""
+        intervals = np.diff(time)
+        median = float(np.median(intervals))
+        gap = intervals > GAP * median
+        missing = np.rint(intervals[gap] / median) - 1
+        return cls(
+            samples=len(time),
+            median_dt=median,
+            jitter=float(1.4826 * np.median(np.abs(intervals[~gap] - median))),
+            gaps=int(gap.sum()),
+            missing=int(missing.sum()),
+            longest=float(intervals.max()),
+        )
+
+
+def sampling(recording: Recording) -> pd.DataFrame:
+    """Return how each channel is sampled: one row a channel, the columns of `Sampling`.
+
+    Duplicate stamps do not appear: they are removed, and noted, when a recording is read.
+    """
+    rows = {name: vars(Sampling.of(c.time)) for name, c in recording.channels.items()}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")

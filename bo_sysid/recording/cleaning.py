@@ -1,0 +1,197 @@
+"""Messy but usable logs: what is dropped, what is kept, and what is refused.
+
+Duplicate stamps: the first sample is kept. Gaps, dropped samples and jitter: kept as recorded, for
+predictions are compared at the recorded instants. A measurement is never invented: nothing is
+interpolated, resampled or filled. Time that runs backwards, a value that is not finite and an empty
+cell that no rule explains are errors. Rows count from 0.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording.alignment import GAP, Sampling
+from bo_sysid.recording.value import Channel
+
+JITTER = 0.05  # intervals that spread by more than this share of their median are mentioned
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time stamps of a column.
+
+    Attributes:
+        column: name of the column.
+        length: cells of the column.
+        stamps: time of each cell in [s], up to the last one that is not empty.
+        rows: rows that are used: the first of each run of equal stamps.
+    """
+
+    column: str
+    length: int
+    stamps: np.ndarray
+    rows: np.ndarray
+
+    @property
+    def duplicates(self) -> np.ndarray:
+        """Rows that repeat the stamp before them."""
+        return np.setdiff1d(np.arange(self.stamps.size), self.rows)
+
+
+def read_clock(column: str, stamps: np.ndarray, where: str) -> Clock:
+    """Validate the time stamps of a column.
+
+    Args:
+        column: name of the column.
+        stamps: time stamps in [s]; NaN is an empty cell, which may only stand at the end.
+        where: file and column, for messages.
+
+    Raises:
+        RecordingError: an empty cell, a stamp that is not finite, time that runs backwards, or
+            fewer than two different stamps.
+    """
+    filled = np.flatnonzero(~np.isnan(stamps))
+    used = stamps[: filled[-1] + 1] if filled.size else stamps[:0]
+    bad = np.flatnonzero(~np.isfinite(used))
+    if bad.size:
+        raise RecordingError(
+            f"{where}: row {bad[0]} is {_shown(used[bad[0]])}; every sample needs a finite time "
+            "stamp"
+        )
+    steps = np.diff(used)
+    backwards = np.flatnonzero(steps < 0)
+    if backwards.size:
+        row = int(backwards[0]) + 1
+        raise RecordingError(
+            f"{where}: time runs backwards in row {row}, from {used[row - 1]:.9g} s to "
+            f"{used[row]:.9g} s; time stamps must increase (two logs in one file? another clock?)"
+        )
+    rows = np.concatenate([[0], np.flatnonzero(steps > 0) + 1]) if used.size else np.empty(0, int)
+    if rows.size < 2:
+        raise RecordingError(
+            f"{where}: {used.size} rows hold {rows.size} different time stamps; at least 2 are "
+            "needed"
+        )
+    return Clock(column, len(stamps), used, rows)
+
+
+def usable_rows(
+    values: np.ndarray, clock: Clock, where: str, *, held: bool, skip_missing: bool
+) -> tuple[np.ndarray, list[str]]:
+    """Return the rows of a column that become samples, and what is to be said about them.
+
+    Args:
+        values: samples as numbers; NaN is an empty cell.
+        clock: the clock of the column.
+        where: file, channel and column, for messages.
+        held: whether the value is held between its samples.
+        skip_missing: whether an empty cell means that the row holds no new sample.
+
+    Raises:
+        RecordingError: lengths do not match, or a value is empty or not finite.
+    """
+    notes = []
+    size = clock.stamps.size
+    if held and len(values) == clock.length - 1:
+        size = min(size, len(values))
+        notes.append("one sample fewer than time stamps; the last stamp has no value")
+    elif len(values) != clock.length:
+        raise RecordingError(
+            f"{where}: {len(values)} samples, but its clock, column {clock.column!r}, has "
+            f"{clock.length} stamps; they must be of one length"
+        )
+    beyond = np.flatnonzero(~np.isnan(values[size:]))
+    if beyond.size:
+        raise RecordingError(
+            f"{where}: row {size + beyond[0]} has a value but no time stamp in column "
+            f"{clock.column!r}"
+        )
+    rows = clock.rows[clock.rows < size]
+    missing = np.isnan(values[rows])
+    bad = rows[~np.isfinite(values[rows])]
+    if skip_missing:
+        bad = rows[np.isinf(values[rows])]
+        rows = rows[~missing]
+        if missing.any():
+            kept = "the value before it is held" if held else "no measurement was made up"
+            notes.append(f"{int(missing.sum())} empty cells skipped; {kept}")
+    if bad.size:
+        raise RecordingError(
+            f"{where}: row {bad[0]} is {_shown(values[bad[0]])}; every sample must be a finite "
+            f"number ({bad.size} of {len(values)} are not). Where an empty cell means that nothing "
+            "new was recorded, say `missing: skip` for this channel under columns:"
+        )
+    if rows.size < 2:
+        raise RecordingError(f"{where}: {rows.size} samples; at least 2 are needed")
+    return rows, notes
+
+
+def clock_flaws(clock: Clock, *, measured: bool) -> list[str]:
+    """Return a sentence for each thing that is messy about a clock.
+
+    A clock of held channels only may repeat stamps and pause: a command was not sent again.
+    """
+    if not measured:
+        return []
+    sentences = []
+    name, dropped = f"Clock {clock.column!r}", clock.duplicates
+    if dropped.size:
+        sentences.append(
+            f"{name}: {dropped.size} duplicate stamps, of which the first sample was kept "
+            f"(rows {_listed(dropped)} dropped)."
+        )
+    s = Sampling.of(clock.stamps[clock.rows])
+    if s.gaps:
+        sentences.append(
+            f"{name}: {s.gaps} gaps longer than {GAP:g} x {s.median_dt:.4g} s, about {s.missing} "
+            f"samples missing, the longest {s.longest:.4g} s; nothing was filled in."
+        )
+    if s.jitter > JITTER * s.median_dt:
+        sentences.append(
+            f"{name}: intervals jitter by {s.jitter:.2g} s about {s.median_dt:.4g} s; samples are "
+            "used at their own stamps."
+        )
+    return sentences
+
+
+def motion_flaws(source: str, channels: Mapping[str, Channel]) -> list[str]:
+    """Return a sentence about measured channels that never move.
+
+    Raises:
+        RecordingError: nothing is measured, or no position moves (no measured channel where
+            positions were not recorded).
+    """
+    measured = {n: c for n, c in channels.items() if c.hold == "none"}
+    if not measured:
+        raise RecordingError(
+            f"{source}: nothing was measured; channels: {', '.join(channels)}. At least one qpos, "
+            "qvel or sensor channel is needed"
+        )
+    frozen = [n for n, c in measured.items() if np.ptp(c.values) == 0]
+    positions = [n for n in measured if n.startswith("qpos.")] or list(measured)
+    if set(positions) <= set(frozen):
+        first = measured[positions[0]]
+        raise RecordingError(
+            f"{source}: {', '.join(positions)} never moves (all {first.values.size} samples are "
+            f"{first.values[0]:g}); nothing can be learned from it. Is it the right column?"
+        )
+    if not frozen:
+        return []
+    return [f"Never moves: {', '.join(frozen)}; nothing can be said about it."]
+
+
+def refuse(source: str, flaws: Sequence[str]) -> None:
+    """Raise `RecordingError` with all `flaws`, if there are any."""
+    if flaws:
+        raise RecordingError(f"{source}: refused because of --strict. {' '.join(flaws)}")
+
+
+def _listed(rows: np.ndarray, most: int = 5) -> str:
+    shown = ", ".join(str(r) for r in rows[:most])
+    return shown + (", …" if rows.size > most else "")
+
+
+def _shown(value: float) -> str:
+    return "empty (NaN)" if np.isnan(value) else f"{value:g}"

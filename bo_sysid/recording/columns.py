@@ -1,0 +1,157 @@
+"""Rules that say which column of a file is which channel, and in which unit, sign and clock.
+
+They stand in a study under ``columns:`` and ``clocks:``. A rule is validated when it is made.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from math import pi
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.recording.units import unit_of_kind
+from bo_sysid.recording.value import KINDS, Hold
+
+Missing = Literal["error", "skip"]
+_NUMBERS = ("sign", "scale", "offset", "unwrap")
+_CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
+
+
+@dataclass(frozen=True)
+class ColumnRule:
+    """How a channel is read from a column.
+
+    The value is sign · unwrap(scale · factor(unit) · raw) + offset, in SI units.
+
+    Attributes:
+        source: name of the column (``from`` in a study); None for the channel's own name.
+        unit: unit of the column; None where the file says it or it is SI already.
+        sign: 1 or -1.
+        scale: factor beside the unit's own; for encoder ticks the SI value of one tick.
+        offset: added last, in SI units.
+        unwrap: True for an angle that jumps by a turn, or the size of the jump in SI units.
+        hold: "zero" or "none"; None for what the kind of channel says.
+        clock: column of the time stamps in [s]; None for what ``clocks:`` or the file says.
+        missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
+    """
+
+    source: str | None = None
+    unit: str | None = None
+    sign: int = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    unwrap: bool | float = False
+    hold: Hold | None = None
+    clock: str | None = None
+    missing: Missing = "error"
+
+    def __post_init__(self) -> None:
+        _require(self.sign in (1, -1), "sign", self.sign, "1 or -1")
+        _require(np.isfinite(self.scale) and self.scale != 0, "scale", self.scale, "not zero")
+        _require(bool(np.isfinite(self.offset)), "offset", self.offset, "finite")
+        positive = bool(np.isfinite(self.unwrap)) and self.unwrap >= 0
+        _require(positive, "unwrap", self.unwrap, "true, or the size of the jump in SI units")
+        _require_choice("hold", self.hold, get_args(Hold))
+        _require_choice("missing", self.missing, get_args(Missing))
+
+    @classmethod
+    def parse(cls, channel: str, rule: "ColumnRule | Mapping[str, Any] | str") -> "ColumnRule":
+        """Return the rule of `channel` from what stands in a study; a bare name is the column.
+
+        Raises:
+            RecordingError: the channel is not one, a key is unknown or a value is wrong.
+        """
+        where = f"columns: {channel}"
+        kind = channel.split(".", 1)[0]
+        if channel != "time" and not _CHANNEL.fullmatch(channel):
+            raise RecordingError(
+                f"{where}: a channel is called 'time' or <kind>.<name>; kind: "
+                f"{nearest(kind, KINDS)}"
+            )
+        if not isinstance(rule, ColumnRule):
+            arguments = _arguments(where, rule, [f.name for f in fields(cls)])
+            try:
+                rule = cls(**arguments)
+            except RecordingError as error:
+                raise RecordingError(f"{where}: {error}") from None
+        if rule.unit is not None:
+            unit = unit_of_kind(rule.unit, kind, where)
+            if unit.factor is None and rule.scale == 1.0:
+                raise RecordingError(
+                    f"{where}: unit {rule.unit!r} needs `scale`, the SI value of one (an encoder "
+                    f"of 4096 ticks a turn has scale: {2 * pi / 4096:.6g})"
+                )
+        return rule
+
+    @property
+    def period(self) -> float:
+        """Size of the jump that unwrapping removes, in SI units; 0 for no unwrapping."""
+        return 2 * pi if self.unwrap is True else float(self.unwrap)
+
+
+@dataclass(frozen=True)
+class ClockRule:
+    """Where the time stamps of a kind of channel, or of one channel, come from.
+
+    Attributes:
+        source: column of the time stamps (``from`` in a study).
+        unit: unit of that column.
+        hold: "zero" or "none"; None for what the kind of channel says.
+    """
+
+    source: str
+    unit: str = "s"
+    hold: Hold | None = None
+
+    def __post_init__(self) -> None:
+        _require(bool(self.source), "from", self.source, "the column of the time stamps")
+        unit_of_kind(self.unit, "time", f"clock {self.source!r}")
+        _require_choice("hold", self.hold, get_args(Hold))
+
+    @classmethod
+    def parse(cls, key: str, rule: "ClockRule | Mapping[str, Any] | str") -> "ClockRule":
+        """Return the clock of `key`, a kind or a channel; a bare name is the column.
+
+        Raises:
+            RecordingError: the kind is unknown, a key is unknown or a value is wrong.
+        """
+        where = f"clocks: {key}"
+        kind = key.split(".", 1)[0]
+        if kind not in KINDS:
+            raise RecordingError(f"{where}: names no kind of channel; {nearest(kind, KINDS)}")
+        if isinstance(rule, ClockRule):
+            return rule
+        arguments = _arguments(where, rule, [f.name for f in fields(cls)])
+        if "source" not in arguments:
+            raise RecordingError(f"{where}: needs `from`, the column of the time stamps")
+        try:
+            return cls(**arguments)
+        except RecordingError as error:
+            raise RecordingError(f"{where}: {error}") from None
+
+
+def _arguments(where: str, rule: Mapping[str, Any] | str, names: Sequence[str]) -> dict[str, Any]:
+    """Return keyword arguments from a rule in a study, where `source` is called ``from``."""
+    given = {"from": rule} if isinstance(rule, str) else dict(rule)
+    keys = ["from" if name == "source" else name for name in names]
+    for key, value in given.items():
+        if key not in keys:
+            raise RecordingError(f"{where}: unknown key {key!r}; {nearest(str(key), keys)}")
+        number = key in _NUMBERS
+        if not isinstance(value, int | float if number else str):
+            expected = "a number" if number else "text"
+            raise RecordingError(f"{where}: {key} is {value!r}; it must be {expected}")
+    return {("source" if key == "from" else key): value for key, value in given.items()}
+
+
+def _require(holds: bool, key: str, value: object, rule: str) -> None:
+    if not holds:
+        raise RecordingError(f"{key} is {value!r}; it must be {rule}")
+
+
+def _require_choice(key: str, value: object, valid: tuple[str, ...]) -> None:
+    if value is not None and value not in valid:
+        raise RecordingError(f"{key} is {value!r}; {nearest(str(value), valid)}")

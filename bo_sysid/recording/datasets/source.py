@@ -1,0 +1,70 @@
+"""Where the raw files of public datasets are found.
+
+Files are looked up under ``$BO_SYSID_DATA/<folder>``; where they are not, those that have a stable
+public address are downloaded once by pooch and checked against their SHA-256.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from bo_sysid.errors import RecordingError
+
+VARIABLE = "BO_SYSID_DATA"
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A raw file of a dataset.
+
+    Attributes:
+        path: path under the dataset's folder; a gzipped copy (``.gz`` added) is found too.
+        url: stable public address; empty where there is none.
+        sha256: checksum of what is downloaded.
+    """
+
+    path: str
+    url: str = ""
+    sha256: str = ""
+
+
+def locate(folder: str, file: SourceFile, how_to_get: str) -> Path:
+    """Return where a raw file lies, downloading it if it must.
+
+    Args:
+        folder: the dataset's folder under ``$BO_SYSID_DATA``.
+        file: the file.
+        how_to_get: where the authors publish it and how it is converted, for the message.
+
+    Raises:
+        RecordingError: the file is nowhere and cannot be downloaded.
+    """
+    root = os.environ.get(VARIABLE, "")
+    if root:
+        for name in (file.path, f"{file.path}.gz"):
+            candidate = Path(root) / folder / name
+            if candidate.is_file():
+                return candidate
+    looked = f"not under ${VARIABLE} ({Path(root) / folder})" if root else f"${VARIABLE} is not set"
+    if not file.url:
+        raise RecordingError(f"dataset {folder}: {file.path}: {looked}. {how_to_get}")
+    return _download(folder, file, f"{looked}. {how_to_get}")
+
+
+def _download(folder: str, file: SourceFile, remedy: str) -> Path:
+    import pooch
+
+    cache = Path(os.environ.get("BO_SYSID_CACHE", pooch.os_cache("bo_sysid"))) / folder
+    try:
+        found = pooch.retrieve(
+            file.url,
+            known_hash=f"sha256:{file.sha256}",
+            fname=Path(file.path).name,
+            path=cache / Path(file.path).parent,
+        )
+    except (OSError, ValueError) as error:  # no network; another checksum
+        raise RecordingError(
+            f"dataset {folder}: {file.path} could not be downloaded from {file.url}: {error}. It "
+            f"is {remedy}"
+        ) from None
+    return Path(found)

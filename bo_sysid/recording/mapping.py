@@ -1,0 +1,205 @@
+"""From the columns of a file to the channels of a recording.
+
+Columns that follow the convention (``time``, ``qpos.<joint>``, …) map by themselves; the rules of a
+study say the rest. A column ``time.<kind>`` or ``time.<channel>`` is the clock of that kind or
+channel. Nothing is guessed, and what was done is said in the recording's notes.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.recording.cleaning import (
+    Clock,
+    clock_flaws,
+    motion_flaws,
+    read_clock,
+    refuse,
+    usable_rows,
+)
+from bo_sysid.recording.columns import ClockRule, ColumnRule
+from bo_sysid.recording.table import RawTable
+from bo_sysid.recording.units import UNITS, unit, unit_of_kind
+from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
+
+
+def to_recording(
+    table: RawTable,
+    columns: Mapping[str, Any] | None = None,
+    clocks: Mapping[str, Any] | None = None,
+    *,
+    name: str = "recording",
+    strict: bool = False,
+) -> Recording:
+    """Map a raw table to a recording.
+
+    Args:
+        table: what a reader returned.
+        columns: by channel (or ``time``), a `ColumnRule` or what stands for it in a study.
+        clocks: by kind or channel, a `ClockRule` or what stands for it in a study.
+        name: name of the recording where the file does not say one.
+        strict: refuse what is otherwise used and noted (gaps, jitter, duplicate stamps, …).
+
+    Raises:
+        RecordingError: the message names file, column, row, the rule and the nearest choice.
+    """
+    rules = {k: ColumnRule.parse(k, r) for k, r in (columns or {}).items()}
+    clock_rules = {k: ClockRule.parse(k, r) for k, r in (clocks or {}).items()}
+    for column in table.columns:
+        if column.split(".", 1)[0] in KINDS and "." in column:
+            rules.setdefault(column, ColumnRule())
+    mapper = _Mapper(table, rules, clock_rules)
+    channels = {c: mapper.channel(c) for c in rules if c != "time"}
+    if not channels:
+        raise RecordingError(
+            f"{table.source}: no column follows the convention (qpos.<joint>, ctrl.<actuator>, …); "
+            f"it has {', '.join(map(repr, table.columns))}. "
+            "Say which is which, for instance columns: {qpos.elbow: {from: theta2, unit: deg}}"
+        )
+    flaws = [*mapper.flaws(), *motion_flaws(table.source, channels)]
+    if strict:
+        refuse(table.source, flaws)
+    notes = (*table.notes, *mapper.notes, *mapper.summary(channels), *flaws)
+    return Recording(table.name or name, channels, tuple(dict.fromkeys(notes)))
+
+
+class _Mapper:
+    """Reads channels and clocks from one table and collects what was done."""
+
+    def __init__(
+        self,
+        table: RawTable,
+        rules: Mapping[str, ColumnRule],
+        clock_rules: Mapping[str, ClockRule],
+    ) -> None:
+        self.table = table
+        self.rules = rules
+        self.clock_rules = clock_rules
+        self.notes: list[str] = []
+        self._clocks: dict[ColumnRule, Clock] = {}
+        self._measured: set[ColumnRule] = set()
+        for key in clock_rules:
+            if not any(channel == key or _kind(channel) == key for channel in rules):
+                raise RecordingError(
+                    f"{table.source}: clocks: {key!r} fits no channel; {nearest(key, rules)}"
+                )
+
+    def channel(self, name: str) -> Channel:
+        """Read one channel."""
+        table, rule = self.table, self.rules[name]
+        column = rule.source or name
+        where = f"{table.source}: {name}, column {column!r}"
+        raw = table.column(column, name)
+        hold = self._hold(name, rule, column)
+        clock = self._clock(name, rule, column, measured=hold == "none")
+        rows, notes = usable_rows(
+            raw, clock, where, held=hold == "zero", skip_missing=rule.missing == "skip"
+        )
+        self.notes += [f"{name}: {note}." for note in notes]
+        values, si = self._converted(name, rule, column, raw[rows], where)
+        return Channel(clock.stamps[rows], values, si, f"{table.source}: {column}", hold)
+
+    def flaws(self) -> list[str]:
+        """Return sentences about all clocks that were read."""
+        return [
+            sentence
+            for key, clock in self._clocks.items()
+            for sentence in clock_flaws(clock, measured=key in self._measured)
+        ]
+
+    def summary(self, channels: Mapping[str, Channel]) -> list[str]:
+        """Return sentences about holds and about columns that were not used."""
+        sentences = []
+        held = [n for n, c in channels.items() if c.hold == "zero"]
+        if held:
+            sentences.append(f"Held between samples (zero order): {', '.join(held)}.")
+        used = {rule.source or name for name, rule in self.rules.items()}
+        used |= {clock.column for clock in self._clocks.values()}
+        unused = [column for column in self.table.columns if column not in used]
+        if unused:
+            sentences.append(f"Columns not used: {', '.join(unused)}.")
+        return sentences
+
+    def _hold(self, name: str, rule: ColumnRule, column: str) -> Hold:
+        clock_rule = self._clock_rule(name)
+        stated = rule.hold or (clock_rule.hold if clock_rule else None)
+        default: Hold = "zero" if _kind(name) in HELD_KINDS else "none"
+        return stated or self.table.holds.get(column, default)
+
+    def _clock_rule(self, name: str) -> ClockRule | None:
+        return self.clock_rules.get(name, self.clock_rules.get(_kind(name)))
+
+    def _clock(self, name: str, rule: ColumnRule, column: str, *, measured: bool) -> Clock:
+        """Return the clock of a channel; the most specific statement about it wins."""
+        table, clock_rule = self.table, self._clock_rule(name)
+        own = next(
+            (c for c in (f"time.{name}", f"time.{_kind(name)}") if c in table.columns),
+            table.clocks.get(column),
+        )
+        if rule.clock is not None:
+            stated = ColumnRule(rule.clock)
+        elif clock_rule is not None:
+            stated = ColumnRule(clock_rule.source, clock_rule.unit)
+        elif own is not None:
+            stated = ColumnRule(own)
+        else:
+            stated = self.rules.get("time", ColumnRule("time"))
+        if measured:
+            self._measured.add(stated)
+        if stated not in self._clocks:
+            self._clocks[stated] = self._read_clock(stated)
+        return self._clocks[stated]
+
+    def _read_clock(self, stated: ColumnRule) -> Clock:
+        table, column = self.table, stated.source or "time"
+        if column not in table.columns:
+            raise RecordingError(
+                f"{table.source}: no column {column!r} with time stamps; "
+                f"{nearest(column, table.columns)} "
+                "Say which it is, for instance columns: {time: {from: t, unit: ms}}"
+            )
+        where = f"{table.source}: time stamps in column {column!r}"
+        named = stated.unit or table.units.get(column) or "s"
+        factor = unit_of_kind(named, "time", where).factor or 1.0
+        if factor != 1.0:
+            self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
+        return read_clock(
+            column, stated.scale * factor * table.column(column) + stated.offset, where
+        )
+
+    def _converted(
+        self, name: str, rule: ColumnRule, column: str, raw: np.ndarray, where: str
+    ) -> tuple[np.ndarray, str]:
+        """Return samples in SI units and the unit, and note what was done."""
+        written = rule.unit if rule.unit is not None else self.table.units.get(column, "")
+        if written and (rule.unit is not None or written in UNITS):
+            found = unit(written, where)
+            si, factor = found.si, found.factor or 1.0
+        else:
+            si, factor = written, 1.0
+        values = raw if factor * rule.scale == 1.0 else factor * rule.scale * raw
+        done = []
+        if factor != 1.0:
+            done.append(f"converted from {written} to {si or 'a plain number'}")
+        if rule.scale != 1.0:
+            done.append(f"scaled by {rule.scale:g}")
+        if rule.period:
+            unwrapped = np.unwrap(values, period=rule.period)
+            jumps = int(np.count_nonzero(np.diff(np.rint((unwrapped - values) / rule.period))))
+            done.append(f"unwrapped ({jumps} jumps of {rule.period:g})")
+            values = unwrapped
+        if rule.sign < 0:
+            values = -values
+            done.append("sign reversed")
+        if rule.offset:
+            values = values + rule.offset
+            done.append(f"offset by {rule.offset:g}")
+        if done or column != name:
+            self.notes.append(f"{name} is " + ", ".join([f"column {column!r}", *done]) + ".")
+        return values, si
+
+
+def _kind(channel: str) -> str:
+    return channel.split(".", 1)[0]
