@@ -1,0 +1,243 @@
+"""How many threads, which processes, and what is told about progress."""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Set
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Protocol, Self
+
+from bo_sysid.errors import BoSysidError, StudyError
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a long computation is.
+
+    Attributes:
+        step: units done.
+        of: units in all.
+        message: what is being done or was found, one short sentence.
+    """
+
+    step: int
+    of: int
+    message: str = ""
+
+
+Report = Callable[[Progress], None]
+"""What a long computation calls with its progress; only the command line prints."""
+
+
+def silent(_: Progress) -> None:
+    """Report nothing."""
+
+
+_threads: int | None = None
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def threads() -> int:
+    """Return the number of threads that computations use: all cores, unless told otherwise."""
+    return _threads or cores()
+
+
+@contextlib.contextmanager
+def use_threads(number: int | None) -> Iterator[None]:
+    """Use `number` threads in the block (None: all cores), linear algebra included.
+
+    Results do not depend on it.
+
+    Raises:
+        StudyError: the number is below 1.
+    """
+    global _threads
+    if number is not None and number < 1:
+        raise StudyError(f"--threads {number}: at least 1 (this machine offers {cores()})")
+    before = _threads
+    _threads = number
+    try:
+        with limit_threads(threads()):
+            yield
+    finally:
+        _threads = before
+
+
+@contextlib.contextmanager
+def limit_threads(number: int) -> Iterator[None]:
+    """Let BLAS, OpenMP and torch use at most `number` threads in the block.
+
+    BLAS threads that spin while they wait halve the speed of a simulation on all cores: simulate
+    under ``limit_threads(1)``.
+    """
+    from threadpoolctl import threadpool_limits
+
+    torch: Any = sys.modules.get("torch")  # where it has not been imported, nothing is to be done
+    before = torch.get_num_threads() if torch else 0
+    with threadpool_limits(number):
+        if torch:
+            torch.set_num_threads(number)
+        try:
+            yield
+        finally:
+            if torch:
+                torch.set_num_threads(before)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job.
+
+    Attributes:
+        key: the job.
+        result: what the function returned; None where it failed.
+        error: why it failed; None where it did not.
+    """
+
+    key: str
+    result: Any = None
+    error: str | None = None
+
+
+class Engine(Protocol):
+    """Where jobs run: processes of this machine, or later a cluster."""
+
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+        """Yield the outcome of ``function(job)`` for every job, in the order they end."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """Processes of this machine, one thread each.
+
+    A job that raises, or whose process dies, is reported as an outcome with an error; the others
+    go on. The processes end with the loop over the outcomes, and with this process.
+
+    Attributes:
+        processes: number of processes.
+    """
+
+    processes: int
+
+    def __post_init__(self) -> None:
+        if self.processes < 1:
+            raise StudyError(f"{self.processes} processes: at least 1")
+
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+        """Yield the outcome of ``function(job)`` for every job, in the order they end."""
+        waiting = deque(jobs.items())
+        busy: dict[Connection, _Worker] = {}
+        try:
+            for _ in range(min(self.processes, len(waiting))):
+                worker = _Worker.start()
+                busy[worker.connection] = worker
+                worker.give(function, *waiting.popleft())
+            while busy:
+                for connection in wait(list(busy)):
+                    worker = busy.pop(connection)  # type: ignore[call-overload]
+                    outcome, alive = worker.take()
+                    if waiting:
+                        worker = worker if alive else _Worker.start()
+                        busy[worker.connection] = worker
+                        worker.give(function, *waiting.popleft())
+                    else:
+                        worker.stop()
+                    yield outcome
+        finally:
+            for worker in busy.values():
+                worker.stop()
+
+
+class _Worker:
+    """A process that computes one job after the other."""
+
+    def __init__(self, process: BaseProcess, connection: Connection):
+        self.process = process
+        self.connection = connection
+        self.key = ""
+
+    @classmethod
+    def start(cls) -> Self:
+        context = multiprocessing.get_context("spawn")
+        here, there = context.Pipe()
+        process = context.Process(target=_work, args=(there,), daemon=True)
+        process.start()
+        there.close()  # so that the end of the process is the end of the connection
+        return cls(process, here)
+
+    def give(self, function: Callable[[Any], Any], key: str, job: Any) -> None:
+        self.key = key
+        # a process that has just died is noticed when its answer is taken
+        with contextlib.suppress(BrokenPipeError):
+            self.connection.send((function, job))
+
+    def take(self) -> tuple[Outcome, bool]:
+        """Return the outcome of the job, and whether the process lives on."""
+        try:
+            result, error = self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            code = self.process.exitcode
+            return Outcome(self.key, error=f"its process ended with code {code}"), False
+        return Outcome(self.key, result, error), True
+
+    def stop(self) -> None:
+        self.connection.close()
+        self.process.terminate()
+        self.process.join()
+
+
+def _work(connection: Connection) -> None:
+    """Compute jobs until the other end of the connection is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    while True:
+        try:
+            function, job = connection.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            with use_threads(1):
+                answer = (function(job), None)
+        except BoSysidError as error:
+            answer = (None, str(error))
+        except Exception:  # the job is reported as failed, the others go on
+            answer = (None, traceback.format_exc())
+        try:
+            connection.send(answer)
+        except BrokenPipeError:
+            return
+
+
+def map_jobs(
+    function: Callable[[Any], Any],
+    jobs: Mapping[str, Any],
+    *,
+    engine: Engine | None = None,
+    done: Set[str] = frozenset(),
+) -> Iterator[Outcome]:
+    """Yield the outcome of ``function(job)`` for every job that is not in `done`.
+
+    Args:
+        function: a function of a module, so that a process can import it.
+        jobs: argument by the job's key.
+        engine: where the jobs run; a process of this machine for every thread where left out.
+        done: keys of jobs that an earlier, interrupted call has finished.
+    """
+    engine = engine or LocalEngine(threads())
+    return engine.run(function, {k: v for k, v in jobs.items() if k not in done})

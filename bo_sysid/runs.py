@@ -1,0 +1,374 @@
+"""Run folders: everything that a command produced, written atomically, resumable.
+
+A file is either there as a whole or not at all: it is written beside its place, flushed to the
+disk, and moved there. A command that is killed at any moment goes on from what is there.
+"""
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from types import TracebackType
+from typing import IO, TYPE_CHECKING, Any, Literal, Self
+
+import yaml
+
+from bo_sysid import __version__
+from bo_sysid.errors import RunError, UserError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMAT = 1
+"""Version of the layout of run folders."""
+
+PACKAGES = ("botorch", "dm-control", "gpytorch", "mujoco", "numpy", "pandas", "scipy", "torch")
+"""Packages whose versions can change a result."""
+
+Status = Literal["running", "finished", "interrupted", "failed"]
+
+_RECORD = "run.json"
+_STUDY = "study.yaml"
+_LOCK = ".lock"
+
+
+class Run:
+    """A run folder that this process writes to.
+
+    Use it as a context manager: leaving it writes the status (finished, interrupted or failed) and
+    lets go of the folder.
+    """
+
+    def __init__(self, folder: Path, record: dict[str, Any], lock: IO[str], *, created: bool):
+        self.folder = folder
+        self._record = record
+        self._lock = lock
+        self._created = created
+
+    @classmethod
+    def open(
+        cls,
+        folder: str | Path,
+        study: Mapping[str, Any],
+        command: str,
+        *,
+        seed: int | None = None,
+    ) -> Self:
+        """Make a run folder, or go on with one of the same study and command.
+
+        Args:
+            folder: the run folder; made where it does not exist.
+            study: the resolved study, with paths relative to `folder`.
+            command: the verb.
+            seed: seed of everything drawn at random.
+
+        Raises:
+            RunError: another process writes to the folder, or the folder holds another study or
+                command, another format, or something that is no run.
+        """
+        folder = Path(folder)
+        created = not folder.exists()
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _locked(folder)
+        try:
+            record = _existing(folder, study, command)
+            _remove_leftovers(folder)
+            run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
+            run._record["status"] = "running"
+            run._record["sessions"].append({"started": _now(), "versions": versions()})
+            run.write_text(_STUDY, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+            run.write_json(_RECORD, run._record)
+        except BaseException:
+            lock.close()
+            raise
+        return run
+
+    @property
+    def record(self) -> Mapping[str, Any]:
+        """What `run.json` holds: command, seed, versions, hash of the study, times, status."""
+        return self._record
+
+    def path(self, name: str) -> Path:
+        """Return where a file of the run is.
+
+        Raises:
+            RunError: `name` leads out of the run folder.
+        """
+        return _inside(self.folder, name)
+
+    def has(self, name: str) -> bool:
+        """Return whether a file has been written."""
+        return self.path(name).is_file()
+
+    def write_bytes(self, name: str, content: bytes) -> Path:
+        """Write a file."""
+        with self.writing(name) as path:
+            path.write_bytes(content)
+        return self.path(name)
+
+    def write_text(self, name: str, content: str) -> Path:
+        """Write a text file in UTF-8."""
+        return self.write_bytes(name, content.encode())
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Write JSON, keys in the order given.
+
+        Raises:
+            ValueError: a number is NaN or infinite, which JSON does not have.
+        """
+        return self.write_text(name, json.dumps(plain(value, name), indent=2) + "\n")
+
+    def write_frame(self, name: str, frame: "pd.DataFrame") -> Path:
+        """Write a Parquet file."""
+        with self.writing(name) as path:
+            frame.to_parquet(path)
+        return self.path(name)
+
+    @contextlib.contextmanager
+    def writing(self, name: str) -> Iterator[Path]:
+        """Yield a path to write to, which becomes the file `name` when the block has ended well.
+
+        For what writes files by itself, such as figures; the path has the ending of `name`.
+        """
+        with atomic(self.path(name)) as path:
+            yield path
+
+    def read_json(self, name: str) -> Any:
+        """Read a JSON file of the run."""
+        return read_json(self.folder, name)
+
+    def read_frame(self, name: str) -> "pd.DataFrame":
+        """Read a Parquet file of the run."""
+        return read_frame(self.folder, name)
+
+    def close(self, status: Status) -> None:
+        """Write how the command ended, and let go of the folder."""
+        self._record["status"] = status
+        self._record["sessions"][-1]["ended"] = _now()
+        self.write_json(_RECORD, self._record)
+        self._lock.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close("finished")
+            return
+        self.close("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
+        if self._created and isinstance(error, UserError):
+            self._remove_if_bare()
+
+    def _remove_if_bare(self) -> None:
+        """Remove the folder where the input was wrong before anything was computed."""
+        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, _LOCK}:
+            shutil.rmtree(self.folder)
+
+
+def read_record(folder: str | Path) -> dict[str, Any]:
+    """Return what `run.json` of a run folder holds.
+
+    Raises:
+        RunError: the folder is no run, is damaged, or has another format.
+    """
+    folder = Path(folder)
+    if not (folder / _RECORD).is_file():
+        raise RunError(f"{folder}: not a run folder (it has no {_RECORD})")
+    record = read_json(folder, _RECORD)
+    if not isinstance(record, dict) or not {"format", "command", "status"} <= set(record):
+        raise RunError(f"{folder / _RECORD}: damaged; remove the folder and run again")
+    if record["format"] != FORMAT:
+        raise RunError(
+            f"{folder}: written in format {record['format']}, this version reads {FORMAT}; "
+            "use another --out"
+        )
+    return record
+
+
+def read_json(folder: str | Path, name: str) -> Any:
+    """Read a JSON file of a run folder.
+
+    Raises:
+        RunError: it is missing or damaged.
+    """
+    path = _written(Path(folder), name)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RunError(f"{path}: damaged, not JSON ({error})") from None
+
+
+def read_frame(folder: str | Path, name: str) -> "pd.DataFrame":
+    """Read a Parquet file of a run folder.
+
+    Raises:
+        RunError: it is missing or damaged.
+    """
+    import pandas as pd
+
+    path = _written(Path(folder), name)
+    try:
+        return pd.read_parquet(path)
+    except (ValueError, OSError) as error:
+        raise RunError(f"{path}: damaged, not Parquet ({error})") from None
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a path beside `path` to write to, and move it there when the block has ended well."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".tmp-{os.getpid()}-{path.name}")
+    try:
+        yield beside
+        with open(beside, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+        _sync_folder(path.parent)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def plain(value: Any, key: str = "value") -> Any:
+    """Return `value` with NumPy's types as Python's, for JSON.
+
+    Raises:
+        ValueError: a number is NaN or infinite; the message names its key.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v, f"{key}.{i}") for i, v in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{key} is {value}; JSON has no such number")
+    return value
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, Python and what results depend on."""
+    found = {"bo-sysid": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[package] = metadata.version(package)
+    return found
+
+
+def differences(old: Any, new: Any, key: str = "") -> list[str]:
+    """Return in words where two resolved studies differ."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        keys = list(dict.fromkeys([*old, *new]))
+        return [
+            d for k in keys for d in differences(old.get(k), new.get(k), f"{key}.{k}".lstrip("."))
+        ]
+    return [] if old == new else [f"{key}: {json.dumps(old)} there, {json.dumps(new)} now"]
+
+
+def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dict[str, Any]:
+    canonical = json.dumps(plain(study), sort_keys=True, separators=(",", ":"))
+    return {
+        "format": FORMAT,
+        "command": command,
+        "seed": seed,
+        "study_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
+        "status": "running",
+        "sessions": [],
+    }
+
+
+def _existing(folder: Path, study: Mapping[str, Any], command: str) -> dict[str, Any] | None:
+    """Return the record of the run in `folder`, None where the folder is empty."""
+    inside = {p.name for p in folder.iterdir() if not p.name.startswith(".tmp-")} - {_LOCK, _STUDY}
+    if not inside:
+        return None
+    record = read_record(folder)
+    way_out = "use another --out, or remove the folder"
+    if record["command"] != command:
+        raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
+    there = yaml.safe_load(_written(folder, _STUDY).read_text(encoding="utf-8"))
+    differ = differences(there, plain(study))
+    if differ:
+        listed = "".join(f"\n  {d}" for d in differ[:10])
+        raise RunError(f"{folder}: holds a run of another study; {way_out}. It differs in{listed}")
+    return record
+
+
+def _locked(folder: Path) -> IO[str]:
+    """Take the lock of a folder; the system lets go of it when this process ends, however."""
+    lock = open(folder / _LOCK, "a+", encoding="utf-8")  # noqa: SIM115 - held as long as the run
+    try:
+        _lock_file(lock)
+    except OSError:
+        lock.seek(0)
+        holder = lock.read().strip() or "another process"
+        lock.close()
+        raise RunError(
+            f"{folder}: {holder} is writing to this run; wait for it, or use another --out"
+        ) from None
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()} on {platform.node()}")
+    lock.flush()
+    return lock
+
+
+if sys.platform == "win32":
+
+    def _lock_file(lock: IO[str]) -> None:
+        import msvcrt
+
+        lock.seek(0)
+        msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+
+    def _lock_file(lock: IO[str]) -> None:
+        import fcntl
+
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what a killed process was writing."""
+    for path in folder.rglob(".tmp-*"):
+        path.unlink(missing_ok=True)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise RunError(f"{name!r} leads out of the run folder {folder}")
+    return path
+
+
+def _written(folder: Path, name: str) -> Path:
+    path = _inside(folder, name)
+    if not path.is_file():
+        raise RunError(f"{path}: missing; the run is unfinished or damaged")
+    return path
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush a folder's entries to the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

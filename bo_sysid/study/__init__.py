@@ -1,0 +1,5 @@
+"""Studies: YAML files from which everything runs."""
+
+from bo_sysid.study.study import Study
+
+__all__ = ["Study"]

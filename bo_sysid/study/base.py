@@ -1,0 +1,94 @@
+"""What all sections of a study file have in common."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
+from pydantic import SerializationInfo as Info
+
+
+class Section(BaseModel):
+    """A frozen part of a study; an unknown key is an error.
+
+    The docstring of a field is its description in the JSON Schema.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        validate_by_alias=True,
+        validate_by_name=True,
+        serialize_by_alias=True,
+    )
+
+
+@dataclass(frozen=True)
+class Relocation:
+    """Rewrites the relative paths of a study when it is written to another folder."""
+
+    source: Path
+    target: Path
+
+    def __call__(self, path: str) -> str:
+        """Return `path`, relative to `source`, as it is seen from `target`."""
+        if os.path.isabs(path):
+            return path
+        return Path(os.path.relpath(self.source / path, self.target)).as_posix()
+
+
+def _relocate(path: str, info: Info) -> str:
+    return info.context(path) if isinstance(info.context, Relocation) else path
+
+
+def _relocate_code(reference: str, info: Info) -> str:
+    file, _, name = reference.rpartition(":")
+    return f"{_relocate(file, info)}:{name}"
+
+
+def _code(value: str) -> str:
+    file, _, name = value.rpartition(":")
+    if not file.endswith(".py") or not name.isidentifier():
+        raise ValueError(f"must be <file>.py:<name>, as in servo.py:duty, not {value!r}")
+    return value
+
+
+def _no_bool(value: Any) -> Any:
+    # YAML reads yes, no, on and off as booleans, which Python counts as 1 and 0
+    if isinstance(value, bool):
+        raise ValueError(f"must be a number, not {'true' if value else 'false'}")
+    return value
+
+
+def _as_list(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
+Real = Annotated[float, BeforeValidator(_no_bool, json_schema_input_type=float)]
+Positive = Annotated[Real, Field(gt=0)]
+NotNegative = Annotated[Real, Field(ge=0)]
+Count = Annotated[int, BeforeValidator(_no_bool, json_schema_input_type=int), Field(ge=1)]
+Seed = Annotated[int, BeforeValidator(_no_bool, json_schema_input_type=int), Field(ge=0)]
+Name = Annotated[str, Field(min_length=1)]
+
+FilePath = Annotated[str, Field(min_length=1), PlainSerializer(_relocate)]
+"""A path or glob relative to the study file."""
+
+CodePath = Annotated[
+    str, BeforeValidator(_code, json_schema_input_type=str), PlainSerializer(_relocate_code)
+]
+"""``<file>.py:<name>``, the file relative to the study file."""
+
+Names = Annotated[
+    tuple[Name, ...],
+    Field(min_length=1),
+    BeforeValidator(_as_list, json_schema_input_type=str | tuple[Name, ...]),
+]
+Paths = Annotated[
+    tuple[FilePath, ...],
+    Field(min_length=1),
+    BeforeValidator(_as_list, json_schema_input_type=str | tuple[FilePath, ...]),
+]

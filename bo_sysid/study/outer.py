@@ -1,0 +1,167 @@
+"""The sections of a study file about diagnosis, learning, comparison and plants (DESIGN.md)."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from bo_sysid.study.base import (
+    Count,
+    FilePath,
+    Name,
+    NotNegative,
+    Positive,
+    Real,
+    Section,
+)
+from bo_sysid.study.sections import DmControl
+
+
+class Diagnosis(Section):
+    """Which missing physics is looked for."""
+
+    effects: Literal["all"] | tuple[Name, ...] = "all"
+    """all, or the ids of the effects to consider (`bo-sysid effects` lists them)."""
+    exclude: tuple[Name, ...] = ()
+    """Ids of effects to leave out."""
+    known: tuple[Name, ...] = ()
+    """MJCF addresses whose values are certain."""
+    most: Count = 3
+    """Most findings at once; a group counts as one."""
+    effect_files: tuple[FilePath, ...] = ()
+    """Python files that register effects of your own."""
+
+
+class Limit(Section):
+    """Bounds that every excitation or policy meant for the machine keeps."""
+
+    position: tuple[Real, Real] | None = None
+    """Lowest and highest position, in rad or m."""
+    velocity: Positive | None = None
+    """Highest speed, in rad/s or m/s."""
+    effort: Positive | None = None
+    """Highest torque or force, in N m or N."""
+
+    @model_validator(mode="after")
+    def _extent(self) -> Self:
+        if self.position is not None and not self.position[0] < self.position[1]:
+            low, high = self.position
+            raise ValueError(f"position: {low:g} must be below {high:g}")
+        return self
+
+
+class Task(Section):
+    """What a policy is learned for: a task of dm_control or a class in a file."""
+
+    dm_control: DmControl | None = None
+    """A task of the dm_control suite."""
+    file: FilePath | None = None
+    """Python file with a dm_control Task."""
+    class_name: Annotated[Name | None, Field(alias="class")] = None
+    """Name of the class in `file`."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.dm_control is None) == (self.file is None):
+            raise ValueError("needs either dm_control or file with class")
+        if (self.file is None) != (self.class_name is None):
+            raise ValueError("file and class go together")
+        return self
+
+
+class Policy(Section):
+    """How a policy is learned."""
+
+    algorithm: Literal["trpo"] = "trpo"
+    """Learning algorithm."""
+    batch: Count = 20_000
+    """Simulated steps per iteration."""
+
+
+class Learn(Section):
+    """The outer loop: roll out, identify, choose a model, learn a policy on it."""
+
+    choose: Name = "sample"
+    """How the model for the policy is chosen from P."""
+    stop: Name = "seed"
+    """Rule that ends the outer loop."""
+    epsilon: Positive = 0.05
+    """Distance between the chosen and the most probable candidate at which the loop may end."""
+    r: Positive = 0.05
+    """Largest relative difference of value between neighbouring candidates at the end."""
+    trajectories: Count = 10
+    """Most trajectories of the real machine."""
+    diagnose: Literal["auto", "never"] = "auto"
+    """auto: call the diagnosis when no candidate explains the recordings."""
+
+
+class Arm(Section):
+    """One way of searching, in a comparison."""
+
+    name: Name | None = None
+    """Name in tables and figures."""
+    acquisition: Name = "argmin-entropy"
+    """Which candidate is tried next."""
+    choose: Name = "sample"
+    """How the model for the policy is chosen from P."""
+    stop: Name = "seed"
+    """Rule that ends the outer loop."""
+
+
+def _arm(value: Any) -> Any:
+    return {"acquisition": value} if isinstance(value, str) else value
+
+
+class Compare(Section):
+    """Arms compared on this study with paired seeds."""
+
+    arms: tuple[
+        Annotated[Arm, BeforeValidator(_arm, json_schema_input_type=str | Arm)],
+        ...,
+    ] = ()
+    """The arms; a text is the name of an acquisition."""
+    seeds: Count = 30
+    """Number of paired seeds."""
+
+
+class Execution(Section):
+    """Where jobs run."""
+
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine; ray: a Ray cluster."""
+    address: Name | None = None
+    """Address of the Ray cluster; auto finds a running one."""
+
+    @model_validator(mode="after")
+    def _ray(self) -> Self:
+        if self.address is not None and self.engine != "ray":
+            raise ValueError("address needs engine: ray")
+        return self
+
+
+class PlantEffect(Section):
+    """An effect that the plant has and the model lacks."""
+
+    effect: Name
+    """Id of the effect."""
+    kind: Literal["joint", "body", "subtree", "geom", "actuator", "channel", "world"] = "world"
+    """Kind of site."""
+    site: Name | None = None
+    """Name of the site; left out for the world."""
+    value: Real
+    """Magnitude, in the effect's unit."""
+    details: Mapping[str, Real] = {}
+    """Further components by name."""
+
+
+class Plant(Section):
+    """A simulated machine to record from: what it has is hidden from every other command."""
+
+    parameters: Mapping[str, Real] = {}
+    """True value by the name of a parameter of the study."""
+    effects: tuple[PlantEffect, ...] = ()
+    """Effects that the plant has."""
+    noise: Mapping[str, NotNegative] = {}
+    """Standard deviation of the noise by kind of channel or by channel, in its unit."""
+    timestep: Positive | None = None
+    """Time step of the plant in s; the model's where left out."""

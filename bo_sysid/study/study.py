@@ -1,0 +1,326 @@
+"""The study: one declarative YAML file, from which everything runs."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, PrivateAttr, ValidationError
+
+from bo_sysid.errors import StudyError, nearest
+from bo_sysid.study import source as text
+from bo_sysid.study.base import Relocation, Section
+from bo_sysid.study.messages import study_error
+from bo_sysid.study.outer import (
+    Compare,
+    Diagnosis,
+    Execution,
+    Learn,
+    Limit,
+    Plant,
+    Policy,
+    Task,
+)
+from bo_sysid.study.sections import (
+    ActuatorLaw,
+    Deviation,
+    ModelSource,
+    ParameterEntry,
+    Recordings,
+    Search,
+)
+from bo_sysid.study.source import KeyPath, Source
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from bo_sysid.parameters import Parameter
+
+
+def _model(value: Any) -> Any:
+    return {"file": value} if isinstance(value, str) else value
+
+
+class Study(Section):
+    """A study as resolved: every key of the file, defaults filled in.
+
+    Make one with `Study.load` or `Study.from_dict`; both raise `StudyError` with every problem in
+    one message.
+    """
+
+    version: Literal[1] = 1
+    """Version of the format of study files."""
+    name: str = ""
+    """What the study is about; the name of the file where left out."""
+    model: Annotated[ModelSource, BeforeValidator(_model, json_schema_input_type=str | ModelSource)]
+    """The nominal model: an MJCF file, or where else it comes from."""
+    recordings: Recordings
+    """Recordings of the real machine."""
+    actuators: Mapping[str, ActuatorLaw] = {}
+    """By the actuator's name, what MJCF cannot say about it."""
+    parameters: tuple[ParameterEntry, ...] = ()
+    """What is uncertain but modelled."""
+    deviation: Deviation = Deviation()
+    """How models are compared with the recordings."""
+    search: Search = Search()
+    """How the best candidate is searched."""
+    diagnosis: Diagnosis = Diagnosis()
+    """Which missing physics is looked for."""
+    limits: Mapping[str, Limit] = {}
+    """By the joint's name, bounds of every excitation or policy meant for the machine."""
+    task: Task | None = None
+    """What a policy is learned for."""
+    policy: Policy = Policy()
+    """How a policy is learned."""
+    learn: Learn = Learn()
+    """The outer loop."""
+    compare: Compare = Compare()
+    """Comparison of ways to search."""
+    execution: Execution = Execution()
+    """Where jobs run."""
+    plant: Plant | None = None
+    """A simulated machine to record from."""
+
+    _folder: Path = PrivateAttr(default=Path())
+    _source: Source = PrivateAttr(default=Source("study", {}))
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        overrides: Mapping[str, Any] | None = None,
+        *,
+        trust_code: bool = False,
+    ) -> Self:
+        """Read a study file.
+
+        Args:
+            path: the YAML file; paths in it are relative to its folder.
+            overrides: values by dotted key that replace what the file says, such as
+                ``{"search.budget": 20, "parameters.0.low": 0.1}``.
+            trust_code: allow the study to name Python files, which run when they are needed.
+
+        Raises:
+            StudyError: the file is missing or wrong; the message lists every problem with its
+                line, key and nearest valid choice.
+        """
+        path = Path(path)
+        return cls._make(text.read(path, overrides or {}), path.parent, path.stem, trust_code)
+
+    @classmethod
+    def from_dict(
+        cls, data: Mapping[str, Any], folder: str | Path = ".", *, trust_code: bool = False
+    ) -> Self:
+        """Make a study from a mapping as in a study file; paths are relative to `folder`.
+
+        Raises:
+            StudyError: something in it is wrong.
+        """
+        return cls._make(Source("study", dict(data)), Path(folder), "study", trust_code)
+
+    @classmethod
+    def _make(cls, source: Source, folder: Path, name: str, trust_code: bool) -> Self:
+        try:
+            study = cls.model_validate({"name": name, **source.data})
+        except ValidationError as error:
+            raise study_error(error, source, cls) from None
+        study._folder, study._source = folder, source
+        study._check_code(trust_code)
+        if study.model.file is not None:
+            study.file(study.model.file, ("model",))
+        return study
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the study are relative to."""
+        return self._folder
+
+    @property
+    def train_files(self) -> tuple[Path, ...]:
+        """The files of `recordings.train`, globs expanded; empty where a dataset is named.
+
+        Raises:
+            StudyError: a name or glob matches no file.
+        """
+        return self._files("train")
+
+    @property
+    def holdout_files(self) -> tuple[Path, ...]:
+        """The files of `recordings.holdout`, globs expanded; empty where there are none.
+
+        Raises:
+            StudyError: a name or glob matches no file, or a file is used for training as well.
+        """
+        files = self._files("holdout")
+        both = set(files) & set(self._files("train"))
+        if both:
+            raise self.error(
+                ("recordings", "holdout"), f"{min(both).name} is among the files of train as well"
+            )
+        return files
+
+    def file(self, path: str, key: KeyPath) -> Path:
+        """Return where a file named by the study is.
+
+        Raises:
+            StudyError: there is no such file; the message names the nearest in its folder.
+        """
+        full = self._folder / path
+        if not full.is_file():
+            raise self.error(key, f"no file {path!r} in {self._folder}; {_near(full)}")
+        return full
+
+    def parameter_set(self, model: "mujoco.MjModel") -> "tuple[Parameter, ...]":
+        """Return the parameters, with wildcards matched to what `model` has.
+
+        Raises:
+            ModelError: an address matches nothing in the model.
+            StudyError: two parameters have one name.
+        """
+        from bo_sysid.mjcf import Address
+        from bo_sysid.parameters import Parameter
+
+        found: dict[str, Parameter] = {}
+        for i, entry in enumerate(self.parameters):
+            matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
+            name = entry.name or ", ".join(entry.address)
+            groups = {name: tuple(matched)}
+            if entry.each:
+                groups = {f"{entry.name} {m}" if entry.name else m: (m,) for m in matched}
+            for name, addresses in groups.items():
+                if name in found:
+                    raise self.error(
+                        ("parameters", i), f"there is another parameter {name!r}; name one of them"
+                    )
+                found[name] = Parameter(
+                    name,
+                    addresses,
+                    low=entry.low,
+                    high=entry.high,
+                    steps=entry.steps,
+                    apply=entry.apply,
+                    unit=entry.unit,
+                )
+        return tuple(found.values())
+
+    def resolved(self, relative_to: str | Path | None = None) -> dict[str, Any]:
+        """Return the study with all defaults, as a mapping for YAML or JSON.
+
+        Args:
+            relative_to: folder that relative paths shall be relative to, where the mapping is
+                written to another folder than the study's.
+        """
+        move = None
+        if relative_to is not None:
+            move = Relocation(self._folder.resolve(), Path(relative_to).resolve())
+        return self.model_dump(mode="json", exclude_none=True, context=move)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the resolved study, as canonical JSON."""
+        canonical = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    def error(self, key: KeyPath, message: str) -> StudyError:
+        """Return an error about a key, with the file and the line that sets it."""
+        return self._source.error(key, message)
+
+    def check_names(
+        self,
+        *,
+        acquisitions: Iterable[str] | None = None,
+        choices: Iterable[str] | None = None,
+        stops: Iterable[str] | None = None,
+        effects: Iterable[str] | None = None,
+        datasets: Iterable[str] | None = None,
+        plants: Iterable[str] | None = None,
+    ) -> None:
+        """Check names against what is registered; a list that is left out is not checked.
+
+        Args:
+            acquisitions: names for `search.acquisition` and the arms of a comparison.
+            choices: names for `learn.choose` and the arms.
+            stops: names for `learn.stop` and the arms.
+            effects: effect ids.
+            datasets: names of public datasets.
+            plants: ``<domain>-<task>`` of the dm_control suite.
+
+        Raises:
+            StudyError: a name is not registered; the message has the nearest one.
+        """
+        registered = {
+            "acquisition": acquisitions,
+            "choice": choices,
+            "stop rule": stops,
+            "effect": effects,
+            "dataset": datasets,
+            "plant": plants,
+        }
+        valid = {kind: set(names) for kind, names in registered.items() if names is not None}
+        for kind, key, name in self._names():
+            if kind in valid and name not in valid[kind]:
+                raise self.error(key, f"unknown {kind} {name!r}; {nearest(name, valid[kind])}")
+
+    def _names(self) -> Iterator[tuple[str, KeyPath, str]]:
+        """Yield kind, key and value of every name that a registry knows."""
+        yield "acquisition", ("search", "acquisition"), self.search.acquisition
+        yield "choice", ("learn", "choose"), self.learn.choose
+        yield "stop rule", ("learn", "stop"), self.learn.stop
+        for i, arm in enumerate(self.compare.arms):
+            at = ("compare", "arms", i)
+            yield "acquisition", (*at, "acquisition"), arm.acquisition
+            yield "choice", (*at, "choose"), arm.choose
+            yield "stop rule", (*at, "stop"), arm.stop
+        if self.diagnosis.effects != "all":
+            for i, name in enumerate(self.diagnosis.effects):
+                yield "effect", ("diagnosis", "effects", i), name
+        for i, name in enumerate(self.diagnosis.exclude):
+            yield "effect", ("diagnosis", "exclude", i), name
+        for i, effect in enumerate(self.plant.effects if self.plant else ()):
+            yield "effect", ("plant", "effects", i, "effect"), effect.effect
+        if self.recordings.dataset is not None:
+            yield "dataset", ("recordings", "dataset"), self.recordings.dataset
+        for section in ("model", "task"):
+            suite = getattr(getattr(self, section), "dm_control", None)
+            if suite is not None:
+                yield "plant", (section, "dm_control"), f"{suite.domain}-{suite.task}"
+
+    def _code(self) -> Iterator[tuple[KeyPath, str]]:
+        for name, actuator in self.actuators.items():
+            yield ("actuators", name, "law"), actuator.law
+        for i, file in enumerate(self.diagnosis.effect_files):
+            yield ("diagnosis", "effect_files", i), file
+        if self.task is not None and self.task.file is not None:
+            yield ("task", "file"), self.task.file
+
+    def _check_code(self, trusted: bool) -> None:
+        for key, reference in self._code():
+            if not trusted:
+                raise self.error(
+                    key,
+                    f"names Python code ({reference}), which runs only with --trust-code "
+                    "(trust_code=True in Python): read it first",
+                )
+            self.file(reference.split(":")[0], key)
+
+    def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
+        found: dict[Path, None] = {}
+        for i, pattern in enumerate(getattr(self.recordings, part) or ()):
+            anchor = Path(pattern).anchor
+            root = Path(anchor) if anchor else self._folder
+            files = sorted(p for p in root.glob(pattern[len(anchor) :]) if p.is_file())
+            if not files:
+                raise self.error(
+                    ("recordings", part, i), f"{pattern!r} matches no file; {_near(root / pattern)}"
+                )
+            found.update(dict.fromkeys(files))
+        return tuple(found)
+
+
+def _near(path: Path) -> str:
+    """Return the files nearest to a path that does not exist, from its nearest folder."""
+    folder = next((p for p in path.parents if p.is_dir()), Path())
+    files = [p.name for p in folder.iterdir()] if folder == path.parent else []
+    missing = path.relative_to(folder).parts[0]
+    return f"{folder} holds: {nearest(missing, files)}" if files else f"no {missing} in {folder}"
