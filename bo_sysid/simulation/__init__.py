@@ -2,7 +2,9 @@
 
 from bo_sysid.simulation.lockstep import Controller, ForceLaw, Law, LawInputs
 from bo_sysid.simulation.rollout import Engine
+from bo_sysid.simulation.simulator import MujocoSimulator, Prediction, Simulator
 from bo_sysid.simulation.state import State, Trajectory, tangent_difference
+from bo_sysid.simulation.windows import Layout, Windows, cut, predicted
 
 __all__ = [
     "Controller",
@@ -10,7 +12,14 @@ __all__ = [
     "ForceLaw",
     "Law",
     "LawInputs",
+    "Layout",
+    "MujocoSimulator",
+    "Prediction",
+    "Simulator",
     "State",
     "Trajectory",
+    "Windows",
+    "cut",
+    "predicted",
     "tangent_difference",
 ]

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 
-
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float

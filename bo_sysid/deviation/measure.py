@@ -1,0 +1,237 @@
+r"""The deviation Δ(β): how far the model at β predicts from what was recorded.
+
+    Δ(β) = 1/W Σ_w d_w(β),   d_w² = 1/H Σ_h Σ_c ((s'_whc - F_whc(β)) / scale_c)²
+
+With a horizon of one instant this is the mean over all transitions of ‖W (s' - F(s, a, β))‖₂,
+the error that [Zhu2018] minimises. It is the mean, not the sum: it keeps its scale as recordings
+are added.
+
+[Zhu2018] S. Zhu, A. Kimmel, K. E. Bekris, A. Boularias. Fast Model Identification via Physics
+Engines for Data-Efficient Policy Search. IJCAI 2018.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+
+from bo_sysid.arrays import Points
+from bo_sysid.deviation.starts import fit_starts
+from bo_sysid.simulation import Prediction, Simulator, Windows
+
+PENALTY = 10.0  # a diverged window deviates by this many times the recorded range
+_MOST_BLOCKS = 40
+_LEAST_BLOCKS = 8
+_SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """The scale of each observed channel.
+
+    Attributes:
+        channels: names of the c channels.
+        scale: `c` positive scales, in the channels' units.
+        source: for each channel, "sensor noise" or "recorded spread".
+    """
+
+    channels: tuple[str, ...]
+    scale: Float[np.ndarray, " c"]
+    source: tuple[str, ...]
+
+    @classmethod
+    def of(cls, windows: Windows, noise: Mapping[str, float] | None = None) -> "Whitening":
+        """Return the known sensor noise of each channel, else its recorded spread.
+
+        Args:
+            windows: gives channels and their spread.
+            noise: standard deviation by channel name or by kind (``qpos``), in their units.
+        """
+        noise = noise or {}
+        spread = np.nanstd(windows.observed.reshape(-1, len(windows.channels)), axis=0)
+        floor = np.finfo(float).tiny
+        scale, source = [], []
+        for k, name in enumerate(windows.channels):
+            known = noise.get(name, noise.get(name.split(".", 1)[0]))
+            scale.append(float(known) if known else max(float(spread[k]), floor))
+            source.append("sensor noise" if known else "recorded spread")
+        still = np.array(scale) <= floor  # a channel that never moved has no scale of its own
+        filled = np.where(still, np.inf, scale)
+        return cls(windows.channels, filled, tuple(source))
+
+    def restricted(self, channels: Sequence[str]) -> "Whitening":
+        """Return the scales of some channels, in their order.
+
+        Raises:
+            KeyError: a channel has no scale here.
+        """
+        where = {name: k for k, name in enumerate(self.channels)}
+        rows = [where[name] for name in channels]
+        return Whitening(tuple(channels), self.scale[rows], tuple(self.source[row] for row in rows))
+
+    def frame(self) -> pd.DataFrame:
+        """Return one row a channel: its scale and where that comes from."""
+        return pd.DataFrame({"channel": self.channels, "scale": self.scale, "source": self.source})
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Stretches of the recordings that a bootstrap draws as wholes.
+
+    Attributes:
+        index: `W` block of each window.
+        weight: `b` share of all windows in each block.
+        session: `b` number of the recording that each block comes from; None where there are too
+            few recordings to draw from.
+    """
+
+    index: Int[np.ndarray, " W"]
+    weight: Float[np.ndarray, " b"]
+    session: Int[np.ndarray, " b"] | None
+
+    @classmethod
+    def of(cls, series: Float[np.ndarray, " W"], recording: Int[np.ndarray, " W"]) -> "Blocks":
+        """Return blocks longer than the correlation time of a series.
+
+        Args:
+            series: `W` deviations of one candidate, in order of time within each recording.
+            recording: `W` number of the recording.
+        """
+        length = int(np.ceil(5 * correlation_time(series)))
+        total = np.clip(len(series) // max(length, 1), _LEAST_BLOCKS, _MOST_BLOCKS)
+        numbers = np.unique(recording)
+        index = np.empty(len(series), int)
+        session: list[int] = []
+        for number in numbers:
+            rows = np.flatnonzero(recording == number)
+            count = int(np.clip(round(total * len(rows) / len(series)), 1, len(rows)))
+            index[rows] = len(session) + np.arange(len(rows)) * count // len(rows)
+            session += [int(number)] * count
+        weight = np.bincount(index, minlength=len(session)) / len(series)
+        return cls(index, weight, np.array(session) if len(numbers) >= _SESSIONS else None)
+
+
+def correlation_time(series: Float[np.ndarray, " W"]) -> float:
+    """Return the integrated autocorrelation time in samples, at least 1.
+
+    τ = 1 + 2 Σ_k ρ_k, summed until the estimate of ρ falls below .05.
+    """
+    x = series - series.mean()
+    variance = float(x @ x)
+    if variance <= 0 or len(x) < 4:
+        return 1.0
+    tau = 1.0
+    for k in range(1, len(x) // 4 + 1):
+        rho = float(x[k:] @ x[:-k]) / variance
+        if rho < 0.05:
+            break
+        tau += 2 * rho
+    return tau
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The deviation of C candidates.
+
+    Attributes:
+        deviation: `C` values of Δ, positive and finite.
+        contributions: `C x b` mean deviation over each block.
+        diverged: `C` share of windows in which the simulation diverged.
+    """
+
+    deviation: Float[np.ndarray, " C"]
+    contributions: Float[np.ndarray, "C b"]
+    diverged: Float[np.ndarray, " C"]
+
+
+class Deviation:
+    """Δ over the candidates, on fixed recordings.
+
+    Args:
+        simulator: predicts.
+        windows: what was recorded.
+        whitening: scale of each channel.
+        fitted_starts: whether the start of each window is fitted for each candidate (the start is
+            a nuisance) or taken as measured.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        windows: Windows,
+        whitening: Whitening,
+        *,
+        fitted_starts: bool = False,
+    ) -> None:
+        self.simulator = simulator
+        self.windows = windows
+        self.whitening = whitening
+        self.fitted_starts = fitted_starts
+        self._weight = 1.0 / whitening.scale
+        self._complete = bool(np.isfinite(windows.observed).all())
+        self._quaternions = _quaternions(windows.channels)
+        observed = windows.observed.reshape(-1, len(windows.channels))
+        extent = np.nanmax(observed, axis=0) - np.nanmin(observed, axis=0)
+        self.penalty = float(PENALTY * np.linalg.norm(extent * self._weight))
+        middle = np.array([[(p.low + p.high) / 2 for p in simulator.parameters]])
+        self.blocks = Blocks.of(next(iter(self._norms(middle)))[0], windows.recording)
+
+    def __call__(self, points: Points) -> Evaluation:
+        """Return the deviation of each of the `C x d` points."""
+        deviation, contributions, diverged = [], [], []
+        count = np.bincount(self.blocks.index)
+        for norms, flags in self._norms(points):
+            deviation.append(norms.mean())
+            contributions.append(np.bincount(self.blocks.index, weights=norms) / count)
+            diverged.append(flags.mean())
+        return Evaluation(np.array(deviation), np.array(contributions), np.array(diverged))
+
+    def residual(self, point: Float[np.ndarray, " d"]) -> tuple[Prediction, Windows]:
+        """Return the prediction at a point, and the windows with the starts it was made from."""
+        windows = self._started(point)
+        prediction = next(iter(self.simulator.predictions(point[None], windows)))
+        return prediction, windows
+
+    def _started(self, point: Float[np.ndarray, " d"]) -> Windows:
+        if not self.fitted_starts:
+            return self.windows
+        return fit_starts(self.simulator, point, self.windows, self._weight)
+
+    def _predictions(self, points: Points) -> Iterator[Prediction]:
+        if not self.fitted_starts:
+            return self.simulator.predictions(points, self.windows)
+        return (self.residual(point)[0] for point in points)
+
+    def _norms(self, points: Points) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield for each point the `W` window norms and the `W` flags of divergence."""
+        for prediction in self._predictions(points):
+            residual = self._difference(prediction.values)
+            residual *= self._weight
+            if not self._complete:
+                np.nan_to_num(residual, copy=False, nan=0.0)
+            norms = np.sqrt(np.einsum("whc,whc->w", residual, residual) / residual.shape[1])
+            norms[prediction.diverged | ~(norms < self.penalty)] = self.penalty
+            yield norms, prediction.diverged
+
+    def _difference(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
+        """Return observed minus predicted; a quaternion is compared with its nearer sign."""
+        observed = self.windows.observed
+        if self._quaternions:
+            observed = observed.copy()
+            for columns in self._quaternions:
+                dot = (observed[..., columns] * values[..., columns]).sum(axis=-1, keepdims=True)
+                observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
+        return np.asarray(observed - values)
+
+
+def _quaternions(channels: Sequence[str]) -> list[list[int]]:
+    """Return the columns of each free joint's quaternion (``qpos.<joint>.3`` to ``.6``)."""
+    where = {name: k for k, name in enumerate(channels)}
+    out = []
+    for name in channels:
+        if name.startswith("qpos.") and name.endswith(".6"):
+            stem = name[:-1]
+            out.append([where[f"{stem}{i}"] for i in (3, 4, 5, 6) if f"{stem}{i}" in where])
+    return out

@@ -1,0 +1,117 @@
+"""From a study to its model and its recordings."""
+
+import importlib.util
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bo_sysid.errors import StudyError, nearest
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording, load_dataset, read_recording
+from bo_sysid.study.study import Study
+
+TRAINED_SHARE = 0.75  # of the time of each recording, where the study names no hold-out
+
+
+def load_model(study: Study) -> Model:
+    """Return the nominal model of a study.
+
+    Raises:
+        ModelError: it does not compile, or there is no such model.
+    """
+    source = study.model
+    base = "fixed" if source.base == "fixed" else "free"
+    if source.dm_control is not None:
+        return Model.from_dm_control(source.dm_control.domain, source.dm_control.task)
+    if source.menagerie is not None:
+        return Model.from_menagerie(source.menagerie)
+    assert source.file is not None  # noqa: S101 - the study has exactly one source
+    return Model.from_file(study.file(source.file, ("model",)), base=base)
+
+
+def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
+    """Return the recordings that a study fits to.
+
+    Where the study names no hold-out, the last quarter of each recording is set aside, and the
+    recording's notes say so.
+
+    Args:
+        study: names the recordings.
+        strict: refuse gaps, jitter and duplicate stamps.
+
+    Raises:
+        RecordingError: a file cannot be read or is wrong.
+        StudyError: a pattern matches no file.
+    """
+    if study.recordings.dataset is not None:
+        return load_dataset(study.recordings.dataset).train
+    whole = _read(study, study.train_files, strict)
+    if study.recordings.holdout is not None:
+        return whole
+    return tuple(_part(r, train=True) for r in whole)
+
+
+def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
+    """Return the recordings that a study sets aside; to be called once the answer is frozen.
+
+    Raises:
+        RecordingError: a file cannot be read or is wrong.
+        StudyError: a pattern matches no file.
+    """
+    if study.recordings.dataset is not None:
+        return load_dataset(study.recordings.dataset).holdout
+    if study.recordings.holdout is not None:
+        return _read(study, study.holdout_files, strict)
+    return tuple(_part(r, train=False) for r in _read(study, study.train_files, strict))
+
+
+def load_function(study: Study, reference: str) -> Callable[..., Any]:
+    """Return a function that a study names as ``<file>.py:<function>``.
+
+    The study was loaded with code trusted, or it would not have been made.
+
+    Raises:
+        StudyError: the file has no such function, or running it raises.
+    """
+    file, _, name = reference.partition(":")
+    path = study.file(file, ())
+    module = _module(path)
+    function = getattr(module, name, None)
+    if not callable(function):
+        found = [n for n in vars(module) if callable(getattr(module, n)) and not n.startswith("_")]
+        raise StudyError(f"{path}: no function {name!r}; {nearest(name, found)}")
+    return function  # type: ignore[no-any-return]
+
+
+def _module(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(f"bo_sysid_user_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise StudyError(f"{path}: not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise StudyError(f"{path}: {type(error).__name__} when it was run: {error}") from error
+    return module
+
+
+def _read(study: Study, files: tuple[Path, ...], strict: bool) -> tuple[Recording, ...]:
+    columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
+    clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
+    return tuple(read_recording(f, columns, clocks, strict=strict) for f in files)
+
+
+def _rule(section: Any) -> Mapping[str, Any]:
+    return {k: v for k, v in section.model_dump(by_alias=True).items() if v is not None}
+
+
+def _part(recording: Recording, *, train: bool) -> Recording:
+    start, stop = recording.span
+    split = start + TRAINED_SHARE * (stop - start)
+    if train:
+        note = (
+            f"{recording.name}: no hold-out is named; the last quarter, from {split:g} s on, is "
+            "set aside"
+        )
+        return recording.between(start, split).with_notes([note])
+    return recording.between(split, stop + 1.0)

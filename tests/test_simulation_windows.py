@@ -1,0 +1,198 @@
+"""Windows: cut from messy recordings, compared at the recorded instants."""
+
+import numpy as np
+import pytest
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation import Engine, Layout, MujocoSimulator, State, cut, predicted
+
+ARM = """<mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody>
+  <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
+    <geom name="upper" type="capsule" fromto="0 0 0 0 0 -0.4" size="0.03" mass="1"/>
+    <body name="fore" pos="0 0 -0.4"><joint name="elbow" axis="0 1 0" damping="0.05"/>
+      <geom name="fore" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body>
+  </body></worldbody>
+  <actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator>
+</mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def arm() -> Model:
+    return Model.from_xml(ARM.format(integrator="implicitfast"), name="arm")
+
+
+def simulated(arm: Model, samples: int = 400, *, velocities: bool = True) -> Recording:
+    """A recording of the model itself, sampled at every step."""
+    dt = 0.002
+    time = np.arange(samples + 1) * dt
+    ctrl = np.stack([np.sin(3 * time), 0.4 * np.cos(5 * time)], axis=1)
+    start = State(np.array([[0.3, -0.5]]), np.array([[0.2, 0.1]]), np.zeros((1, 0)))
+    t = Engine(threads=1).rollout(arm.compile(), start, ctrl[None, :-1])
+    kinds = {
+        "qpos": {"shoulder": t.qpos[0, :, 0], "elbow": t.qpos[0, :, 1]},
+        "ctrl": {"shoulder": ctrl[:, 0], "elbow": ctrl[:, 1]},
+    }
+    if velocities:
+        kinds["qvel"] = {"shoulder": t.qvel[0, :, 0], "elbow": t.qvel[0, :, 1]}
+    return Recording.from_arrays(time, **kinds)
+
+
+def forecast(arm: Model, recording: Recording, horizon: int, **kwargs: object) -> tuple:
+    windows = cut(arm, [recording], horizon=horizon, **kwargs)
+    simulator = MujocoSimulator(arm, (), Engine(threads=1))
+    prediction = next(iter(simulator.predictions(np.zeros((1, 0)), windows)))
+    return windows, prediction
+
+
+@pytest.mark.parametrize("horizon", [1, 7, 50])
+def test_the_model_predicts_its_own_recording(arm: Model, horizon: int) -> None:
+    windows, prediction = forecast(arm, simulated(arm), horizon)
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+    assert len(windows) == 400 // horizon
+    assert windows.aligned
+
+
+def test_every_other_sample_is_predicted_over_two_steps(arm: Model) -> None:
+    whole = simulated(arm)
+    thinned = Recording(
+        "thin",
+        {
+            n: c if n.startswith("ctrl") else Channel(c.time[::2], c.values[::2])
+            for n, c in whole.channels.items()
+        },
+    )
+    windows, prediction = forecast(arm, thinned, 5)
+    assert windows.steps == 10
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+
+
+def test_instants_between_steps_are_met_to_third_order() -> None:
+    """A free fall has q(t) = -g t²/2 exactly: the interpolation must reproduce it."""
+    fall = Model.from_xml(
+        "<mujoco><option timestep='0.01' integrator='RK4'/><worldbody><body><joint name='z' "
+        "type='slide' axis='0 0 1'/><geom size='.1' mass='1'/></body></worldbody></mujoco>"
+    )
+    time = np.concatenate([[0.0], np.sort(np.random.default_rng(0).uniform(0.001, 0.3, 40))])
+    recording = Recording.from_arrays(
+        time, qpos={"z": -9.81 * time**2 / 2}, qvel={"z": -9.81 * time}
+    )
+    windows, prediction = forecast(fall, recording, 40)
+    assert not windows.aligned
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-12)
+
+
+def test_a_control_that_changes_within_a_step_acts_by_its_mean() -> None:
+    mass = Model.from_xml(
+        "<mujoco><option timestep='0.01' gravity='0 0 0' integrator='RK4'/><worldbody><body><joint "
+        "name='x' type='slide' axis='1 0 0'/><geom size='.1' mass='1'/></body></worldbody>"
+        "<actuator><motor name='m' joint='x'/></actuator></mujoco>"
+    )
+    time = np.arange(21) * 0.01
+    switch = 0.053
+    v = np.clip(time - switch, 0, None)  # unit force from 53 ms on
+    recording = Recording(
+        "step",
+        {
+            "qpos.x": Channel(time, v**2 / 2),
+            "qvel.x": Channel(time, v),
+            "ctrl.m": Channel(np.array([0.0, switch]), np.array([0.0, 1.0]), hold="zero"),
+        },
+    )
+    windows, prediction = forecast(mass, recording, 20)
+    velocity = windows.channels.index("qvel.x")
+    np.testing.assert_allclose(
+        prediction.values[..., velocity], windows.observed[..., velocity], atol=1e-12
+    )
+
+
+def test_missing_velocities_are_estimated() -> None:
+    arm = Model.from_xml(ARM.format(integrator="RK4"))  # Euler's qvel trails the slope of qpos
+    with_velocity = cut(arm, [simulated(arm)], horizon=20)
+    without = cut(arm, [simulated(arm, velocities=False)], horizon=20)
+    np.testing.assert_allclose(without.start.qvel, with_velocity.start.qvel, atol=2e-4)
+    assert "estimated" in without.notes[0]
+
+
+def test_a_channel_with_its_own_clock_is_observed_at_its_own_instants(arm: Model) -> None:
+    whole = simulated(arm)
+    channels = dict(whole.channels)
+    late = channels["qvel.elbow"]
+    channels["qvel.elbow"] = Channel(late.time[::4], late.values[::4])
+    windows = cut(arm, [Recording("two clocks", channels)], horizon=8)
+    column = windows.observed[..., windows.channels.index("qvel.elbow")]
+    assert np.isfinite(column).sum() == 2 * len(windows)  # every fourth of eight instants
+    assert np.isfinite(windows.observed[..., 0]).all()
+
+
+def test_windows_do_not_span_gaps(arm: Model) -> None:
+    whole = simulated(arm)
+    keep = np.r_[0:150, 250:401]
+    gappy = Recording(
+        "gap",
+        {n: Channel(c.time[keep], c.values[keep], hold=c.hold) for n, c in whole.channels.items()},
+    )
+    windows = cut(arm, [gappy], horizon=10)
+    assert "gap" in windows.notes[0]
+    length = (windows.step + windows.fraction)[:, -1] * windows.timestep
+    np.testing.assert_allclose(length, 0.02)
+
+
+def test_a_finer_simulation_sees_the_same_instants(arm: Model) -> None:
+    windows, _ = forecast(arm, simulated(arm), 10)
+    fine = cut(arm, [simulated(arm)], horizon=10, timestep=0.0005)
+    assert fine.steps == 4 * windows.steps
+    np.testing.assert_array_equal(fine.step, 4 * windows.step)
+    np.testing.assert_allclose(fine.ctrl[:, ::4], windows.ctrl)
+
+
+def test_what_the_model_needs_and_the_log_lacks_is_named(arm: Model) -> None:
+    whole = simulated(arm)
+    channels = {n: c for n, c in whole.channels.items() if n != "qpos.elbow"}
+    with pytest.raises(RecordingError, match=r"no channel 'qpos.elbow'.*did you mean"):
+        cut(arm, [Recording("r", channels)], horizon=1)
+    channels = {n: c for n, c in whole.channels.items() if n != "ctrl.shoulder"}
+    with pytest.raises(RecordingError, match=r"no channel 'ctrl.shoulder'"):
+        cut(arm, [Recording("r", channels)], horizon=1)
+    cut(arm, [Recording("r", channels)], horizon=1, controlled=["shoulder"])
+    with pytest.raises(RecordingError, match="too few for a window of 900"):
+        cut(arm, [whole], horizon=900)
+
+
+def test_many_candidates_in_one_call_equal_one_by_one(arm: Model) -> None:
+    """Also in pieces: the memory budget changes nothing but the number of calls."""
+    windows = cut(arm, [simulated(arm)], horizon=10)
+    mass = Parameter("mass", ("geom[fore].mass",), 0.2, 0.9)
+    points = np.linspace(0.2, 0.9, 7)[:, None]
+    values = []
+    for memory in (2**28, 60_000, 2_000):
+        simulator = MujocoSimulator(arm, (mass,), Engine(), memory=memory)
+        values.append(np.stack([p.values for p in simulator.predictions(points, windows)]))
+    alone = [
+        predicted(
+            Layout.of(arm, arm.compile()),
+            windows,
+            Engine(threads=1).rollout(simulator.compile(p), windows.start, windows.ctrl),
+        )
+        for p in points
+    ]
+    for v in values:
+        np.testing.assert_array_equal(v, alone)
+
+
+def test_free_joint_velocity_is_estimated_in_mujocos_frames() -> None:
+    body = Model.from_xml(
+        "<mujoco><option timestep='0.001' gravity='0 0 -3'/><worldbody><body name='b'>"
+        "<freejoint name='root'/><geom type='box' size='.1 .2 .3' mass='1'/></body></worldbody>"
+        "</mujoco>"
+    )
+    start = State(
+        np.array([[0, 0, 1, 1, 0, 0, 0.0]]), np.array([[0.3, 0, 1, 2, -1, 3.0]]), np.zeros((1, 0))
+    )
+    t = Engine().rollout(body.compile(), start, np.zeros((1, 300, 0)))
+    recording = Recording.from_arrays(np.arange(301) * 0.001, qpos={"root": t.qpos[0]})
+    windows = cut(body, [recording], horizon=20)
+    rows = np.rint(windows.time / 0.001).astype(int)
+    np.testing.assert_allclose(windows.start.qvel, t.qvel[0][rows], atol=6e-3)
