@@ -1,0 +1,93 @@
+"""What a plant's sensors tell: channels by name, with noise."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import UserError, nearest
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.compiling import coordinates
+from bo_sysid.recording.value import Recording
+
+KINDS = ("qpos", "qvel", "act")
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """Turns fields of a simulation into a recording.
+
+    Attributes:
+        model: the nominal model; only channels that it has are recorded.
+        plant: the simulated model, which may have joints and actuators of its own.
+        kinds: which of "qpos", "qvel", "act" are recorded; controls always are.
+        noise: standard deviation by kind or by channel, in the channel's unit.
+        seed: of the noise.
+    """
+
+    model: Model
+    plant: mujoco.MjModel
+    kinds: Sequence[str] = KINDS
+    noise: Mapping[str, float] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UserError(f"plant: cannot measure {kind!r}; {nearest(kind, KINDS)}")
+        known = [*KINDS, *(c for kind in KINDS for c in self._columns(kind))]
+        for key, sigma in (self.noise or {}).items():
+            if key not in known:
+                raise UserError(f"plant: noise of {key!r}; {nearest(key, known)}")
+            if not (np.isfinite(sigma) and sigma >= 0):
+                raise UserError(f"plant: noise of {key!r} is {sigma}; it must be at least 0")
+
+    def recording(
+        self, name: str, number: int, rows: Mapping[str, np.ndarray], *, warmstart: bool = False
+    ) -> Recording:
+        """Return a recording of `T` rows.
+
+        Args:
+            name: of the recording.
+            number: of the trajectory; the noise of each is its own.
+            rows: `T x ...` fields "time", "qpos", "qvel", "act", "ctrl" and "qacc_warmstart".
+            warmstart: also record the solver's warm start, as ``aux.qacc_warmstart.<i>``.
+        """
+        rng = np.random.default_rng((self.seed, number, 2))
+        noise = self.noise or {}
+        kinds: dict[str, dict[str, np.ndarray]] = {}
+        for kind in (*self.kinds, "ctrl"):
+            group = {}
+            for channel, column in self._columns(kind).items():
+                error = rng.standard_normal(len(rows["time"]))
+                sigma = noise.get(channel, noise.get(kind, 0.0))
+                group[channel.split(".", 1)[1]] = rows[kind][:, column] + sigma * error
+            if group:
+                kinds[kind] = group
+        if warmstart:
+            kinds["aux"] = {"qacc_warmstart": rows["qacc_warmstart"]}
+        return Recording.from_arrays(rows["time"], name=name, units=_units(self.plant), **kinds)
+
+    def _columns(self, kind: str) -> dict[str, int]:
+        """Return the plant's column of each channel of a kind that the nominal model has, too."""
+        nominal = getattr(self.model, f"{kind}_channels")
+        columns = {}
+        for name, first, size in coordinates(self.plant, kind):
+            for i in range(size):
+                channel = f"{kind}.{name}" if size == 1 else f"{kind}.{name}.{i}"
+                if channel in nominal:
+                    columns[channel] = first + i
+        return columns
+
+
+def _units(model: mujoco.MjModel) -> dict[str, str]:
+    """Return the unit of position and velocity of each slide and hinge."""
+    units = {}
+    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    for joint in range(model.njnt):
+        kind, name = int(model.jnt_type[joint]), model.joint(joint).name
+        if kind in (slide, hinge):
+            unit = "m" if kind == slide else "rad"
+            units[f"qpos.{name}"], units[f"qvel.{name}"] = unit, f"{unit}/s"
+    return units

@@ -1,0 +1,236 @@
+"""What trajectories are collected from: it hides its parameters, and counts."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import UserError
+from bo_sysid.mjcf import Edit, Model
+from bo_sysid.plants.environment import BatchEnvironment, episode_returns, physics_steps
+from bo_sysid.plants.measuring import KINDS, Measuring
+from bo_sysid.plants.tasks.bare import Bare
+from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.recording.value import Recording
+
+# Returns `n x a` actions in [-1, 1] for `n x o` observations.
+Act = Callable[[np.ndarray], np.ndarray]
+
+_TRACED = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
+
+
+class PlantError(UserError):
+    """A plant was asked for more than its budget, or failed during a trajectory.
+
+    Attributes:
+        recording: what was recorded before the failure, where at least two instants were.
+    """
+
+    def __init__(self, message: str, recording: Recording | None = None) -> None:
+        super().__init__(message)
+        self.recording = recording
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One counted trajectory.
+
+    Attributes:
+        name: of its recording.
+        steps: control steps.
+        reward: sum of rewards; zero where there is no task.
+        fault: what went wrong, if anything.
+    """
+
+    name: str
+    steps: int
+    reward: float
+    fault: str = ""
+
+
+class Plant:
+    """A model with parameters of its own, or a task on it.
+
+    Nothing but the plant knows its edits and its time step. One roll-out is one trajectory; they
+    are counted, and more than `budget` are refused. Evaluation episodes are counted apart.
+
+    Args:
+        model: the nominal model, which also names the channels.
+        edits: what the plant has differently: parameters and effects, as changes of its spec.
+        task: starts, observations and rewards; without one, the plant begins at rest at the first
+            keyframe or the reference position.
+        name: prefix of the recordings' names.
+        timestep: the plant's own time step in [s]; the model's by default.
+        control_timestep: time between two rows of controls in [s] where there is no task; the
+            model's time step by default.
+        noise: standard deviation of the measurement noise, by kind ("qpos") or by channel
+            ("qpos.elbow"), in the channel's unit. A policy acts on what is true.
+        measured: which of "qpos", "qvel", "act" are recorded, beside the controls.
+        budget: most trajectories; no limit by default.
+        seed: of starts and noise.
+
+    Raises:
+        PlantError: the budget is not positive.
+        ModelError: the edited model does not compile.
+        UserError: noise or measured channels are not the model's, or the plant's time step does
+            not divide the control step.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        edits: Sequence[Edit] = (),
+        *,
+        task: VectorTask | None = None,
+        name: str = "plant",
+        timestep: float | None = None,
+        control_timestep: float | None = None,
+        noise: Mapping[str, float] | None = None,
+        measured: Sequence[str] = KINDS,
+        budget: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        if budget is not None and budget < 1:
+            raise PlantError(f"{name}: budget is {budget}; at least 1 trajectory is needed")
+        self.name, self.budget = name, budget
+        self._model: mujoco.MjModel = model.compile(edits, timestep=timestep)
+        self._sample = float(model.compile().opt.timestep)
+        self.task = task if task is not None else Bare(control_timestep or self._sample)
+        self._measuring = Measuring(model, self._model, measured, noise, seed)
+        self._environment = BatchEnvironment(self.task, self._model, 1, seed=seed)
+        self._trajectories: list[Trajectory] = []
+        self._evaluations = 0
+
+    @property
+    def trajectories(self) -> tuple[Trajectory, ...]:
+        """The counted trajectories so far."""
+        return tuple(self._trajectories)
+
+    @property
+    def evaluations(self) -> int:
+        """The number of evaluation episodes so far, which are not trajectories."""
+        return self._evaluations
+
+    @property
+    def control_timestep(self) -> float:
+        """Time between two rows of controls in [s]."""
+        return self.task.control_timestep
+
+    def record(
+        self,
+        source: np.ndarray | Act,
+        *,
+        steps: int | None = None,
+        start: Start | None = None,
+        sample: float | None = None,
+        warmstart: bool = False,
+    ) -> Recording:
+        """Roll out one trajectory and return what was recorded.
+
+        Row k of the recording holds the state at time k and the control applied from time k on;
+        the last row repeats the last control.
+
+        Args:
+            source: `S x nu` controls in the actuators' units, one row a control step, or a policy.
+            steps: control steps; by default all rows of the controls, or one episode.
+            start: where to begin; drawn by the task otherwise. A given start does not settle.
+            sample: time between two recorded instants in [s]: by default the model's time step,
+                so that one-step predictions need no intermediate state. Controls change at the
+                control rate in any case.
+            warmstart: also record the solver's warm start, as ``aux.qacc_warmstart.<i>``. Without
+                it a prediction at the true parameters differs from the recording by the solver's
+                tolerance where constraints are active; with it, by nothing.
+
+        Raises:
+            PlantError: the budget is spent, the arguments do not fit, or the simulation diverged;
+                what was recorded until then is in the error's `recording`.
+            UserError: `sample` is not a multiple of the plant's time step.
+        """
+        if self.budget is not None and len(self._trajectories) >= self.budget:
+            raise PlantError(
+                f"{self.name}: all {self.budget} trajectories of its budget are spent; raise the "
+                "budget, or go on with what was recorded"
+            )
+        stride = physics_steps(sample or self._sample, self._model)
+        control, steps = self._control(source, steps)
+        environment, sims = self._environment, self._environment.sims
+        observation = environment.reset() if start is None else environment.begin([start])
+        rows = [{f: sims.field(f)[:, None].copy() for f in ("time", *_TRACED)}]
+        reward, done = 0.0, 0
+        while done < steps and not sims.diverged()[0]:
+            sims.ctrl[:] = control(done, observation)
+            rows[-1]["ctrl"][:, -1] = sims.ctrl  # applied from the last row's time on
+            rows.append(sims.trace(environment.substeps, _TRACED))
+            reward += float(self.task.reward(sims)[0])
+            observation = self.task.observe(sims)
+            done += 1
+        columns = {f: np.concatenate([r[f][0] for r in rows]) for f in rows[0]}
+        return self._tell(columns, stride, done, reward, warmstart=warmstart)
+
+    def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> np.ndarray:
+        """Return the sums of rewards of whole episodes, `episodes`; these are no trajectories.
+
+        Episodes with one seed start alike on every plant with this task.
+
+        Raises:
+            PlantError: there is no task to be rewarded for.
+        """
+        if not self.task.rewarded:
+            raise PlantError(f"{self.name}: a plant without a task has no reward to evaluate")
+        self._evaluations += episodes
+        environment = BatchEnvironment(self.task, self._model, episodes, seed=seed)
+        return episode_returns(environment, act)
+
+    def _control(
+        self, source: np.ndarray | Act, steps: int | None
+    ) -> tuple[Callable[[int, np.ndarray], np.ndarray], int]:
+        """Return the control at (step, observation), and the number of steps."""
+        if callable(source):
+            if steps is None and not self.task.rewarded:
+                raise PlantError(f"{self.name}: without a task, say for how many steps")
+            act, controls = source, self._environment.controls
+            most = self._environment.episode_steps
+            return (lambda _, observation: controls(act(observation))), self._count(steps, most)
+        rows = np.asarray(source, float)
+        if rows.ndim != 2 or rows.shape[1] != self._model.nu or not len(rows):
+            raise PlantError(
+                f"{self.name}: controls {rows.shape} must be S x {self._model.nu}, S at least 1"
+            )
+        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+        if bad.size:
+            raise PlantError(f"{self.name}: controls in row {bad[0]} are not finite")
+        return (lambda k, _: rows[k]), self._count(steps, len(rows))
+
+    def _count(self, steps: int | None, most: int) -> int:
+        count = most if steps is None else steps
+        if not 1 <= count <= most:
+            raise PlantError(f"{self.name}: steps is {count}; from 1 to {most} are possible")
+        return count
+
+    def _tell(
+        self,
+        rows: dict[str, np.ndarray],
+        stride: int,
+        steps: int,
+        reward: float,
+        *,
+        warmstart: bool,
+    ) -> Recording:
+        """Count the trajectory and return its recording; raise if the simulation diverged."""
+        number = len(self._trajectories)
+        name = f"{self.name}-{number}"
+        # MuJoCo restarts a simulation that diverges: its time stops or falls back to zero
+        forward = np.diff(rows["time"], prepend=-1.0) > 0
+        good = forward.size if forward.all() else int(np.argmin(forward))
+        fault = ""
+        if good < forward.size:
+            fault = f"{name}: the plant's simulation diverged at {rows['time'][good - 1]:g} s"
+        self._trajectories.append(Trajectory(name, steps, reward, fault))
+        kept = {f: c[:good:stride] for f, c in rows.items()}
+        recording = None
+        if len(kept["time"]) >= 2:
+            recording = self._measuring.recording(name, number, kept, warmstart=warmstart)
+        if fault or recording is None:
+            raise PlantError(fault or f"{name}: shorter than two recorded instants", recording)
+        return recording

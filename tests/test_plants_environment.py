@@ -1,0 +1,150 @@
+"""Episodes in lock-step: limits, starts, other models, interruption."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.errors import UserError
+from bo_sysid.mjcf import Model
+from bo_sysid.plants.environment import BatchEnvironment, episode_returns
+from bo_sysid.plants.tasks import find_task
+
+
+@pytest.fixture(scope="module")
+def cheetah():
+    return Model.from_dm_control("cheetah", "run").compile()
+
+
+@pytest.fixture(scope="module")
+def reacher():
+    return Model.from_dm_control("reacher", "easy").compile()
+
+
+def roll(environment, steps, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (steps, environment.n, environment.action_size)
+    return [environment.step(a) for a in rng.uniform(-1, 1, shape)]
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_results_do_not_depend_on_threads(cheetah, threads):
+    task = find_task("cheetah", "run")
+    told = []
+    for number in (1, threads):
+        environment = BatchEnvironment(task, cheetah, 5, seed=2, threads=number)
+        environment.reset()
+        told.append(roll(environment, 60)[-1])
+    np.testing.assert_array_equal(told[0].observation, told[1].observation)
+    np.testing.assert_array_equal(told[0].reward, told[1].reward)
+
+
+def test_staggered_episodes_end_evenly_spread_and_are_truncated(reacher):
+    environment = BatchEnvironment(find_task("reacher", "easy"), reacher, 4, stagger=True)
+    environment.reset()
+    steps = roll(environment, 1000)
+    ends = np.array([s.truncated for s in steps])
+    assert not np.array([s.terminated for s in steps]).any()
+    assert [np.flatnonzero(e).tolist() for e in ends.T] == [[999], [749], [499], [249]]
+    last = steps[749]
+    moved = np.abs(last.observation - last.final).max(axis=1)
+    assert moved[1] > 0
+    assert (moved[[0, 2, 3]] == 0).all()
+
+
+def test_equal_seeds_give_equal_starts_whatever_the_model_and_the_number(cheetah):
+    task = find_task("cheetah", "run")
+
+    def heavy(factor):
+        model = Model.from_dm_control("cheetah", "run").compile()
+        model.body_mass[:] *= factor
+        return model
+
+    nominal = BatchEnvironment(task, cheetah, 3, seed=7).reset()
+    more = BatchEnvironment(task, cheetah, 6, seed=7, threads=2).reset()
+    np.testing.assert_array_equal(nominal, more[:3])
+    assert np.abs(more[3:] - nominal).max() > 0.1
+    other = BatchEnvironment(task, [heavy(1.5)] * 3, 3, seed=7)
+    assert 1e-4 < np.abs(other.reset() - nominal).max() < 1.0, "settled differently"
+    starts = [task.start(cheetah, np.random.default_rng((7, i, 0))) for i in range(3)]
+    np.testing.assert_array_equal(other.begin(starts)[:, :8], [s.qpos[1:] for s in starts])
+
+
+def test_an_interrupted_environment_goes_on_exactly():
+    task = find_task("hopper", "hop")
+    hopper = Model.from_dm_control("hopper", "hop").compile()
+
+    def fresh():
+        environment = BatchEnvironment(task, hopper, 4, seed=1, stagger=True)
+        environment.reset()
+        return environment
+
+    whole = fresh()
+    roll(whole, 300)
+    state = whole.get_state()
+    expected = roll(whole, 300, seed=1)
+    resumed = fresh()
+    np.testing.assert_array_equal(resumed.set_state(state), state["observation"])
+    for a, b in zip(expected, roll(resumed, 300, seed=1), strict=True):
+        np.testing.assert_array_equal(a.observation, b.observation)
+        np.testing.assert_array_equal(a.reward, b.reward)
+        np.testing.assert_array_equal(a.truncated, b.truncated)
+
+
+def test_a_model_is_drawn_for_every_episode_and_survives_an_interruption(reacher):
+    model = Model.from_dm_control("reacher", "easy")
+    task = find_task("reacher", "easy")
+    drawn = []
+
+    def draw(rng):
+        own = model.compile()
+        own.dof_damping[:] = rng.uniform(0.001, 0.1)
+        drawn.append(own.dof_damping[0])
+        return own
+
+    environment = BatchEnvironment(task, draw, 3, seed=4, stagger=True)
+    environment.reset()
+    assert len(set(drawn)) == 3
+    roll(environment, 700)
+    assert len(set(drawn)) == 5
+    state = environment.get_state()
+    expected = roll(environment, 50, seed=1)[-1]
+    resumed = BatchEnvironment(task, draw, 3, seed=4)
+    resumed.set_state(state)
+    np.testing.assert_array_equal(roll(resumed, 50, seed=1)[-1].observation, expected.observation)
+
+
+def test_episode_returns_are_the_sums_over_one_episode(reacher):
+    environment = BatchEnvironment(find_task("reacher", "easy"), reacher, 3, seed=9)
+
+    def still(observation):
+        return np.zeros((3, 2))
+
+    total = episode_returns(environment, still)
+    begin = BatchEnvironment(find_task("reacher", "easy"), reacher, 3, seed=9).reset()
+    touching = np.linalg.norm(begin[:, 2:4], axis=1) <= 0.06
+    np.testing.assert_array_equal(total, 1000.0 * touching)
+
+
+def test_a_simulation_that_diverges_ends_its_episode_without_reward(cheetah):
+    environment = BatchEnvironment(find_task("cheetah", "run"), cheetah, 2)
+    environment.reset()
+    environment.sims.qvel[1] = np.inf
+    step = environment.step(np.zeros((2, 6)))
+    assert step.terminated.tolist() == [False, True]
+    assert step.reward[1] == 0.0
+    assert np.isfinite(step.observation).all()
+    assert not environment.step(np.zeros((2, 6))).terminated.any()
+
+
+def test_wrong_arguments_name_the_rule(cheetah):
+    with pytest.raises(UserError, match="n is 0; at least 1"):
+        BatchEnvironment(find_task("cheetah", "run"), cheetah, 0)
+    with pytest.raises(UserError, match="1 models for 2 simulations"):
+        BatchEnvironment(find_task("cheetah", "run"), [cheetah], 2)
+    finer = Model.from_dm_control("reacher", "easy").compile(timestep=0.01)
+    with pytest.raises(UserError, match="task CheetahRun does not fit the model"):
+        BatchEnvironment(find_task("cheetah", "run"), finer, 2)
+    coarse = Model.from_dm_control("reacher", "easy").compile(timestep=0.03)
+    assert isinstance(coarse, mujoco.MjModel)
+    with pytest.raises(UserError, match=r"0\.03 s must divide 0\.02 s"):
+        BatchEnvironment(find_task("reacher", "easy"), coarse, 2)

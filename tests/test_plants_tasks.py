@@ -1,0 +1,126 @@
+"""Every registered task against dm_control's own."""
+
+import mujoco
+import numpy as np
+import pytest
+from dm_control import suite
+from dm_control.suite import swimmer
+
+from bo_sysid.errors import StudyError
+from bo_sysid.plants.environment import BatchEnvironment
+from bo_sysid.plants.tasks import find_task, registered
+
+STANDING = np.array([0.0, -0.1, 0.0, 0.0, -0.7, 1.4, -0.7])  # a hopper on its foot
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+def reference(domain, name, seed=0):
+    if (domain, name) == ("swimmer", "swimmer3"):
+        return swimmer.swimmer(3, random=seed)
+    return suite.load(domain, name, task_kwargs={"random": seed})
+
+
+def flat(observation):
+    return np.concatenate([np.ravel(v) for v in observation.values()])
+
+
+class Draws:
+    """A new-style generator with the methods that dm_control calls."""
+
+    def __init__(self, seed):
+        generator = np.random.default_rng(seed)
+        self.uniform, self.rand = generator.uniform, generator.uniform
+        self.randn = lambda *shape: generator.standard_normal(shape if shape else None)
+
+
+def goal_of(environment, size):
+    model = environment.physics.named.model
+    return np.array(model.geom_pos["target"][:size]) if size else np.zeros(0)
+
+
+def sway(t, size):
+    """Smooth controls that move everything."""
+    return np.sin(2 * np.pi * (0.8 + 0.3 * np.arange(size)) * t + np.arange(size))
+
+
+def posture(observation, domain, size, t):
+    """A controller that does better than chance, from the task's own observation."""
+    if domain == "hopper":  # hold the leg's joints at a standing posture, damped
+        return -4 * (observation[2:6] - STANDING[3:]) - 0.5 * observation[9:13]
+    if domain == "cartpole":  # pump energy, then hold
+        cosine, sine, speed, rate = observation[1], observation[2], *observation[3:5]
+        if cosine > 0.9:
+            return np.array([2 * observation[0] + 4 * np.arcsin(sine) + speed + rate])
+        return np.array([np.sign(rate * cosine) - observation[0]])
+    if domain == "pendulum":
+        return np.array([np.sign(observation[2])])
+    if domain == "reacher":  # move both joints towards the target, by the transposed Jacobian
+        q0, q1 = observation[0], observation[0] + observation[1]
+        tip = 0.12 * np.array([-np.sin(q1), np.cos(q1)])
+        base = 0.12 * np.array([-np.sin(q0), np.cos(q0)]) + tip
+        to_target, rate = observation[2:4], observation[4:6]
+        return 80 * np.array([base @ to_target, tip @ to_target]) - 1.0 * rate
+    return sway(t, size)
+
+
+@pytest.mark.parametrize("policy", ["random", "better"])
+@pytest.mark.parametrize(("domain", "name"), registered())
+def test_observation_and_reward_equal_dm_control_step_by_step(domain, name, policy):
+    other = reference(domain, name, seed=2 if domain == "reacher" else 1)
+    task = find_task(domain, name)
+    ours = BatchEnvironment(task, other.physics.model.ptr, 2, seed=3)
+    assert ours.episode_steps == round(other._step_limit)
+
+    other.reset()
+    ours.reset()
+    if policy == "better" and domain == "hopper":  # its random starts lie down
+        with other.physics.reset_context():
+            other.physics.data.qpos[:] = STANDING
+            other.physics.data.qvel[0] = 1.0
+    first = flat(other.task.get_observation(other.physics))
+    ours.sims.state[:] = other.physics.get_state(STATE)
+    ours.sims.goal[:] = goal_of(other, task.goal_size)
+    ours.sims.forward()
+    np.testing.assert_allclose(task.observe(ours.sims)[0], first, atol=1e-13)
+
+    rng = np.random.default_rng(0)
+    observation = task.observe(ours.sims)[0]
+    total = 0.0
+    for k in range(999):
+        if policy == "random":
+            action = rng.uniform(-1, 1, ours.action_size)
+        else:
+            t = k * task.control_timestep
+            action = np.clip(posture(observation, domain, ours.action_size, t), -1, 1)
+        theirs = other.step(action)
+        step = ours.step(np.stack([action, action]))
+        observation = step.final[0]
+        np.testing.assert_allclose(observation, flat(theirs.observation), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(step.reward, theirs.reward, rtol=0, atol=1e-12)
+        total += theirs.reward
+    assert not step.truncated.any()
+    assert ours.step(np.zeros((2, ours.action_size))).truncated.all()
+    if policy == "better" and domain in ("hopper", "cartpole", "pendulum", "reacher"):
+        assert total > 5, "the comparison of rewards was empty"
+
+
+@pytest.mark.parametrize(("domain", "name"), registered())
+def test_starts_are_drawn_from_dm_controls_distribution(domain, name, monkeypatch):
+    # one generator with one seed, handed to both: the same draws give the same start
+    other = reference(domain, name, seed=5)
+    monkeypatch.setattr(type(other.physics), "step", lambda *_, **__: None)  # no settling
+    monkeypatch.setattr(type(other.task), "random", Draws(5))
+    other.reset()
+    start = find_task(domain, name).start(other.physics.model.ptr, np.random.default_rng(5))
+    np.testing.assert_array_equal(start.qpos, other.physics.data.qpos)
+    qvel = 0.0 if start.qvel is None else start.qvel
+    np.testing.assert_array_equal(
+        np.broadcast_to(qvel, other.physics.model.nv), other.physics.data.qvel
+    )
+    if start.goal is not None:
+        np.testing.assert_allclose(start.goal, goal_of(other, 2), rtol=0, atol=1e-16)
+
+
+def test_an_unknown_task_names_the_nearest():
+    with pytest.raises(StudyError, match="did you mean 'cheetah run'"):
+        find_task("cheetah", "runs")
