@@ -116,7 +116,7 @@ def usable_rows(
         rows = rows[~missing]
         if missing.any():
             kept = "the value before it is held" if held else "no measurement was made up"
-            notes.append(f"{int(missing.sum())} empty cells skipped; {kept}")
+            notes.append(f"{_counted(int(missing.sum()), 'empty cell')} skipped; {kept}")
     if bad.size:
         raise RecordingError(
             f"{where}: row {bad[0]} is {_shown(values[bad[0]])}; every sample must be a finite "
@@ -139,14 +139,15 @@ def clock_flaws(clock: Clock, *, measured: bool) -> list[str]:
     name, dropped = f"Clock {clock.column!r}", clock.duplicates
     if dropped.size:
         sentences.append(
-            f"{name}: {dropped.size} duplicate stamps, of which the first sample was kept "
-            f"(rows {_listed(dropped)} dropped)."
+            f"{name}: {_counted(dropped.size, 'duplicate stamp')}; the first sample of each was "
+            f"kept (dropped: rows {_listed(dropped)})."
         )
     s = Sampling.of(clock.stamps[clock.rows])
     if s.gaps:
         sentences.append(
-            f"{name}: {s.gaps} gaps longer than {GAP:g} x {s.median_dt:.4g} s, about {s.missing} "
-            f"samples missing, the longest {s.longest:.4g} s; nothing was filled in."
+            f"{name}: {_counted(s.gaps, 'gap')} longer than {GAP:g} x {s.median_dt:.4g} s, the "
+            f"longest {s.longest:.4g} s, about {_counted(s.missing, 'sample')} missing; nothing "
+            "was filled in."
         )
     if s.jitter > JITTER * s.median_dt:
         sentences.append(
@@ -191,6 +192,10 @@ def refuse(source: str, flaws: Sequence[str]) -> None:
 def _listed(rows: np.ndarray, most: int = 5) -> str:
     shown = ", ".join(str(r) for r in rows[:most])
     return shown + (", …" if rows.size > most else "")
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _shown(value: float) -> str:

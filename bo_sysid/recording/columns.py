@@ -97,18 +97,18 @@ class ClockRule:
     """Where the time stamps of a kind of channel, or of one channel, come from.
 
     Attributes:
-        source: column of the time stamps (``from`` in a study).
-        unit: unit of that column.
+        source: column of the time stamps (``from`` in a study); None for the recording's time.
+        unit: unit of that column; None where the file says it or it is seconds.
         hold: "zero" or "none"; None for what the kind of channel says.
     """
 
-    source: str
-    unit: str = "s"
+    source: str | None = None
+    unit: str | None = None
     hold: Hold | None = None
 
     def __post_init__(self) -> None:
-        _require(bool(self.source), "from", self.source, "the column of the time stamps")
-        unit_of_kind(self.unit, "time", f"clock {self.source!r}")
+        if self.unit is not None:
+            unit_of_kind(self.unit, "time", f"clock {self.source!r}")
         _require_choice("hold", self.hold, get_args(Hold))
 
     @classmethod
@@ -125,8 +125,6 @@ class ClockRule:
         if isinstance(rule, ClockRule):
             return rule
         arguments = _arguments(where, rule, [f.name for f in fields(cls)])
-        if "source" not in arguments:
-            raise RecordingError(f"{where}: needs `from`, the column of the time stamps")
         try:
             return cls(**arguments)
         except RecordingError as error:
@@ -141,10 +139,11 @@ def _arguments(where: str, rule: Mapping[str, Any] | str, names: Sequence[str]) 
         if key not in keys:
             raise RecordingError(f"{where}: unknown key {key!r}; {nearest(str(key), keys)}")
         number = key in _NUMBERS
-        if not isinstance(value, int | float if number else str):
+        if value is not None and not isinstance(value, int | float if number else str):
             expected = "a number" if number else "text"
             raise RecordingError(f"{where}: {key} is {value!r}; it must be {expected}")
-    return {("source" if key == "from" else key): value for key, value in given.items()}
+    stated = {key: value for key, value in given.items() if value is not None}
+    return {("source" if key == "from" else key): value for key, value in stated.items()}
 
 
 def _require(holds: bool, key: str, value: object, rule: str) -> None:

@@ -140,7 +140,7 @@ class _Mapper:
         )
         if rule.clock is not None:
             stated = ColumnRule(rule.clock)
-        elif clock_rule is not None:
+        elif clock_rule is not None and clock_rule.source not in (None, "time"):
             stated = ColumnRule(clock_rule.source, clock_rule.unit)
         elif own is not None:
             stated = ColumnRule(own)

@@ -1,0 +1,57 @@
+"""Sensor noise of a channel, estimated from the recording itself.
+
+Third differences remove what is locally a parabola and leave white noise, amplified by √20; the
+median absolute deviation (MAD) ignores the few places where the signal itself jumps:
+σ = 1.4826 · MAD(Δ³x) / √20 (METHOD of this package, section 5; 1.4826 makes the MAD of a Gaussian
+its σ). For uneven stamps the third difference becomes the third divided difference, scaled so that
+the squares of its weights sum to one: the same estimate, exact for parabolas on any grid.
+"""
+
+import numpy as np
+
+from bo_sysid.arrays import Samples, Times
+from bo_sysid.recording.value import Recording
+
+_GAP = 2.0  # four samples that span more than this many medians lie across a gap
+
+
+def noise_sigma(time: Times, values: Samples) -> float:
+    """Return the standard deviation of the white noise of a measured channel.
+
+    Samples across gaps are left out. A coarsely quantised channel that moves slowly shows the same
+    value again and again and seems free of noise; σ is therefore at least q/√12, the deviation of a
+    rounding error, with the resolution q the smallest step between values that occur. A signal that
+    bends within three samples counts as noise: for fast motion the estimate is an upper bound.
+
+    Args:
+        time: `T` increasing stamps in [s].
+        values: `T` samples.
+
+    Returns:
+        σ in the unit of `values`; 0 for a channel that never moves or has fewer than 4 samples.
+    """
+    if len(values) < 4:
+        return 0.0
+    stamps = np.stack([time[i : len(time) - 3 + i] for i in range(4)], axis=1)
+    samples = np.stack([values[i : len(values) - 3 + i] for i in range(4)], axis=1)
+    span = stamps[:, 3] - stamps[:, 0]
+    whole = span <= _GAP * np.median(span)
+    # weights of the third divided difference, 1 / ∏_{j≠i} (t_i − t_j), to unit length
+    offsets = (stamps[:, :, None] - stamps[:, None, :]) / span[:, None, None]
+    weights = 1.0 / np.prod(offsets + np.eye(4), axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    third = np.sum(weights * (samples - samples[:, :1]), axis=1)[whole]
+    return max(1.4826 * float(np.median(np.abs(third))), _resolution(values) / np.sqrt(12))
+
+
+def _resolution(values: Samples) -> float:
+    """Return the smallest step between values that occur; 0 where all are equal."""
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > 1e-9 * np.ptp(values)]  # the same value, rounded otherwise
+    return float(steps.min()) if steps.size else 0.0
+
+
+def sensor_noise(recording: Recording) -> dict[str, float]:
+    """Return σ of every measured channel by name, in the channel's unit; see `noise_sigma`."""
+    measured = {n: c for n, c in recording.channels.items() if c.hold == "none"}
+    return {name: noise_sigma(c.time, c.values) for name, c in measured.items()}
