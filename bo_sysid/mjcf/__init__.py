@@ -1,0 +1,21 @@
+"""MJCF models and the addresses of their parameters.
+
+Only this package and `effects` change an `MjSpec`. A `Model` hands out copies; an `Edit` changes
+one in place; `Address` names a number in it.
+"""
+
+from bo_sysid.mjcf.address import Address, address_edit, parameter_edits
+from bo_sysid.mjcf.inertia import Inertial, inertial, make_explicit, scale_mass
+from bo_sysid.mjcf.model import Edit, Model
+
+__all__ = [
+    "Address",
+    "Edit",
+    "Inertial",
+    "Model",
+    "address_edit",
+    "inertial",
+    "make_explicit",
+    "parameter_edits",
+    "scale_mass",
+]

@@ -1,0 +1,107 @@
+"""Compile a spec, with MuJoCo's complaints turned into messages for the user."""
+
+import warnings
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import ModelError
+
+
+def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.MjModel:
+    """Compile `spec`.
+
+    Args:
+        spec: the spec; its elements' ids are valid afterwards.
+        source: where the model comes from, for the message.
+        after: what was done to the model before, for the message.
+
+    Raises:
+        ModelError: MuJoCo refuses the model.
+    """
+    with warnings.catch_warnings():
+        if spec.compiler.settotalmass > 0:
+            # The attribute still works; it is released before any mass is edited (inertia.py).
+            warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+        try:
+            return spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise ModelError(
+                f"{source}: the model does not compile{after}: {mujoco_message(error)}"
+            ) from None
+
+
+def mujoco_message(error: Exception) -> str:
+    """Return MuJoCo's message as one line."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return ", ".join(lines).removeprefix("Error: ")
+
+
+def refit_keyframes(spec: mujoco.MjSpec, before: mujoco.MjModel, source: str) -> None:
+    """Give keyframes the sizes of a spec whose joints or actuators changed.
+
+    A joint or an actuator that is still there keeps its values; a new one starts at its reference
+    position, at rest, with zero activation and control.
+
+    Args:
+        spec: the changed spec, whose keyframes have the sizes of `before`.
+        before: the model compiled before the change.
+        source: where the model comes from, for messages.
+    """
+    held = [(key, {f: np.array(getattr(key, f)) for f in _KEY_FIELDS}) for key in spec.keys]
+    for key, _ in held:
+        for field in _KEY_FIELDS:
+            setattr(key, field, [])
+    after = compile_spec(spec, source)
+    start = {"qpos": after.qpos0, "qvel": np.zeros(after.nv), "act": np.zeros(after.na)}
+    start["ctrl"] = np.zeros(after.nu)
+    old, new = _slices(before), _slices(after)
+    for key, values in held:
+        for field, value in values.items():
+            if not value.size:
+                continue
+            full = start[field].copy()
+            for name in old[field].keys() & new[field].keys():
+                if old[field][name][1] == new[field][name][1]:
+                    (i, n), (k, _) = old[field][name], new[field][name]
+                    full[k : k + n] = value[i : i + n]
+            setattr(key, field, full.tolist())
+
+
+_KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
+_QPOS_SIZE = {0: 7, 1: 4, 2: 1, 3: 1}  # free, ball, slide, hinge
+_QVEL_SIZE = {0: 6, 1: 3, 2: 1, 3: 1}
+
+
+def _slices(model: mujoco.MjModel) -> dict[str, dict[str, tuple[int, int]]]:
+    """Return for each state field the first index and the size of each joint or actuator."""
+    return {
+        field: {name: (start, size) for name, start, size in coordinates(model, field)}
+        for field in _KEY_FIELDS
+    }
+
+
+def coordinates(model: mujoco.MjModel, field: str) -> list[tuple[str, int, int]]:
+    """Return (element, first index, size) for "qpos", "qvel", "act", "ctrl" or "sensor".
+
+    Elements without a coordinate in the field are left out; the order is MuJoCo's.
+    """
+    if field in ("qpos", "qvel"):
+        sizes = _QPOS_SIZE if field == "qpos" else _QVEL_SIZE
+        address = model.jnt_qposadr if field == "qpos" else model.jnt_dofadr
+        rows = [
+            (model.joint(i).name, int(address[i]), sizes[int(model.jnt_type[i])])
+            for i in range(model.njnt)
+        ]
+    elif field == "sensor":
+        rows = [
+            (model.sensor(i).name, int(model.sensor_adr[i]), int(model.sensor_dim[i]))
+            for i in range(model.nsensor)
+        ]
+    else:
+        address = model.actuator_actadr if field == "act" else model.actuator_ctrladr
+        number = model.actuator_actnum if field == "act" else model.actuator_ctrlnum
+        rows = [
+            (model.actuator(i).name, int(address[i]), int(number[i])) for i in range(len(address))
+        ]
+    return [row for row in rows if row[2] > 0]

@@ -1,0 +1,139 @@
+"""Write a spec as a plain MJCF file that stands alone with a folder of assets beside it."""
+
+import ctypes
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import mujoco
+
+from bo_sysid.errors import ModelError
+from bo_sysid.mjcf.compiling import mujoco_message
+
+
+def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str) -> None:
+    """Write a compiled spec to `path` in one step.
+
+    Meshes, textures, height fields and skins are copied into the folder `<stem>_assets` before
+    that, and the file is loaded once, as any other program would, before it takes its place.
+
+    Args:
+        spec: the compiled spec; its asset paths are changed.
+        path: the file to write.
+        source: where the model comes from, for messages.
+
+    Raises:
+        ModelError: an asset's file cannot be found, or MuJoCo does not read what it wrote.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _copy_assets(spec, path.with_name(f"{path.stem}_assets"), source)
+    with _all_digits():
+        text = _LONG_NUMBER.sub(lambda number: repr(float(number[0])), spec.to_xml())
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".xml")
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            mujoco.MjModel.from_xml_path(name)
+        except (ValueError, mujoco.FatalError) as error:
+            raise ModelError(
+                f"{source}: MuJoCo does not read its own export to {path}: {mujoco_message(error)}"
+            ) from None
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+# A double written with 17 digits, between quotes or blanks: repr gives the shortest equal one.
+_LONG_NUMBER = re.compile(r'(?<=["\s])-?\d+\.\d{10,}(?:e[+-]?\d+)?(?=["\s])')
+
+
+@contextmanager
+def _all_digits() -> Iterator[None]:
+    """Make MuJoCo's writer keep every digit of a double instead of six.
+
+    The library has a switch for that which is not part of its public interface; where it is
+    missing, numbers are written with six digits.
+    """
+    folder = Path(mujoco.__file__).parent
+    libraries = [*folder.glob("libmujoco*.so*"), *folder.glob("libmujoco*.dylib")]
+    libraries += folder.glob("mujoco.dll")
+    library = ctypes.CDLL(str(libraries[0])) if libraries else None
+    switch = getattr(library, "_mjPRIVATE__set_xml_precision", None)
+    if switch is None:
+        yield
+        return
+    switch(17)
+    try:
+        yield
+    finally:
+        switch(6)
+
+
+def _copy_assets(spec: mujoco.MjSpec, folder: Path, source: str) -> None:
+    """Copy every file that the spec names into `folder` and make the spec name the copies."""
+    copies: dict[str, str] = {}
+    for element, directory in _with_files(spec):
+        if element.file:
+            element.file = _copy(spec, directory, element.file, folder, copies, source)
+        cubes = getattr(element, "cubefiles", ())
+        for side, file in enumerate(cubes):
+            if file:
+                cubes[side] = _copy(spec, directory, file, folder, copies, source)
+    for compiler in (spec.compiler, *(e.compiler for e, _ in _with_files(spec))):
+        compiler.meshdir = compiler.texturedir = ""
+    spec.modelfiledir = f"{folder.parent.resolve()}/"
+
+
+def _with_files(spec: mujoco.MjSpec) -> list[tuple[Any, str]]:
+    """Return the elements that may name a file, each with the directory it is relative to."""
+    meshes = [*spec.meshes, *spec.hfields, *spec.skins]
+    return [(e, e.compiler.meshdir) for e in meshes] + [
+        (e, e.compiler.texturedir) for e in spec.textures
+    ]
+
+
+def _copy(
+    spec: mujoco.MjSpec,
+    directory: str,
+    file: str,
+    folder: Path,
+    copies: dict[str, str],
+    source: str,
+) -> str:
+    """Copy one asset; return its path relative to the folder's parent."""
+    key = str(PurePosixPath(directory) / file)
+    if key not in copies:
+        content = _content(spec, directory, file, source)
+        name = PurePosixPath(file).name
+        taken = {PurePosixPath(c).name for c in copies.values()}
+        number = 1
+        while name in taken:
+            number += 1
+            name = f"{number}_{PurePosixPath(file).name}"
+        folder.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+        copies[key] = f"{folder.name}/{name}"
+    return copies[key]
+
+
+def _content(spec: mujoco.MjSpec, directory: str, file: str, source: str) -> bytes:
+    """Return an asset's content from memory or from disk."""
+    places = [PurePosixPath(directory) / file, PurePosixPath(file), PurePosixPath(file).name]
+    for place in map(str, places):
+        if place in spec.assets:
+            content = spec.assets[place]
+            return content.encode() if isinstance(content, str) else bytes(content)
+    for place in map(str, places):
+        found = Path(spec.modelfiledir or ".") / place
+        if found.is_file():
+            return found.read_bytes()
+    raise ModelError(f"{source}: asset {file!r} is not at {directory or '.'} any more")
