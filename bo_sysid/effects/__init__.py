@@ -1,0 +1,44 @@
+"""The catalogue of physics that a model can lack or have wrong, a module per family."""
+
+from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
+    actuation,
+    environment,
+    friction,
+    inertia,
+    sensing,
+    transmission,
+)
+from bo_sysid.effects.contract import (
+    Component,
+    Effect,
+    Extent,
+    Filter,
+    Force,
+    Motion,
+    Part,
+    Reading,
+    Site,
+    unit_at,
+)
+from bo_sysid.effects.machine import Machine, survey
+from bo_sysid.effects.registry import CATALOGUE, applicable, chosen, effect, load_effects
+
+__all__ = [
+    "CATALOGUE",
+    "Component",
+    "Effect",
+    "Extent",
+    "Filter",
+    "Force",
+    "Machine",
+    "Motion",
+    "Part",
+    "Reading",
+    "Site",
+    "applicable",
+    "chosen",
+    "effect",
+    "load_effects",
+    "survey",
+    "unit_at",
+]

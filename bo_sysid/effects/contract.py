@@ -1,0 +1,229 @@
+"""What an effect is: a kind of physics that a model can lack or have wrong.
+
+An effect is one function ``apply(spec, site, x, machine)`` that edits an `MjSpec` by the
+magnitudes `x` at a site. What MJCF cannot express it returns as parts: a force stepped with the
+simulation (`Force`), a filter over a whole recorded input (`Filter`), or another reading of a
+channel (`Reading`). Magnitude 0 changes nothing. Everything else (its signature in the
+predictions, its fit, its report) follows from the simulator.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.effects.machine import Machine
+from bo_sysid.recording import Channel
+
+SiteKind = Literal["joint", "body", "geom", "actuator", "channel", "world"]
+Family = Literal["physics", "sensing", "numerics"]
+Magnitudes: TypeAlias = Float[np.ndarray, " k"]
+Signal: TypeAlias = Float[np.ndarray, "..."]
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where an effect acts: the kind and the name of an element of the model."""
+
+    kind: SiteKind
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Motion(Protocol):
+    """What a force law may look at, for many simulations at one instant.
+
+    Attributes:
+        time: time since the start of the window in [s].
+        qpos: position of each hinge or slide joint by name in [rad] or [m].
+        qvel: velocity of each hinge or slide joint by name in [rad/s] or [m/s].
+        ctrl: control of each actuator by name.
+        signals: recorded inputs by channel name (``goal.elbow``, ``aux.voltage``).
+        timestep: time until the next evaluation in [s].
+        memory: of the law's own, empty when a simulation starts.
+    """
+
+    @property
+    def time(self) -> Signal: ...  # noqa: D102
+    @property
+    def qpos(self) -> Mapping[str, Signal]: ...  # noqa: D102
+    @property
+    def qvel(self) -> Mapping[str, Signal]: ...  # noqa: D102
+    @property
+    def ctrl(self) -> Mapping[str, Signal]: ...  # noqa: D102
+    @property
+    def signals(self) -> Mapping[str, Signal]: ...  # noqa: D102
+    @property
+    def timestep(self) -> float: ...  # noqa: D102
+    @property
+    def memory(self) -> dict[str, object]: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Force:
+    """A force on one joint as a function of the motion, in [N m] or [N]."""
+
+    joint: str
+    law: Callable[[Motion], Signal]
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A change of one actuator's whole recorded control, made before windows are cut.
+
+    Attributes:
+        actuator: name of the actuator.
+        change: from the channel and the simulation's time step to the changed channel.
+    """
+
+    actuator: str
+    change: Callable[[Channel, float], Channel]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a channel shows of the quantity p(t) it measures: (1 + scale)·p(t - delay) + offset.
+
+    Attributes:
+        channel: name of the channel.
+        scale: relative.
+        offset: in the channel's unit.
+        delay: in [s].
+        source: the channel whose quantity it measures instead of its own, where swapped.
+    """
+
+    channel: str
+    scale: float = 0.0
+    offset: float = 0.0
+    delay: float = 0.0
+    source: str | None = None
+
+
+Part: TypeAlias = Force | Filter | Reading
+Apply: TypeAlias = Callable[
+    [mujoco.MjSpec, Site, Magnitudes, Machine], "Part | tuple[Part, ...] | None"
+]
+
+
+@dataclass(frozen=True)
+class Component:
+    """One element of an effect's magnitudes: a name and a unit for a hinge."""
+
+    name: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How large an effect can be at one site, from the scale of the machine.
+
+    Attributes:
+        probe: a magnitude that moves the predictions measurably, element by element.
+        low: lower bounds; nothing below is physical.
+        high: upper bounds.
+        grid: points at which the signature is taken where one linearisation does not serve
+            (shapes such as a period or a speed, thresholds, delays); () means at the probe.
+    """
+
+    probe: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    grid: tuple[tuple[float, ...], ...] = ()
+
+    def __post_init__(self) -> None:
+        sizes = {len(self.probe), len(self.low), len(self.high), *map(len, self.grid)}
+        if len(sizes) != 1:
+            raise ValueError(f"probe, low, high and grid have different lengths {sorted(sizes)}")
+        for low, high in zip(self.low, self.high, strict=True):
+            if not low < high:
+                raise ValueError(f"the bounds {low} and {high} are not in order")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A kind of physics that a model can lack or have wrong.
+
+    Attributes:
+        id: name in studies and answers.
+        kind: kind of site.
+        components: the elements of the magnitudes, shapes last.
+        apply: edits a spec, returns parts that MJCF cannot express.
+        extent: bounds and probe at a site, None where the effect does not apply.
+        noun: what it is called in a sentence, "dry friction".
+        sentence: with the placeholders {site}, {value} and {interval}.
+        evidence: what gives it away in recordings.
+        separation: which experiment separates it from what looks alike.
+        shapes: how many of the last components are shapes, in which predictions are not linear.
+        vector: how many of the first components form a vector whose norm is the value.
+        nominal: the quantity that the effect changes, as the model has it.
+        family: which verdict a finding leads to.
+        grouped: whether it can be missing on all sites at once, each with its own magnitude.
+        nested: id of the simpler effect that remains where the first component is 0, if any.
+        details: from magnitudes to derived quantities worth telling, with their units.
+    """
+
+    id: str
+    kind: SiteKind
+    components: tuple[Component, ...]
+    apply: Apply
+    extent: Callable[[Site, Machine], Extent | None]
+    noun: str
+    sentence: str
+    evidence: str
+    separation: str
+    shapes: int = 0
+    vector: int = 1
+    nominal: Callable[[Site, Machine], float] = lambda site, machine: 0.0
+    family: Family = "physics"
+    grouped: bool = False
+    nested: str | None = None
+    details: Callable[[Magnitudes, Machine, Site], Mapping[str, tuple[float, str]]] | None = None
+
+    @property
+    def linear(self) -> int:
+        """How many components are magnitudes, 0 of which changes nothing."""
+        return len(self.components) - self.shapes
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value at a hinge."""
+        return self.components[0].unit
+
+    def parts(
+        self, spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+    ) -> tuple[Part, ...]:
+        """Edit `spec` by the magnitudes `x` and return what MJCF cannot express."""
+        if not np.any(x[: self.linear]):
+            return ()
+        made = self.apply(spec, site, x, machine)
+        if made is None:
+            return ()
+        return made if isinstance(made, tuple) else (made,)
+
+    def value(self, x: Magnitudes) -> float:
+        """Return the reported value: the first component, or the norm of the vector."""
+        return float(x[0] if self.vector == 1 else np.linalg.norm(x[: self.vector]))
+
+
+_SLIDE = {
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "N m s²/rad²": "N s²/m²",
+    "N m/rad": "N/m",
+    "kg m²": "kg",
+    "rad": "m",
+    "rad/s": "m/s",
+    "rad/(N m)": "m/N",
+    "1/rad": "1/m",
+}
+
+
+def unit_at(unit: str, site: Site, machine: Machine) -> str:
+    """Return a unit as it reads at a site: at a slide joint N m becomes N, rad becomes m."""
+    joint = machine.joint_of(site.kind, site.name)
+    return unit if joint is None or joint.hinge else _SLIDE.get(unit, unit)

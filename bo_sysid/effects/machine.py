@@ -1,0 +1,306 @@
+"""The scales of a machine: how strong, fast and heavy it is at each site, from model and data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import savgol_filter
+
+from bo_sysid.recording import Recording
+
+_SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
+_LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
+_POSES = 20
+_FLOOR = 1e-6
+
+
+@dataclass(frozen=True)
+class JointScale:
+    """A hinge or slide joint.
+
+    Attributes:
+        name: of the joint.
+        dof: its degree of freedom.
+        hinge: whether it turns.
+        force: typical force along it in [N m] or [N].
+        speed: root mean square of its velocity.
+        travel: standard deviation of its position.
+        span: range of its position.
+        inertia: mean effective inertia in [kg m²] or [kg].
+        actuators: names of the actuators that drive it.
+    """
+
+    name: str
+    dof: int
+    hinge: bool
+    force: float
+    speed: float
+    travel: float
+    span: float
+    inertia: float
+    actuators: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ActuatorScale:
+    """An actuator.
+
+    Attributes:
+        name: of the actuator.
+        index: its number.
+        joint: the joint it drives, None where it is not a single joint.
+        gear: ratio of force along the joint and actuator force.
+        gain: force per control.
+        bias: constant, per length, per velocity.
+        servo: whether its force depends on the position of the joint.
+        ctrl_max: largest absolute control recorded.
+        ctrl_std: standard deviation of the recorded control.
+        force_max: largest absolute force along the joint.
+        force_std: standard deviation of that force.
+        levels: fractions of `force_max` at which a saturation is looked for.
+    """
+
+    name: str
+    index: int
+    joint: str | None
+    gear: float
+    gain: float
+    bias: tuple[float, float, float]
+    servo: bool
+    ctrl_max: float
+    ctrl_std: float
+    force_max: float
+    force_std: float
+    levels: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class BodyScale:
+    """A moving body: mass in [kg] and the point farthest from its frame, where loads are held."""
+
+    name: str
+    mass: float
+    tip: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The nominal model with the scales of its sites.
+
+    Attributes:
+        model: the compiled nominal model.
+        joints: hinge and slide joints by name.
+        actuators: actuators by name.
+        bodies: moving bodies with mass by name.
+        channels: names of the recorded channels that the model predicts.
+        sampling: median sampling interval of the recordings in [s].
+        duration: length of all recordings in [s].
+    """
+
+    model: mujoco.MjModel
+    joints: Mapping[str, JointScale]
+    actuators: Mapping[str, ActuatorScale]
+    bodies: Mapping[str, BodyScale]
+    channels: tuple[str, ...]
+    sampling: float
+    duration: float
+
+    def names(self, kind: str) -> tuple[str, ...]:
+        """Return the names of the sites of one kind."""
+        if kind == "world":
+            return ("world",)
+        if kind == "geom":
+            named = (self.model.geom(i).name for i in range(self.model.ngeom))
+            return tuple(n for n in named if n)
+        tables: dict[str, Mapping[str, object] | tuple[str, ...]] = {
+            "joint": self.joints,
+            "actuator": self.actuators,
+            "body": self.bodies,
+            "channel": self.channels,
+        }
+        return tuple(tables[kind])
+
+    def joint_of(self, kind: str, name: str) -> JointScale | None:
+        """Return the joint on which a site acts, None where there is none."""
+        if kind == "actuator" and name in self.actuators:
+            name = self.actuators[name].joint or ""
+        elif kind == "channel":
+            name = name.split(".", 1)[1]
+        elif kind != "joint":
+            return None
+        return self.joints.get(name)
+
+
+def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
+    """Measure the scales of a machine.
+
+    Forces are scaled by effective inertia times acceleration, and by what the actuators did.
+    Velocities and accelerations come from a Savitzky-Golay filter; they set bounds and probe
+    sizes and enter no answer.
+
+    Args:
+        model: the compiled nominal model, joints and actuators named.
+        recordings: with ``qpos.<joint>`` for each hinge and slide joint.
+    """
+    names = [model.joint(j).name for j in range(model.njnt)]
+    scalar = [
+        n
+        for j, n in enumerate(names)
+        if int(model.jnt_type[j])
+        in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        and all(f"qpos.{n}" in r.channels for r in recordings)
+    ]
+    motion = {n: _motion(recordings, n) for n in scalar}
+    actuators = {
+        model.actuator(a).name: _actuator(model, a, recordings, motion)
+        for a in range(model.nactuator)
+        if model.actuator_ctrlnum[a] == 1
+    }
+    inertia = _inertia(model, recordings)
+    joints = {n: _joint(model, n, motion[n], inertia, actuators) for n in scalar}
+    bodies = {
+        b.name: b
+        for b in (_body(model, i) for i in range(1, model.nbody))
+        if b.name and b.mass > 1e-9 and model.body_weldid[model.body(b.name).id] > 0
+    }
+    known = _predicted(model)
+    times = [c.time for r in recordings for c in r.of_kind("qpos").values()]
+    return Machine(
+        model,
+        MappingProxyType(joints),
+        MappingProxyType(actuators),
+        MappingProxyType(bodies),
+        tuple(dict.fromkeys(n for r in recordings for n in r.channels if n in known)),
+        float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
+        float(sum(r.span[1] - r.span[0] for r in recordings)),
+    )
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Position, velocity and acceleration of one joint on even grids, all recordings in a row."""
+
+    times: tuple[np.ndarray, ...]
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
+    grids, q, v, a = [], [], [], []
+    for r in recordings:
+        c = r.channels[f"qpos.{joint}"]
+        dt = float(np.median(np.diff(c.time)))
+        grid = np.arange(c.time[0], c.time[-1], dt)
+        x = np.interp(grid, c.time, c.values)
+        half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
+        grids.append(grid)
+        q.append(x)
+        v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
+        a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
+    return _Motion(tuple(grids), np.concatenate(q), np.concatenate(v), np.concatenate(a))
+
+
+def _actuator(
+    model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
+) -> ActuatorScale:
+    name = model.actuator(a).name
+    drives_joint = int(model.actuator_trntype[a]) in (
+        int(mujoco.mjtTrn.mjTRN_JOINT),
+        int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
+    )
+    joint = model.joint(int(model.actuator_trnid[a, 0])).name if drives_joint else None
+    gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+    affine = int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
+    key = f"ctrl.{name}"
+    if joint is not None and joint in motion and all(key in r.channels for r in recordings):
+        m = motion[joint]
+        u = np.concatenate(
+            [r.channels[key].at(t) for r, t in zip(recordings, m.times, strict=True)]
+        )
+        force = gear * (gain * u + b[0] + b[1] * gear * m.q + b[2] * gear * m.v)
+    else:
+        held = [r.channels[key].values for r in recordings if key in r.channels]
+        u = np.concatenate(held) if held else np.zeros(1)
+        force = gear * gain * u
+    top = max(float(np.abs(force).max()), _FLOOR)
+    levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
+    return ActuatorScale(
+        name, a, joint, gear, gain, (float(b[0]), float(b[1]), float(b[2])), bool(b[1] != 0),
+        float(np.abs(u).max()), float(u.std()), top, float(force.std()),
+        tuple(dict.fromkeys(x for x in levels if x > 0.02)),
+    )  # fmt: skip
+
+
+def _joint(
+    model: mujoco.MjModel,
+    name: str,
+    motion: _Motion,
+    inertia: Float[np.ndarray, " nv"],
+    actuators: Mapping[str, ActuatorScale],
+) -> JointScale:
+    dof = int(model.joint(name).dofadr[0])
+    drives = [a for a in actuators.values() if a.joint == name]
+    moved = inertia[dof] * float(np.sqrt(np.mean(motion.a**2)))
+    force = max([moved, _FLOOR, *(0.3 * a.force_std for a in drives)])
+    return JointScale(
+        name,
+        dof,
+        int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
+        force,
+        max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
+        max(float(motion.q.std()), _FLOOR),
+        max(float(np.ptp(motion.q)), _FLOOR),
+        float(inertia[dof]),
+        tuple(a.name for a in drives),
+    )
+
+
+def _inertia(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Float[np.ndarray, " nv"]:
+    """Return 1/diag(M⁻¹), the inertia felt at each degree of freedom, over recorded poses."""
+    data = mujoco.MjData(model)
+    full = np.zeros((model.nv, model.nv))
+    found = []
+    for r in recordings:
+        start, stop = r.span
+        for t in np.linspace(start, stop, _POSES):
+            for j in range(model.njnt):
+                key = f"qpos.{model.joint(j).name}"
+                if key in r.channels:
+                    data.qpos[model.jnt_qposadr[j]] = r.channels[key].at(np.array([t]))[0]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
+            found.append(1.0 / np.maximum(np.diag(np.linalg.inv(full)), 1e-12))
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _body(model: mujoco.MjModel, i: int) -> BodyScale:
+    """Return a body; its tip is its first site, else its farthest child, end of geom or centre."""
+    sites = [model.site_pos[k] for k in range(model.nsite) if model.site_bodyid[k] == i]
+    points = list(sites[:1])
+    if not points:
+        points = [model.body_pos[k] for k in range(1, model.nbody) if model.body_parentid[k] == i]
+        for g in np.flatnonzero(model.geom_bodyid == i):
+            axis = np.zeros(9)
+            mujoco.mju_quat2Mat(axis, model.geom_quat[g])
+            long = int(model.geom_type[g]) in (
+                int(mujoco.mjtGeom.mjGEOM_CAPSULE),
+                int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+            )
+            reach = model.geom_size[g, 1] * axis.reshape(3, 3)[:, 2] if long else np.zeros(3)
+            points += [model.geom_pos[g] + reach, model.geom_pos[g] - reach]
+        points.append(model.body_ipos[i])
+    x, y, z = max(points, key=lambda p: float(np.linalg.norm(p)))
+    return BodyScale(model.body(i).name, float(model.body_mass[i]), (float(x), float(y), float(z)))
+
+
+def _predicted(model: mujoco.MjModel) -> set[str]:
+    """Return the names of channels that a model predicts."""
+    known = {f"sensor.{model.sensor(i).name}" for i in range(model.nsensor)}
+    for j in range(model.njnt):
+        known |= {f"{kind}.{model.joint(j).name}" for kind in ("qpos", "qvel")}
+    return known

@@ -1,0 +1,104 @@
+"""The catalogue: effects by id, the package's own and those of a study."""
+
+import importlib.util
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from bo_sysid.effects.contract import Apply, Effect, Site
+from bo_sysid.effects.machine import Machine
+from bo_sysid.errors import StudyError, nearest
+
+_EFFECTS: dict[str, Effect] = {}
+
+CATALOGUE: Mapping[str, Effect] = MappingProxyType(_EFFECTS)
+
+
+def effect(id: str, **fields: Any) -> Callable[[Apply], Effect]:
+    """Register an effect: a decorator on the one function that applies it.
+
+    Args:
+        id: name of the effect in studies and answers.
+        **fields: the other fields of `Effect`.
+
+    Raises:
+        StudyError: an effect of this id exists.
+
+    Example:
+        >>> @effect(
+        ...     "my_spring", kind="joint", components=(Component("stiffness", "N m/rad"),),
+        ...     extent=lambda site, machine: Extent((0.1,), (0.0,), (10.0,)),
+        ...     noun="a spring", sentence="{site} has a spring of {value}.",
+        ...     evidence="a force that grows with position", separation="rest at two positions",
+        ... )
+        ... def my_spring(spec, site, x, machine):
+        ...     spec.joint(site.name).stiffness[0] += x[0]
+    """
+
+    def register(apply: Apply) -> Effect:
+        if id in _EFFECTS:
+            raise StudyError(f"effect {id!r} is registered twice; choose another id")
+        _EFFECTS[id] = Effect(id=id, apply=apply, **fields)
+        return _EFFECTS[id]
+
+    return register
+
+
+def load_effects(path: Path) -> tuple[Effect, ...]:
+    """Run a user's file of effects and return those that it registers.
+
+    Loading a file twice registers its effects anew.
+
+    Raises:
+        StudyError: the file cannot be read, fails, or registers nothing.
+    """
+    before = dict(_EFFECTS)
+    for id in [i for i, e in before.items() if _file_of(e) == path.resolve()]:
+        del _EFFECTS[id]
+    kept = set(_EFFECTS)
+    try:
+        spec = importlib.util.spec_from_file_location(f"bo_sysid_effects_{path.stem}", path)
+        if spec is None or spec.loader is None:
+            raise StudyError(f"{path}: effect_files must be Python files (.py)")
+        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+    except Exception as error:
+        _EFFECTS.clear()
+        _EFFECTS.update(before)
+        if isinstance(error, StudyError):
+            raise
+        raise StudyError(f"{path}: {type(error).__name__}: {error}") from error
+    made = tuple(e for i, e in _EFFECTS.items() if i not in kept)
+    if not made:
+        raise StudyError(f"{path}: registers no effect; use the decorator bo_sysid.effects.effect")
+    return made
+
+
+def chosen(
+    include: str | list[str] | tuple[str, ...], exclude: tuple[str, ...] = ()
+) -> tuple[Effect, ...]:
+    """Return the effects that a study asks for.
+
+    Args:
+        include: "all" or ids.
+        exclude: ids.
+
+    Raises:
+        StudyError: an id is unknown.
+    """
+    wanted = list(_EFFECTS) if include == "all" else list(include)
+    for id in [*wanted, *exclude]:
+        if id not in _EFFECTS:
+            raise StudyError(f"diagnosis.effects: unknown effect {id!r}; {nearest(id, _EFFECTS)}")
+    return tuple(_EFFECTS[i] for i in wanted if i not in exclude)
+
+
+def applicable(effect: Effect, machine: Machine) -> tuple[Site, ...]:
+    """Return the sites of a machine at which an effect can act."""
+    sites = [Site(effect.kind, name) for name in machine.names(effect.kind)]
+    return tuple(s for s in sites if effect.extent(s, machine) is not None)
+
+
+def _file_of(effect: Effect) -> Path | None:
+    code = getattr(effect.apply, "__code__", None)
+    return Path(code.co_filename).resolve() if code is not None else None

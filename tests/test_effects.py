@@ -1,0 +1,296 @@
+"""Every effect of the catalogue inherits these tests; then single effects against their physics."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.effects import (
+    CATALOGUE,
+    Effect,
+    Filter,
+    Force,
+    Machine,
+    Site,
+    applicable,
+    chosen,
+    load_effects,
+    survey,
+    unit_at,
+)
+from bo_sysid.errors import StudyError
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel, Recording
+
+ARM = """<mujoco><compiler angle="degree"/><option timestep="0.002"/><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0" springref="10" stiffness=".5" damping=".1"/>
+ <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/>
+ <body name="fore" pos="0 0 -.3"><joint name="elbow" axis="0 1 0"/>
+  <geom name="foregeom" type="capsule" fromto="0 0 0 0 0 -.25" size=".02"/>
+  <body name="carriage" pos="0 0 -.25"><joint name="rail" type="slide" axis="1 0 0"/>
+   <geom type="box" size=".02 .02 .02" mass=".2"/></body></body></body></worldbody>
+<actuator><motor name="motor" joint="shoulder" gear="2"/>
+ <position name="servo" joint="elbow" kp="5" kv=".2"/><motor name="pull" joint="rail"/></actuator>
+</mujoco>"""
+QPOS, QVEL, CTRL = np.array([0.3, 0.5, 0.05]), np.array([1.0, -0.5, 0.3]), np.array([0.4, 0.1, 0.2])
+
+
+@pytest.fixture(scope="module")
+def arm() -> Model:
+    return Model.from_xml(ARM)
+
+
+@pytest.fixture(scope="module")
+def machine(arm: Model) -> Machine:
+    t = np.arange(0, 4, 0.002)
+    recording = Recording.from_arrays(
+        t,
+        qpos={"shoulder": np.sin(3 * t), "elbow": np.cos(2 * t), "rail": 0.1 * np.sin(5 * t)},
+        ctrl={"motor": np.sin(3 * t), "servo": np.cos(2 * t), "pull": np.cos(5 * t)},
+    )
+    return survey(arm.compile(), [recording])
+
+
+def compiled(
+    arm: Model, machine: Machine, effect: Effect, site: Site, x: np.ndarray
+) -> tuple[mujoco.MjModel, tuple]:
+    parts: list[tuple] = []
+    model = arm.compile([lambda spec: parts.append(effect.parts(spec, site, x, machine))])
+    return model, parts[0]
+
+
+def acceleration(model: mujoco.MjModel) -> np.ndarray:
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = QPOS, QVEL, CTRL
+    mujoco.mj_forward(model, data)
+    return data.qacc.copy()
+
+
+def force(model: mujoco.MjModel) -> np.ndarray:
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = QPOS, QVEL, CTRL
+    mujoco.mj_forward(model, data)
+    return data.qfrc_passive + data.qfrc_actuator + data.qfrc_constraint
+
+
+def points(effect: Effect, site: Site, machine: Machine) -> list[np.ndarray]:
+    extent = effect.extent(site, machine)
+    return [np.array(p) for p in (extent.grid or (extent.probe,))]
+
+
+@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda e: e.id)
+class TestConformance:
+    def test_magnitude_zero_changes_nothing(self, effect, arm, machine) -> None:
+        nominal = acceleration(arm.compile())
+        for site in applicable(effect, machine):
+            for x in points(effect, site, machine):
+                zero = np.where(np.arange(len(x)) < effect.linear, 0.0, x)
+                model, parts = compiled(arm, machine, effect, site, zero)
+                assert parts == ()
+                np.testing.assert_array_equal(acceleration(model), nominal)
+
+    def test_a_probe_changes_something_and_keeps_the_coordinates(
+        self, effect, arm, machine
+    ) -> None:
+        nominal = arm.compile()
+        for site in applicable(effect, machine):
+            model, parts = compiled(arm, machine, effect, site, points(effect, site, machine)[-1])
+            assert (model.nq, model.nv, model.nu) == (nominal.nq, nominal.nv, nominal.nu)
+            edited = arm.compile([lambda s: None]), model
+            assert parts or _differ(*edited)
+
+    def test_applying_twice_gives_the_same(self, effect, arm, machine) -> None:
+        for site in applicable(effect, machine):
+            x = points(effect, site, machine)[0]
+            one, two = (acceleration(compiled(arm, machine, effect, site, x)[0]) for _ in "ab")
+            np.testing.assert_array_equal(one, two)
+
+    def test_bounds_and_words(self, effect, machine) -> None:
+        assert "{value}" in effect.sentence
+        assert effect.kind == "world" or "{site}" in effect.sentence
+        assert effect.evidence
+        assert effect.separation
+        assert effect.noun
+        assert 0 <= effect.shapes < len(effect.components)
+        assert effect.nested is None or effect.nested in CATALOGUE
+        for site in applicable(effect, machine):
+            extent = effect.extent(site, machine)
+            assert len(extent.probe) == len(effect.components)
+            for x in points(effect, site, machine):
+                assert (x >= extent.low).all() and (x <= extent.high).all(), (site, x)
+            assert unit_at(effect.unit, site, machine)
+
+    def test_it_applies_somewhere_on_a_usual_machine(self, effect, machine) -> None:
+        assert applicable(effect, machine)
+
+
+def _differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
+    buffers = [np.zeros(mujoco.mj_sizeModel(m), np.uint8) for m in (one, two)]
+    for model, buffer in zip((one, two), buffers, strict=True):
+        mujoco.mj_saveModel(model, None, buffer)
+    return len(buffers[0]) != len(buffers[1]) or bool((buffers[0] != buffers[1]).any())
+
+
+def at(arm, machine, id: str, kind: str, site: str, x) -> tuple[mujoco.MjModel, tuple]:
+    return compiled(arm, machine, CATALOGUE[id], Site(kind, site), np.array(x, float))
+
+
+@pytest.mark.parametrize(
+    ("id", "site", "x", "expected"),
+    [
+        ("viscous_damping", "elbow", [0.3], [0, 0.3 * 0.5, 0]),
+        ("quadratic_damping", "elbow", [0.3], [0, 0.3 * 0.25, 0]),
+        ("constant_force", "shoulder", [0.7], [0.7, 0, 0]),
+        ("constant_force", "rail", [-0.7], [0, 0, -0.7]),
+        ("joint_spring", "elbow", [2.0, 0.3], [0, 0.3 - 2.0 * 0.5, 0]),
+        ("joint_spring", "shoulder", [2.0, 0.3], [0.3 - 2.0 * 0.3, 0, 0]),
+        ("cogging", "elbow", [0.1, 0.2, 7.0], [0, 0.1 * np.sin(3.5) + 0.2 * np.cos(3.5), 0]),
+    ],
+)
+def test_forces_follow_their_formula(arm, machine, id, site, x, expected) -> None:
+    model, parts = at(arm, machine, id, "joint", site, x)
+    assert parts == ()
+    np.testing.assert_allclose(force(model) - force(arm.compile()), expected, atol=2e-6)
+
+
+def test_two_forces_on_one_joint_add(arm, machine) -> None:
+    edits = [
+        lambda s: CATALOGUE["constant_force"].parts(
+            s, Site("joint", "elbow"), np.array([0.4]), machine
+        ),
+        lambda s: CATALOGUE["joint_spring"].parts(
+            s, Site("joint", "elbow"), np.array([1.0, 0.1]), machine
+        ),
+        lambda s: CATALOGUE["cogging"].parts(
+            s, Site("joint", "elbow"), np.array([0.1, 0.0, 4.0]), machine
+        ),
+        lambda s: CATALOGUE["cogging"].parts(
+            s, Site("joint", "elbow"), np.array([0.1, 0.0, 9.0]), machine
+        ),
+    ]
+    expected = 0.4 + 0.1 - 0.5 + 0.1 * np.sin(2.0) + 0.1 * np.sin(4.5)
+    np.testing.assert_allclose(
+        force(arm.compile(edits)) - force(arm.compile()), [0, expected, 0], atol=2e-6
+    )
+
+
+def test_dry_friction_holds_a_load_without_creep(machine) -> None:
+    slope = Model.from_xml(
+        "<mujoco><option timestep='.002'/><worldbody><body><joint name='elbow' axis='0 1 0'/>"
+        "<geom type='sphere' size='.02' pos='.3 0 0' mass='.1'/></body></worldbody></mujoco>"
+    )
+    model, _ = compiled(
+        slope, machine, CATALOGUE["dry_friction"], Site("joint", "elbow"), np.array([0.5])
+    )
+    data = mujoco.MjData(model)
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert abs(data.qvel[0]) < 1e-5
+
+
+def test_stribeck_friction_falls_from_static_to_coulomb(arm, machine) -> None:
+    model, (law,) = at(arm, machine, "stribeck_friction", "joint", "elbow", [0.2, 0.1, 0.05])
+    assert isinstance(law, Force)
+    assert model.joint("elbow").frictionloss[0] == pytest.approx(0.3)
+
+    speed = np.array([-10.0, 0.0, 0.05, 10.0])
+    felt = law.law(SimpleNamespace(qvel={"elbow": speed})) - 0.3 * np.sign(speed)
+    np.testing.assert_allclose(felt, [0.1, 0.0, -(0.1 + 0.2 * np.exp(-1)), -0.1])
+
+
+def test_link_mass_scales_inertia_and_payload_adds_a_point(arm, machine) -> None:
+    heavier, _ = at(arm, machine, "link_mass", "body", "fore", [0.1])
+    nominal = arm.compile()
+    before, after = nominal.body("fore"), heavier.body("fore")
+    assert after.mass[0] == pytest.approx(before.mass[0] + 0.1)
+    np.testing.assert_allclose(after.inertia / before.inertia, after.mass[0] / before.mass[0])
+    loaded, _ = at(arm, machine, "payload", "body", "fore", [0.1])
+    assert loaded.body_subtreemass[1] == pytest.approx(nominal.body_subtreemass[1] + 0.1)
+
+
+def test_a_servo_with_more_gain_rests_at_the_same_place(arm, machine) -> None:
+    model, _ = at(arm, machine, "actuator_gain", "actuator", "servo", [0.5])
+    a = model.actuator("servo")
+    np.testing.assert_allclose(a.gainprm[0], 7.5)
+    np.testing.assert_allclose(a.biasprm[1:3], [-7.5, -0.3])
+
+
+def test_gravity_turns_and_keeps_its_size(arm, machine) -> None:
+    model, _ = at(arm, machine, "gravity_tilt", "world", "world", [0.0, 0.2])
+    g = model.opt.gravity
+    assert np.linalg.norm(g) == pytest.approx(9.81)
+    np.testing.assert_allclose(g, [-9.81 * np.sin(0.2), 0, -9.81 * np.cos(0.2)])
+
+
+def filtered(arm, machine, id: str, x: float, channel: Channel, dt: float) -> Channel:
+    _, (part,) = at(arm, machine, id, "actuator", "motor", [x])
+    assert isinstance(part, Filter)
+    assert part.actuator == "motor"
+    return part.change(channel, dt)
+
+
+def test_lag_has_the_step_response_of_a_first_order_system(arm, machine) -> None:
+    t = np.arange(0, 1, 0.002)
+    step = Channel(t, (t >= 0.1 - 1e-9) * 1.0, hold="zero")
+    out = filtered(arm, machine, "actuator_lag", 0.05, step, 0.002)
+    late = out.time >= 0.1 - 1e-9
+    begin = np.maximum(out.time[late] - 0.1, 0)
+    exact = 1 - (np.exp(-begin / 0.05) - np.exp(-(begin + 0.002) / 0.05)) * 0.05 / 0.002
+    np.testing.assert_allclose(out.values[late], exact, atol=1e-9)
+    assert not out.values[~late].any()
+
+
+def test_delay_and_dead_zone(arm, machine) -> None:
+    t = np.arange(0, 1, 0.01)
+    ramp = Channel(t, t - 0.5, hold="zero")
+    late = filtered(arm, machine, "actuator_delay", 0.013, ramp, 0.002)
+    assert late.at(np.array([0.5 + 0.013 + 1e-9]))[0] == pytest.approx(0.0)
+    dead = filtered(arm, machine, "actuator_deadzone", 0.2, ramp, 0.002)
+    np.testing.assert_allclose(dead.values[[0, 50, 99]], [-0.3, 0, 0.29], atol=1e-12)
+
+
+def test_saturation_counts_the_torque_lost(arm, machine) -> None:
+    model, _ = at(arm, machine, "actuator_saturation", "actuator", "motor", [0.5])
+    top = machine.actuators["motor"].force_max
+    assert top == pytest.approx(2.0, rel=1e-3)  # gear 2, control up to 1
+    assert model.actuator("motor").forcerange[1] * 2 == pytest.approx(top - 0.5)
+
+
+USER = """
+from bo_sysid.effects import Component, Extent, effect
+
+@effect("worn_spot", kind="joint", components=(Component("depth", "N m"),),
+        extent=lambda site, machine: Extent((0.1,), (0.0,), (1.0,)),
+        noun="a worn spot", sentence="{site} is worn by {value}.", evidence="e", separation="s")
+def worn_spot(spec, site, x, machine):
+    spec.joint(site.name).frictionloss += x[0]
+"""
+
+
+def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(USER)
+    for _ in range(2):  # again: registered anew
+        (mine,) = load_effects(file)
+    assert mine.id == "worn_spot"
+    assert CATALOGUE["worn_spot"] is mine
+    model, _ = compiled(arm, machine, mine, Site("joint", "elbow"), np.array([0.3]))
+    assert model.joint("elbow").frictionloss[0] == 0.3
+    file.write_text("raise OSError('no')")
+    with pytest.raises(StudyError, match=r"mine\.py: OSError: no"):
+        load_effects(file)
+    assert "worn_spot" in CATALOGUE
+    file.write_text("x = 1")
+    with pytest.raises(StudyError, match="registers no effect"):
+        load_effects(file)
+    assert "worn_spot" not in CATALOGUE
+
+
+def test_unknown_effects_are_named_with_the_nearest() -> None:
+    with pytest.raises(
+        StudyError, match="unknown effect 'dry_fricton'; did you mean 'dry_friction'"
+    ):
+        chosen(["dry_fricton"])
+    assert all(e.id != "cogging" for e in chosen("all", ("cogging",)))
