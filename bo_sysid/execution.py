@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from bo_sysid.errors import BoSysidError, StudyError
 
@@ -172,7 +172,7 @@ class _Worker:
         self.key = ""
 
     @classmethod
-    def start(cls) -> Self:
+    def start(cls) -> "_Worker":
         context = multiprocessing.get_context("spawn")
         here, there = context.Pipe()
         process = context.Process(target=_work, args=(there,), daemon=True)
@@ -213,7 +213,7 @@ def _work(connection: Connection) -> None:
             return
         try:
             with use_threads(1):
-                answer = (function(job), None)
+                answer: tuple[Any, str | None] = (function(job), None)
         except BoSysidError as error:
             answer = (None, str(error))
         except Exception:  # the job is reported as failed, the others go on

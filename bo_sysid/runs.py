@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, Literal, Self
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import yaml
 
@@ -61,7 +61,7 @@ class Run:
         command: str,
         *,
         seed: int | None = None,
-    ) -> Self:
+    ) -> "Run":
         """Make a run folder, or go on with one of the same study and command.
 
         Args:
@@ -156,7 +156,7 @@ class Run:
         self.write_json(_RECORD, self._record)
         self._lock.close()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Run":
         return self
 
     def __exit__(

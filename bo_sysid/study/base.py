@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer
-from pydantic import SerializationInfo as Info
 
 
 class Section(BaseModel):
@@ -40,11 +39,11 @@ class Relocation:
         return Path(os.path.relpath(self.source / path, self.target)).as_posix()
 
 
-def _relocate(path: str, info: Info) -> str:
+def _relocate(path: str, info: Any) -> str:  # info: pydantic.SerializationInfo
     return info.context(path) if isinstance(info.context, Relocation) else path
 
 
-def _relocate_code(reference: str, info: Info) -> str:
+def _relocate_code(reference: str, info: Any) -> str:
     file, _, name = reference.rpartition(":")
     return f"{_relocate(file, info)}:{name}"
 
@@ -67,19 +66,17 @@ def _as_list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-Real = Annotated[float, BeforeValidator(_no_bool, json_schema_input_type=float)]
-Positive = Annotated[Real, Field(gt=0)]
-NotNegative = Annotated[Real, Field(ge=0)]
-Count = Annotated[int, BeforeValidator(_no_bool, json_schema_input_type=int), Field(ge=1)]
-Seed = Annotated[int, BeforeValidator(_no_bool, json_schema_input_type=int), Field(ge=0)]
+Real = Annotated[float, BeforeValidator(_no_bool)]
+Positive = Annotated[float, Field(gt=0), BeforeValidator(_no_bool)]
+NotNegative = Annotated[float, Field(ge=0), BeforeValidator(_no_bool)]
+Count = Annotated[int, Field(ge=1), BeforeValidator(_no_bool)]
+Seed = Annotated[int, Field(ge=0), BeforeValidator(_no_bool)]
 Name = Annotated[str, Field(min_length=1)]
 
 FilePath = Annotated[str, Field(min_length=1), PlainSerializer(_relocate)]
 """A path or glob relative to the study file."""
 
-CodePath = Annotated[
-    str, BeforeValidator(_code, json_schema_input_type=str), PlainSerializer(_relocate_code)
-]
+CodePath = Annotated[str, BeforeValidator(_code), PlainSerializer(_relocate_code)]
 """``<file>.py:<name>``, the file relative to the study file."""
 
 Names = Annotated[

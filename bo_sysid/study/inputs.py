@@ -1,11 +1,13 @@
 """From a study to its model and its recordings."""
 
+import hashlib
 import importlib.util
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from bo_sysid.errors import StudyError, nearest
+from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recording
 from bo_sysid.study.study import Study
@@ -20,13 +22,12 @@ def load_model(study: Study) -> Model:
         ModelError: it does not compile, or there is no such model.
     """
     source = study.model
-    base = "fixed" if source.base == "fixed" else "free"
     if source.dm_control is not None:
         return Model.from_dm_control(source.dm_control.domain, source.dm_control.task)
     if source.menagerie is not None:
-        return Model.from_menagerie(source.menagerie)
+        return Model.from_menagerie(source.menagerie, base=source.base)
     assert source.file is not None  # noqa: S101 - the study has exactly one source
-    return Model.from_file(study.file(source.file, ("model",)), base=base)
+    return Model.from_file(study.file(source.file, ("model",)), base=source.base)
 
 
 def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
@@ -66,32 +67,43 @@ def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]
 
 
 def load_function(study: Study, reference: str) -> Callable[..., Any]:
-    """Return a function that a study names as ``<file>.py:<function>``.
+    """Return a function (or a class) that a study names as ``<file>.py:<function>``.
 
     The study was loaded with code trusted, or it would not have been made.
 
     Raises:
         StudyError: the file has no such function, or running it raises.
     """
-    file, _, name = reference.partition(":")
-    path = study.file(file, ())
-    module = _module(path)
+    file, _, name = reference.rpartition(":")
+    module = load_module(study, file)
     function = getattr(module, name, None)
     if not callable(function):
         found = [n for n in vars(module) if callable(getattr(module, n)) and not n.startswith("_")]
-        raise StudyError(f"{path}: no function {name!r}; {nearest(name, found)}")
+        raise study.error(
+            study.code.get(file, ()), f"{file} has no function {name!r}; {nearest(name, found)}"
+        )
     return function  # type: ignore[no-any-return]
 
 
-def _module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"bo_sysid_user_{path.stem}", path)
+def load_module(study: Study, file: str) -> ModuleType:
+    """Run a Python file that a study names, such as one with effects, and return it as a module.
+
+    Raises:
+        StudyError: there is no such file, or running it raises.
+    """
+    key = study.code.get(file, ())
+    path = study.file(file, key)
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"bo_sysid_user_{path.stem}_{digest}", path)
     if spec is None or spec.loader is None:
-        raise StudyError(f"{path}: not a Python file")
+        raise study.error(key, f"{file} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
-        raise StudyError(f"{path}: {type(error).__name__} when it was run: {error}") from error
+    except UserError:
+        raise
+    except Exception as error:  # whatever it is, it is for the file's author
+        raise study.error(key, f"{file} fails: {type(error).__name__}: {error}") from error
     return module
 
 

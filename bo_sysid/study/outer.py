@@ -1,7 +1,7 @@
 """The sections of a study file about diagnosis, learning, comparison and plants (DESIGN.md)."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -43,7 +43,7 @@ class Limit(Section):
     """Highest torque or force, in N m or N."""
 
     @model_validator(mode="after")
-    def _extent(self) -> Self:
+    def _extent(self) -> "Limit":
         if self.position is not None and not self.position[0] < self.position[1]:
             low, high = self.position
             raise ValueError(f"position: {low:g} must be below {high:g}")
@@ -61,7 +61,7 @@ class Task(Section):
     """Name of the class in `file`."""
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _one(self) -> "Task":
         if (self.dm_control is None) == (self.file is None):
             raise ValueError("needs either dm_control or file with class")
         if (self.file is None) != (self.class_name is None):
@@ -133,7 +133,7 @@ class Execution(Section):
     """Address of the Ray cluster; auto finds a running one."""
 
     @model_validator(mode="after")
-    def _ray(self) -> Self:
+    def _ray(self) -> "Execution":
         if self.address is not None and self.engine != "ray":
             raise ValueError("address needs engine: ray")
         return self

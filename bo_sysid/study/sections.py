@@ -1,9 +1,9 @@
 """The sections of a study file about the model, the recordings and the search (DESIGN.md)."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, PlainSerializer, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from bo_sysid.study.base import (
     CodePath,
@@ -38,39 +38,51 @@ class ModelSource(Section):
     """The model of a task of the dm_control suite."""
     menagerie: Name | None = None
     """Name of a robot in $BO_SYSID_MENAGERIE."""
-    base: Literal["model", "fixed"] = "model"
-    """model: the base moves as the MJCF says; fixed: a floating base is held."""
+    base: Literal["free", "fixed"] = "free"
+    """fixed: a floating base is held where the file puts it."""
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _one(self) -> "ModelSource":
         _exactly_one(self, "file", "dm_control", "menagerie")
         return self
 
 
 class Column(Section):
-    """How a channel is read from a column of the log."""
+    """How a channel is read: sign · unwrap(scale · factor(unit) · column) + offset."""
 
     source: Annotated[Name | None, Field(alias="from")] = None
     """Name of the column in the log; the channel's own name where left out."""
-    unit: str | None = None
-    """Unit in the log (deg, mm, ms, …); converted to the model's."""
-    sign: Literal[-1, 1] = 1
+    unit: Name | None = None
+    """Unit in the log (deg, mm, ms, …); SI, or what the file says, where left out."""
+    sign: Literal[1, -1] = 1
     """-1 turns the direction round."""
     scale: Real = 1.0
-    """Factor on the values of the log, after the unit."""
+    """Factor beside the unit's own; for encoder ticks the SI value of one tick."""
     offset: Real = 0.0
-    """Added to the values after unit, sign and scale, in the model's unit."""
-    unwrap: bool = False
-    """Remove jumps of a full turn."""
+    """Added last, in SI units."""
+    unwrap: bool | Positive = False
+    """true for an angle that jumps by a turn, or the size of the jump in SI units."""
+    hold: Literal["none", "zero"] | None = None
+    """zero: a value applies until the next stamp; none: it was measured at the stamp."""
+    clock: Name | None = None
+    """Name of the column with the time stamps, in s."""
+    missing: Literal["error", "skip"] = "error"
+    """skip: an empty cell holds no new sample."""
 
 
 class Clock(Section):
     """The time stamps of a kind of channel, or of one channel."""
 
-    source: Annotated[Name, Field(alias="from")] = "time"
+    source: Annotated[Name, Field(alias="from")]
     """Name of the column with the time stamps."""
+    unit: Name = "s"
+    """Unit of that column."""
     hold: Literal["none", "zero"] | None = None
     """zero: a value applies until the next stamp; none: it was measured at the stamp."""
+
+
+def _short(value: Any) -> Any:
+    return {"from": value} if isinstance(value, str) else value
 
 
 class Recordings(Section):
@@ -79,28 +91,26 @@ class Recordings(Section):
     train: Paths | None = None
     """Files (globs) that the model is fitted to."""
     holdout: Paths | None = None
-    """Files (globs) that are read only after the answer is frozen."""
+    """Files (globs) read only after the answer is frozen; the last quarter by time otherwise."""
     dataset: Name | None = None
     """A public dataset with its default split, instead of files."""
-    columns: Mapping[str, Column] = {}
+    columns: Mapping[
+        str, Annotated[Column, BeforeValidator(_short, json_schema_input_type=str | Column)]
+    ] = {}
     """How channels are read, where names, units or signs differ from the convention."""
-    clocks: Mapping[str, Clock] = {}
+    clocks: Mapping[
+        str, Annotated[Clock, BeforeValidator(_short, json_schema_input_type=str | Clock)]
+    ] = {}
     """Time stamps by kind of channel (qpos, ctrl, …) or by channel."""
     noise: Mapping[str, Positive] = {}
     """Standard deviation by kind of channel or by channel, in its unit; estimated otherwise."""
 
-    @field_validator("columns", mode="before")
-    @classmethod
-    def _short_columns(cls, value: Any) -> Any:
-        if not isinstance(value, Mapping):
-            return value
-        return {k: {"from": v} if isinstance(v, str) else v for k, v in value.items()}
-
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _one(self) -> "Recordings":
         _exactly_one(self, "train", "dataset")
-        if self.dataset is not None and self.holdout is not None:
-            raise ValueError("dataset brings its own holdout; leave holdout out")
+        own = [k for k in ("holdout", "columns", "clocks") if getattr(self, k)]
+        if self.dataset is not None and own:
+            raise ValueError(f"dataset brings its own {own[0]}; leave {own[0]} out")
         return self
 
 
@@ -128,15 +138,17 @@ class ParameterEntry(Section):
     """set writes the value, scale multiplies the model's own, add adds to it."""
     each: bool = False
     """One parameter per match of the address; else the matches are tied."""
-    steps: Annotated[Count, Field(ge=2)] = 11
-    """Number of grid values from low to high."""
+    steps: Count = 11
+    """Number of grid values from low to high, at least 2."""
     unit: str = ""
     """Unit of the value."""
 
     @model_validator(mode="after")
-    def _extent(self) -> Self:
+    def _extent(self) -> "ParameterEntry":
         if not self.low < self.high:
             raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+        if self.steps < 2:
+            raise ValueError(f"steps is {self.steps}; at least 2")
         return self
 
 

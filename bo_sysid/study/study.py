@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationError
 
@@ -33,8 +33,7 @@ from bo_sysid.study.sections import (
 from bo_sysid.study.source import KeyPath, Source
 
 if TYPE_CHECKING:
-    import mujoco
-
+    from bo_sysid.mjcf import Model
     from bo_sysid.parameters import Parameter
 
 
@@ -92,7 +91,7 @@ class Study(Section):
         overrides: Mapping[str, Any] | None = None,
         *,
         trust_code: bool = False,
-    ) -> Self:
+    ) -> "Study":
         """Read a study file.
 
         Args:
@@ -111,7 +110,7 @@ class Study(Section):
     @classmethod
     def from_dict(
         cls, data: Mapping[str, Any], folder: str | Path = ".", *, trust_code: bool = False
-    ) -> Self:
+    ) -> "Study":
         """Make a study from a mapping as in a study file; paths are relative to `folder`.
 
         Raises:
@@ -120,7 +119,7 @@ class Study(Section):
         return cls._make(Source("study", dict(data)), Path(folder), "study", trust_code)
 
     @classmethod
-    def _make(cls, source: Source, folder: Path, name: str, trust_code: bool) -> Self:
+    def _make(cls, source: Source, folder: Path, name: str, trust_code: bool) -> "Study":
         try:
             study = cls.model_validate({"name": name, **source.data})
         except ValidationError as error:
@@ -171,7 +170,7 @@ class Study(Section):
             raise self.error(key, f"no file {path!r} in {self._folder}; {_near(full)}")
         return full
 
-    def parameter_set(self, model: "mujoco.MjModel") -> "tuple[Parameter, ...]":
+    def parameter_set(self, model: "Model") -> "tuple[Parameter, ...]":
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
@@ -286,23 +285,27 @@ class Study(Section):
             if suite is not None:
                 yield "plant", (section, "dm_control"), f"{suite.domain}-{suite.task}"
 
-    def _code(self) -> Iterator[tuple[KeyPath, str]]:
+    @property
+    def code(self) -> dict[str, KeyPath]:
+        """The Python files that the study names, each with the key that names it."""
+        found: dict[str, KeyPath] = {}
         for name, actuator in self.actuators.items():
-            yield ("actuators", name, "law"), actuator.law
+            found[actuator.law.rpartition(":")[0]] = ("actuators", name, "law")
         for i, file in enumerate(self.diagnosis.effect_files):
-            yield ("diagnosis", "effect_files", i), file
+            found[file] = ("diagnosis", "effect_files", i)
         if self.task is not None and self.task.file is not None:
-            yield ("task", "file"), self.task.file
+            found[self.task.file] = ("task", "file")
+        return found
 
     def _check_code(self, trusted: bool) -> None:
-        for key, reference in self._code():
+        for file, key in self.code.items():
             if not trusted:
                 raise self.error(
                     key,
-                    f"names Python code ({reference}), which runs only with --trust-code "
+                    f"names Python code ({file}), which runs only with --trust-code "
                     "(trust_code=True in Python): read it first",
                 )
-            self.file(reference.split(":")[0], key)
+            self.file(file, key)
 
     def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
         found: dict[Path, None] = {}

@@ -1,0 +1,328 @@
+"""Studies: every key of the file, its defaults, its paths and what it names."""
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from bo_sysid.errors import StudyError
+from bo_sysid.recording.columns import ClockRule, ColumnRule
+from bo_sysid.study import Study, schema
+from bo_sysid.study.base import Section
+from bo_sysid.study.inputs import load_function, load_holdout, load_model, load_train
+from bo_sysid.study.sections import Clock, Column
+
+STUDIES = sorted((Path(__file__).parents[1] / "studies").rglob("*.yaml"))
+ARM = """
+<mujoco>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0"/>
+      <geom name="upper" type="capsule" size=".02" fromto="0 0 0 0 0 -.3" mass="1"/>
+      <body name="forearm" pos="0 0 -.3">
+        <joint name="elbow" axis="0 1 0"/>
+        <geom name="forearm" type="capsule" size=".02" fromto="0 0 0 0 0 -.3" mass=".6"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="elbow" joint="elbow"/></actuator>
+</mujoco>
+"""
+# every key that a study can have
+FULL = """
+version: 1
+name: two-link arm with something missing
+model: models/arm.xml
+recordings:
+  train: [data/arm-*.csv]
+  holdout: [data/check.csv]
+  columns:
+    qpos.elbow: {from: theta2, unit: deg, sign: -1, unwrap: true}
+    aux.voltage: {from: bus_voltage, unit: V}
+  clocks: {ctrl: {from: t_command, hold: zero}}
+  noise: {qpos: 0.001}
+actuators:
+  elbow: {law: servo.py:duty, uses: [aux.voltage, goal.elbow]}
+parameters:
+  - {name: forearm mass, address: "geom[forearm].mass", apply: set, low: 0.4, high: 0.8, steps: 21,
+     unit: kg}
+  - {address: "joint[*].armature", each: true, low: 0, high: 0.05}
+deviation: {horizon: 1, starts: measured, whiten: auto}
+search: {candidates: grid, acquisition: argmin-entropy, budget: 60, stop: {entropy: 0.01, last: 5},
+         seed: 0, refine: true}
+diagnosis: {effects: all, exclude: [], known: ["body[base].mass"], most: 3, effect_files: []}
+limits: {elbow: {position: [-2, 2], velocity: 4, effort: 8}}
+task: {dm_control: {domain: cheetah, task: run}}
+policy: {algorithm: trpo, batch: 20000}
+learn: {choose: sample, stop: seed, epsilon: 0.05, r: 0.05, trajectories: 10, diagnose: auto}
+compare: {arms: [random, {acquisition: argmin-entropy, stop: zhu}], seeds: 30}
+execution: {engine: local}
+plant: {parameters: {torso mass: 1.07},
+        effects: [{effect: dry_friction, kind: joint, site: bshin, value: 1.0}],
+        noise: {qpos: 0.001}, timestep: 0.00125}
+"""
+LOG = "time,theta2,bus_voltage,t_command,ctrl.elbow\n" + "".join(
+    f"{k / 100},{k},12,{k / 100 - 0.002},{k % 3}\n" for k in range(40)
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with the study above and everything that it names."""
+    files = {
+        "arm.yaml": FULL,
+        "models/arm.xml": ARM,
+        "servo.py": "def duty(inputs):\n    return inputs\n",
+        "data/arm-1.csv": LOG,
+        "data/arm-2.csv": LOG,
+        "data/check.csv": LOG,
+    }
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    return tmp_path
+
+
+def load(folder: Path, **overrides: object) -> Study:
+    changes = {key.replace("__", "."): value for key, value in overrides.items()}
+    return Study.load(folder / "arm.yaml", changes, trust_code=True)
+
+
+def minimal(folder: Path, **keys: object) -> Study:
+    data = {"model": "models/arm.xml", "recordings": {"train": "data/arm-*.csv"}}
+    return Study.from_dict({**data, **keys}, folder)
+
+
+def test_every_key_is_read(folder: Path) -> None:
+    study = load(folder)
+    assert study.model.file == "models/arm.xml"
+    assert study.recordings.columns["qpos.elbow"].source == "theta2"
+    assert study.recordings.columns["qpos.elbow"].sign == -1
+    assert study.recordings.clocks["ctrl"].hold == "zero"
+    assert study.actuators["elbow"].uses == ("aux.voltage", "goal.elbow")
+    assert study.parameters[0].steps == 21
+    assert study.parameters[1].each
+    assert study.search.candidates.sobol is None
+    assert study.limits["elbow"].position == (-2, 2)
+    assert study.task is not None
+    assert study.task.dm_control is not None
+    assert study.task.dm_control.domain == "cheetah"
+    assert [a.acquisition for a in study.compare.arms] == ["random", "argmin-entropy"]
+    assert study.plant is not None
+    assert study.plant.effects[0].site == "bshin"
+    assert study.plant.timestep == 0.00125
+
+
+def test_only_model_and_recordings_are_required(folder: Path) -> None:
+    study = minimal(folder)
+    assert study.search.budget == 60
+    assert study.search.acquisition == "argmin-entropy"
+    assert study.deviation.starts == "measured"
+    assert study.diagnosis.most == 3
+    with pytest.raises(StudyError, match=r"(?s)2 problems.*model: .*required.*recordings: .*requi"):
+        Study.from_dict({})
+
+
+def test_a_study_cannot_be_changed(folder: Path) -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        minimal(folder).name = "other"
+
+
+def test_the_name_is_the_files_where_left_out(folder: Path) -> None:
+    (folder / "short.yaml").write_text("model: models/arm.xml\nrecordings: {dataset: emps}\n")
+    assert Study.load(folder / "short.yaml").name == "short"
+    assert load(folder).name == "two-link arm with something missing"
+
+
+@pytest.mark.parametrize("candidates", ["grid", {"sobol": 2000}])
+def test_resolved_is_a_study_that_resolves_to_itself(folder: Path, candidates: object) -> None:
+    study = load(folder, search__candidates=candidates)
+    resolved = study.resolved()
+    assert resolved["search"]["candidates"] == candidates
+    text = yaml.safe_dump(resolved, sort_keys=False)
+    (folder / "again.yaml").write_text(text)
+    again = Study.load(folder / "again.yaml", trust_code=True)
+    assert again.resolved() == resolved
+    assert again.sha256 == study.sha256
+    assert load(folder, search__candidates=candidates, search__budget=61).sha256 != study.sha256
+    assert json.loads(json.dumps(resolved)) == resolved
+
+
+def test_resolved_for_another_folder_names_the_same_files(folder: Path) -> None:
+    study = load(folder)
+    run = folder / "runs" / "arm-identify"
+    run.mkdir(parents=True)
+    moved = study.resolved(relative_to=run)
+    assert moved["model"]["file"] == "../../models/arm.xml"
+    assert moved["actuators"]["elbow"]["law"] == "../../servo.py:duty"
+    (run / "study.yaml").write_text(yaml.safe_dump(moved))
+    again = Study.load(run / "study.yaml", trust_code=True)
+    resolve = [p.resolve() for p in again.train_files]
+    assert resolve == [p.resolve() for p in study.train_files]
+
+
+def test_globs_are_expanded_in_order(folder: Path) -> None:
+    study = load(folder)
+    assert [p.name for p in study.train_files] == ["arm-1.csv", "arm-2.csv"]
+    assert [p.name for p in study.holdout_files] == ["check.csv"]
+    absolute = str(folder / "data" / "arm-2*.csv")
+    study = minimal(folder, recordings={"train": [absolute, "data/arm-*.csv"]})
+    assert [p.name for p in study.train_files] == ["arm-2.csv", "arm-1.csv"]
+
+
+def test_a_pattern_without_files_names_the_nearest(folder: Path) -> None:
+    study = load(folder, recordings__train=["data/amr-1.csv"])
+    with pytest.raises(StudyError, match=r"'data/amr-1.csv' matches no file.*'arm-1.csv'"):
+        _ = study.train_files
+    study = load(folder, recordings__train=["dat/arm-1.csv"])
+    with pytest.raises(StudyError, match="no dat in"):
+        _ = study.train_files
+
+
+def test_a_file_for_training_and_holdout_is_refused(folder: Path) -> None:
+    study = load(folder, recordings__holdout=["data/*.csv"])
+    with pytest.raises(StudyError, match=r"holdout: arm-1.csv is among the files of train"):
+        _ = study.holdout_files
+
+
+def test_recordings_are_mapped_as_the_study_says(folder: Path) -> None:
+    (train, _), (check,) = load_train(load(folder)), load_holdout(load(folder))
+    assert set(train.channels) == {"qpos.elbow", "aux.voltage", "ctrl.elbow"}
+    assert train.channels["qpos.elbow"].values[10] == pytest.approx(-10 * 3.141592653589793 / 180)
+    assert train.channels["ctrl.elbow"].time[1] == pytest.approx(0.008)
+    assert check.channels["qpos.elbow"].values.size == 40
+
+
+def test_without_holdout_the_last_quarter_is_set_aside(folder: Path) -> None:
+    columns = {"qpos.elbow": "theta2"}
+    study = minimal(folder, recordings={"train": "data/arm-1.csv", "columns": columns})
+    (train,), (holdout,) = load_train(study), load_holdout(study)
+    assert train.channels["qpos.elbow"].time[-1] == pytest.approx(0.29)
+    assert holdout.channels["qpos.elbow"].time[0] == pytest.approx(0.30)
+    assert "0.2925 s" in train.notes[-1]
+    assert holdout.channels["qpos.elbow"].time[-1] == pytest.approx(0.39)
+
+
+def test_the_model_is_loaded(folder: Path) -> None:
+    assert load_model(load(folder)).joints == ("shoulder", "elbow")
+    suite = minimal(folder, model={"dm_control": {"domain": "pendulum", "task": "swingup"}})
+    assert load_model(suite).joints == ("hinge",)
+
+
+def test_parameters_follow_the_model(folder: Path) -> None:
+    study = load(folder)
+    mass, *armatures = study.parameter_set(load_model(study))
+    assert mass.name == "forearm mass"
+    assert mass.addresses == ("geom[forearm].mass",)
+    assert (mass.low, mass.high, mass.steps, mass.unit) == (0.4, 0.8, 21, "kg")
+    assert [p.name for p in armatures] == ["joint[shoulder].armature", "joint[elbow].armature"]
+    tied = minimal(folder, parameters=[{"address": "joint[*].damping", "low": 0, "high": 1}])
+    (damping,) = tied.parameter_set(load_model(tied))
+    assert damping.addresses == ("joint[shoulder].damping", "joint[elbow].damping")
+    assert damping.name == "joint[*].damping"
+
+
+def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
+    entry = {"address": "joint[elbow].damping", "low": 0, "high": 1}
+    study = minimal(folder, parameters=[entry, entry])
+    with pytest.raises(StudyError, match=r"parameters\.1: there is another parameter 'joint\[elb"):
+        study.parameter_set(load_model(study))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("actuators", {"elbow": {"law": "servo.py:duty"}}),
+        ("diagnosis", {"effect_files": ["servo.py"]}),
+        ("task", {"file": "servo.py", "class": "Reach"}),
+    ],
+)
+def test_code_runs_only_where_it_is_trusted(folder: Path, key: str, value: object) -> None:
+    with pytest.raises(StudyError, match=rf"{key}.*servo\.py.*--trust-code"):
+        minimal(folder, **{key: value})
+
+
+def test_code_is_loaded_by_name(folder: Path) -> None:
+    study = load(folder)
+    assert load_function(study, "servo.py:duty")(3) == 3
+    with pytest.raises(StudyError, match=r"law: servo.py has no function 'dutty'; did you mean 'd"):
+        load_function(study, "servo.py:dutty")
+    (folder / "servo.py").write_text("1 / 0\n")
+    with pytest.raises(StudyError, match=r"law: servo.py fails: ZeroDivisionError: division"):
+        load_function(study, "servo.py:duty")
+
+
+def test_names_are_checked_against_registries(folder: Path) -> None:
+    study = load(folder)
+    study.check_names()
+    study.check_names(acquisitions=["random", "argmin-entropy"], plants=["cheetah-run"])
+    with pytest.raises(StudyError, match=r"arms\.0\.acquisition: unknown acquisition 'random'"):
+        study.check_names(acquisitions=["argmin-entropy"])
+    with pytest.raises(StudyError, match=r"unknown effect 'dry_friction'; did you mean 'friction'"):
+        study.check_names(effects=["friction"])
+    with pytest.raises(StudyError, match=r"stop: unknown stop rule 'zhu'"):
+        study.check_names(stops=["seed"])
+    with pytest.raises(StudyError, match=r"task\.dm_control: unknown plant 'cheetah-run'"):
+        study.check_names(plants=["hopper-hop"])
+
+
+def test_columns_and_clocks_have_the_keys_of_the_rules() -> None:
+    assert set(Column.model_fields) == set(ColumnRule.__dataclass_fields__)
+    assert set(Clock.model_fields) == set(ClockRule.__dataclass_fields__)
+    defaults = {n: f.default for n, f in Column.model_fields.items()}
+    assert defaults == {n: f.default for n, f in ColumnRule.__dataclass_fields__.items()}
+
+
+class TestSchema:
+    full = schema(
+        acquisitions=["argmin-entropy", "random"],
+        choices=["sample"],
+        stops=["seed", "zhu"],
+        effects=["dry_friction"],
+        datasets=["emps"],
+    )
+
+    def test_is_a_schema(self) -> None:
+        jsonschema.Draft202012Validator.check_schema(self.full)
+
+    @pytest.mark.parametrize("path", STUDIES, ids=lambda p: p.stem)
+    def test_takes_every_study_of_the_project(self, path: Path) -> None:
+        jsonschema.validate(yaml.safe_load(path.read_text()), schema())
+
+    def test_takes_the_full_study_and_what_it_resolves_to(self, folder: Path) -> None:
+        jsonschema.validate(yaml.safe_load(FULL), self.full)
+        jsonschema.validate(load(folder).resolved(), self.full)
+
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [
+            ("search", {"budgett": 3}),
+            ("search", {"budget": 0}),
+            ("search", {"acquisition": "argmin-entropi"}),
+            ("search", {"candidates": "gird"}),
+            ("parameters", [{"address": "joint[*].damping", "low": 0}]),
+            ("learn", {"stop": "sed"}),
+            ("recordings", {"dataset": "emsp"}),
+            ("modle", "arm.xml"),
+        ],
+    )
+    def test_rejects_a_typo(self, key: str, value: object) -> None:
+        study = {"model": "arm.xml", "recordings": {"dataset": "emps"}}
+        jsonschema.validate(study, self.full)
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate({**study, key: value}, self.full)
+
+    def test_lets_effects_of_ones_own_pass(self) -> None:
+        study = {"model": "arm.xml", "recordings": {"dataset": "emps"}}
+        jsonschema.validate({**study, "diagnosis": {"exclude": ["sticky_grease"]}}, self.full)
+        choices = self.full["$defs"]["Diagnosis"]["properties"]["exclude"]["items"]["anyOf"]
+        assert choices[0] == {"enum": ["dry_friction"]}
+
+    def test_describes_every_key(self) -> None:
+        sections = [Section]
+        for section in sections:
+            sections += section.__subclasses__()
+            for name, field in section.model_fields.items():
+                assert field.description, f"{section.__name__}.{name}"
