@@ -4,12 +4,14 @@ Only this package and `effects` change an `MjSpec`. A `Model` hands out copies; 
 one in place; `Address` names a number in it.
 """
 
-from bo_sysid.mjcf.address import Address, address_edit, parameter_edits
+from bo_sysid.mjcf.address import Address
+from bo_sysid.mjcf.edits import AddressEdit, address_edit, parameter_edits
 from bo_sysid.mjcf.inertia import Inertial, inertial, make_explicit, scale_mass
 from bo_sysid.mjcf.model import Edit, Model
 
 __all__ = [
     "Address",
+    "AddressEdit",
     "Edit",
     "Inertial",
     "Model",

@@ -84,7 +84,7 @@ def _copy_assets(spec: mujoco.MjSpec, folder: Path, source: str) -> None:
     for element, directory in _with_files(spec):
         if element.file:
             element.file = _copy(spec, directory, element.file, folder, copies, source)
-        cubes = getattr(element, "cubefiles", ())
+        cubes: Any = getattr(element, "cubefiles", ())
         for side, file in enumerate(cubes):
             if file:
                 cubes[side] = _copy(spec, directory, file, folder, copies, source)

@@ -144,6 +144,8 @@ def hold_base(spec: mujoco.MjSpec, source: str) -> None:
     robots = [j for j in free if len(j.parent.find_all("joint")) > 1]
     if not free:
         return
+    compile_spec(spec, source)
+    name_elements(spec)
     before = compile_spec(spec, source)
     for joint in robots or free:
         spec.delete(joint)

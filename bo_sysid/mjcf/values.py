@@ -1,5 +1,6 @@
 """Read a number from a compiled model, and write one into a spec."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -10,6 +11,49 @@ from bo_sysid.mjcf.attributes import Attribute
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.inertia import inertial, make_explicit, mass_key, scale_mass
 from bo_sysid.mjcf.strip import stripped
+
+
+@dataclass(frozen=True)
+class Target:
+    """One number of one model.
+
+    Attributes:
+        address: its concrete address.
+        kind: kind of element.
+        element: name of the element; empty for "option".
+        name: MJCF name of the attribute.
+        attribute: where spec and model keep it.
+        index: component, 0 for a single number.
+        nominal: the model's own value.
+        mass_key: for a body's mass, what in the spec it is made of.
+    """
+
+    address: str
+    kind: str
+    element: str
+    name: str
+    attribute: Attribute
+    index: int
+    nominal: float
+    mass_key: tuple[object, ...] = ()
+
+    @property
+    def moves_mass(self) -> bool:
+        """Whether masses or inertias depend on it."""
+        return (self.kind, self.name) in _MASS
+
+    @property
+    def stage(self) -> int:
+        """Shapes and densities come first, then a body's mass, then its inertia."""
+        if self.kind != "body":
+            return 0
+        return {"mass": 1, "inertia": 2, "ipos": 2}.get(self.name, 0)
+
+
+_MASS = {
+    *(("geom", name) for name in ("mass", "density", "size", "pos")),
+    *(("body", name) for name in ("mass", "inertia", "ipos")),
+}
 
 
 def compiled_vector(
@@ -55,58 +99,35 @@ def geom_mass(spec: mujoco.MjSpec, name: str) -> float:
     return float(compile_spec(alone, f"geom {name!r}").body(body.name).mass[0])
 
 
-def write_value(
-    spec: mujoco.MjSpec,
-    nominal: mujoco.MjModel,
-    kind: str,
-    element: str,
-    name: str,
-    attribute: Attribute,
-    index: int,
-    value: float,
-) -> None:
+def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, value: float) -> None:
     """Write one number into a spec, in place.
 
     Args:
         spec: the spec to change.
-        nominal: the unedited model as compiled: what MuJoCo derives itself (the length of a
+        nominal: the unedited spec as compiled: what MuJoCo derives itself (the length of a
             `fromto`, a spring's rest length) is taken from it before one component is changed.
-        kind: kind of element, or "option".
-        element: its name.
-        name: MJCF name of the attribute.
-        attribute: where it is kept.
-        index: component; 0 for a single number.
+        target: the number.
         value: in the compiled model's units.
     """
+    kind, name, attribute = target.kind, target.name, target.attribute
+    if (kind, name) == ("body", "mass"):
+        untouched = mass_key(spec, target.element) == target.mass_key
+        source = nominal.body(target.element) if untouched else inertial(spec, target.element)
+        scale_mass(spec, target.element, value / float(np.squeeze(source.mass)))
+        return
     if kind == "option":
-        target = spec.option
+        element = spec.option
     elif kind == "body" and name in ("inertia", "ipos"):
-        target = make_explicit(spec, element)
+        element = make_explicit(spec, target.element)
     else:
-        target = getattr(spec, kind)(element)
-        _settle(target, nominal, kind, element, name, attribute, index)
+        element = getattr(spec, kind)(target.element)
+        _settle(element, nominal, target)
     if name in ("kp", "kv"):
-        _write_servo(target, name, value)
+        _write_servo(element, name, value)
     elif attribute.size == 0:
-        setattr(target, attribute.spec, _authored(target, attribute, value))
+        setattr(element, attribute.spec, _authored(element, attribute, value))
     else:
-        getattr(target, attribute.spec)[index] = _authored(target, attribute, value)
-
-
-def write_body_mass(
-    spec: mujoco.MjSpec, body: str, value: float, nominal: float, key: tuple[object, ...]
-) -> None:
-    """Give a body a mass, inertia in proportion.
-
-    Args:
-        spec: the spec to change.
-        body: name of the body.
-        value: the mass wanted, kg.
-        nominal: its mass in the unedited spec, kg.
-        key: `mass_key` of the unedited spec: whether an earlier edit changed the mass.
-    """
-    present = nominal if mass_key(spec, body) == key else inertial(spec, body).mass
-    scale_mass(spec, body, value / present)
+        getattr(element, attribute.spec)[target.index] = _authored(element, attribute, value)
 
 
 def _authored(target: Any, attribute: Attribute, value: float) -> float:
@@ -127,32 +148,26 @@ def _write_servo(actuator: mujoco.MjsActuator, name: str, value: float) -> None:
     actuator.biasprm[2] = -value
 
 
-def _settle(
-    target: Any,
-    nominal: mujoco.MjModel,
-    kind: str,
-    element: str,
-    name: str,
-    attribute: Attribute,
-    index: int,
-) -> None:
+def _settle(element: Any, nominal: mujoco.MjModel, target: Target) -> None:
     """Replace what MuJoCo would derive, and so overrule the new value, by what it derived."""
-    if kind in ("geom", "site") and not np.isnan(target.fromto[0]):
-        if name == "pos" or (name == "size" and index > 0):
-            compiled = getattr(nominal, kind)(element)
-            first = target.size[0]
-            target.size, target.pos, target.quat = compiled.size, compiled.pos, compiled.quat
-            target.size[0] = first
-            target.fromto[0] = np.nan
-    elif kind == "joint" and name in ("damping", "stiffness") and np.any(target.springdamper > 0):
-        joint = nominal.joint(element)
-        target.damping[0], target.stiffness[0] = joint.damping[0], joint.stiffness[0]
-        target.springdamper = np.zeros(2)
-    elif kind == "actuator" and name in ("ctrlrange", "actrange") and target.inheritrange > 0:
-        setattr(target, name, compiled_vector(nominal, kind, element, attribute))
-        target.inheritrange = 0
+    kind, name, attribute = target.kind, target.name, target.attribute
+    if kind in ("geom", "site") and name in ("pos", "size"):
+        if not np.isnan(element.fromto[0]) and (name == "pos" or target.index > 0):
+            compiled = getattr(nominal, kind)(target.element)
+            first = element.size[0]
+            element.size, element.pos, element.quat = compiled.size, compiled.pos, compiled.quat
+            element.size[0] = first
+            element.fromto[0] = np.nan
+    elif kind == "joint" and name in ("damping", "stiffness") and np.any(element.springdamper > 0):
+        joint = nominal.joint(target.element)
+        element.damping[0], element.stiffness[0] = joint.damping[0], joint.stiffness[0]
+        element.springdamper = np.zeros(2)
+    elif kind == "actuator" and name in ("ctrlrange", "actrange") and element.inheritrange > 0:
+        setattr(element, name, compiled_vector(nominal, kind, target.element, attribute))
+        element.inheritrange = 0
     elif attribute.size > 0 and attribute.compiled:
-        field = getattr(target, attribute.spec)
-        unset = np.isnan(field) | ((field == -1) if name == "springlength" else False)
-        if np.any(unset):
-            setattr(target, attribute.spec, compiled_vector(nominal, kind, element, attribute))
+        field = getattr(element, attribute.spec)
+        derived = field == -1 if name == "springlength" else np.isnan(field)
+        if np.any(derived):
+            vector = compiled_vector(nominal, kind, target.element, attribute)
+            setattr(element, attribute.spec, vector)

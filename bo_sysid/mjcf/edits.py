@@ -1,0 +1,118 @@
+"""Edits that write values to addresses."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import ModelError, nearest
+from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.model import Model
+from bo_sysid.mjcf.values import Target, write_value
+
+Apply = Literal["set", "scale", "add"]
+
+
+@dataclass(frozen=True)
+class AddressEdit:
+    """Writes values to addresses of the model that it was made for.
+
+    Attributes:
+        text: what it does, for messages.
+        writes: each number with its new value; one that is its own is not written, so that an
+            edit without a change leaves the compiled model the same to the last bit.
+        model: the model.
+    """
+
+    text: str
+    writes: tuple[tuple[Target, float], ...]
+    model: Model
+
+    @property
+    def moves_mass(self) -> bool:
+        """Whether masses or inertias may change."""
+        return any(target.moves_mass for target, _ in self.writes)
+
+    @property
+    def stage(self) -> int:
+        """When to apply it among other edits: see `parameter_edits`."""
+        return max((target.stage for target, _ in self.writes), default=0)
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        """Apply it to a copy of the model's spec, in place."""
+        for target, value in self.writes:
+            write_value(spec, self.model._forms.base_model, target, value)
+
+    def __str__(self) -> str:
+        return self.text
+
+
+class ParameterLike(Protocol):
+    """What `parameter_edits` needs to know of a parameter."""
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """Addresses that share the value."""
+
+    @property
+    def apply(self) -> Apply:
+        """How the value is applied."""
+
+
+def address_edit(
+    model: Model, addresses: Sequence[str], value: float, apply: Apply = "set"
+) -> AddressEdit:
+    """Return the edit that gives tied addresses one value.
+
+    Args:
+        model: the model to be edited.
+        addresses: addresses, with or without wildcards.
+        value: the value, in the units of the compiled model (angles in rad).
+        apply: "set" writes it, "scale" multiplies each number's own by it, "add" adds it.
+
+    Raises:
+        ModelError: an address matches nothing, or the value is not finite.
+    """
+    text = f"{', '.join(addresses)} {apply} {value:g}"
+    if not np.isfinite(value):
+        raise ModelError(f"{model.source}: {text}: the value must be finite")
+    if apply not in ("set", "scale", "add"):
+        raise ModelError(f"{model.source}: {text}: {nearest(apply, ('set', 'scale', 'add'))}")
+    targets = [target for address in addresses for target in resolve(model, address)]
+    writes = [(target, _applied(target.nominal, value, apply)) for target in targets]
+    return AddressEdit(text, tuple(w for w in writes if w[1] != w[0].nominal), model)
+
+
+def _applied(own: float, value: float, apply: Apply) -> float:
+    if apply == "scale":
+        return own * value
+    return own + value if apply == "add" else float(value)
+
+
+def parameter_edits(
+    model: Model, parameters: Sequence[ParameterLike], values: Iterable[float]
+) -> list[AddressEdit]:
+    """Return the edits that give each parameter its value.
+
+    Shapes and densities come first, then masses of bodies, then inertias, so that a body's mass
+    is what was asked for whatever its geoms' sizes became.
+
+    Args:
+        model: the model to be edited.
+        parameters: d parameters with `addresses` and `apply`.
+        values: d values.
+
+    Raises:
+        ModelError: an address matches nothing, or two parameters share one.
+    """
+    owner: dict[tuple[str, str, str, int], int] = {}
+    edits = []
+    for i, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
+        for address in parameter.addresses:
+            for t in resolve(model, address):
+                if owner.setdefault((t.kind, t.element, t.name, t.index), i) != i:
+                    raise ModelError(f"{model.source}: two parameters share {t.address}")
+        edits.append(address_edit(model, parameter.addresses, float(value), parameter.apply))
+    return sorted(edits, key=lambda edit: edit.stage)
