@@ -5,13 +5,14 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from bo_sysid.errors import BoSysidError, StudyError
 
@@ -113,6 +114,7 @@ class Outcome:
     error: str | None = None
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Where jobs run: processes of this machine, or later a cluster."""
 
@@ -205,23 +207,40 @@ class _Worker:
 def _work(connection: Connection) -> None:
     """Compute jobs until the other end of the connection is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when it is over
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     while True:
         try:
-            function, job = connection.recv()
+            answer = _answer(*connection.recv())
         except (EOFError, OSError):
             return
-        try:
-            with use_threads(1):
-                answer: tuple[Any, str | None] = (function(job), None)
-        except BoSysidError as error:
-            answer = (None, str(error))
-        except Exception:  # the job is reported as failed, the others go on
-            answer = (None, traceback.format_exc())
+        except Exception:  # the function cannot be imported here
+            answer = None, traceback.format_exc()
         try:
             connection.send(answer)
         except BrokenPipeError:
             return
+        except Exception:  # the result cannot be sent
+            connection.send((None, traceback.format_exc()))
+
+
+def _answer(function: Callable[[Any], Any], job: Any) -> tuple[Any, str | None]:
+    """Return the result of a job, or why it failed."""
+    try:
+        with use_threads(1):
+            return function(job), None
+    except BoSysidError as error:
+        return None, str(error)
+    except Exception:  # the job is reported as failed, the others go on
+        return None, traceback.format_exc()
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent ends, also where that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def map_jobs(

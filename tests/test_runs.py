@@ -1,0 +1,193 @@
+"""Run folders: files are whole or absent, one process writes, the same command goes on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from bo_sysid.errors import RunError, StudyError
+from bo_sysid.runs import FORMAT, Run, atomic, plain, read_frame, read_json, read_record
+
+STUDY = {"name": "arm", "search": {"budget": 60, "seed": 0}}
+
+
+def opened(folder: Path, study: dict[str, object] = STUDY, command: str = "identify") -> Run:
+    return Run.open(folder, study, command, seed=3)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Run]:
+    with opened(tmp_path / "arm-identify") as run:
+        yield run
+
+
+def write_and_raise(path: Path, error: BaseException) -> None:
+    path.write_text("half")
+    raise error
+
+
+def names(folder: Path) -> set[str]:
+    return {p.name for p in folder.iterdir()} - {".lock"}
+
+
+def test_says_what_made_it(tmp_path: Path) -> None:
+    with opened(tmp_path / "run") as run:
+        assert read_record(run.folder)["status"] == "running"
+    record = read_record(tmp_path / "run")
+    assert record["command"] == "identify"
+    assert record["status"] == "finished"
+    assert record["seed"] == 3
+    assert len(record["study_sha256"]) == 64
+    (session,) = record["sessions"]
+    assert session["versions"]["numpy"] == np.__version__
+    assert session["started"] <= session["ended"]
+    assert yaml.safe_load((tmp_path / "run" / "study.yaml").read_text()) == STUDY
+
+
+def test_what_is_written_is_read(run: Run) -> None:
+    frame = pd.DataFrame({"row": [3, 1], "deviation": [0.5, np.nan]})
+    run.write_frame("evaluations.parquet", frame)
+    pd.testing.assert_frame_equal(run.read_frame("evaluations.parquet"), frame)
+    value = {"b": np.arange(2), "a": {"x": np.float64(1.5), "y": (True, None, "é")}}
+    run.write_json("answer.json", value)
+    assert run.read_json("answer.json") == {"b": [0, 1], "a": {"x": 1.5, "y": [True, None, "é"]}}
+    assert list(run.read_json("answer.json")) == ["b", "a"]
+    run.write_text("figures/note.txt", "ü")
+    assert run.path("figures/note.txt").read_text(encoding="utf-8") == "ü"
+    assert run.has("figures/note.txt")
+    assert not run.has("figures/other.txt")
+
+
+@pytest.mark.parametrize("number", [np.nan, float("inf"), np.array([1.0, np.nan])])
+def test_json_takes_only_finite_numbers(run: Run, number: object) -> None:
+    with pytest.raises(ValueError, match=r"answer.json\.holdout\.forecast.* is (nan|inf)"):
+        run.write_json("answer.json", {"holdout": {"forecast": number}})
+    assert not run.has("answer.json")
+
+
+def test_nothing_leaves_the_folder(run: Run) -> None:
+    for name in ("../other.json", str(run.folder.parent / "other.json")):
+        with pytest.raises(RunError, match="leads out of the run folder"):
+            run.write_text(name, "x")
+
+
+def test_a_failed_write_leaves_the_old_file(run: Run) -> None:
+    run.write_text("model.xml", "old")
+    with pytest.raises(RuntimeError), run.writing("model.xml") as path:
+        write_and_raise(path, RuntimeError())
+    assert run.path("model.xml").read_text() == "old"
+    assert names(run.folder) == {"model.xml", "run.json", "study.yaml"}
+
+
+def test_the_ending_is_kept_while_writing(tmp_path: Path) -> None:
+    with atomic(tmp_path / "figure.png") as path:
+        assert path.suffix == ".png"
+        path.write_bytes(b"png")
+    assert [p.name for p in tmp_path.iterdir()] == ["figure.png"]
+
+
+def test_the_same_command_goes_on(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), opened(tmp_path / "run") as run:
+        write_and_raise(run.path("evaluations.txt"), KeyboardInterrupt())
+    assert read_record(tmp_path / "run")["status"] == "interrupted"
+    with opened(tmp_path / "run") as run:
+        assert run.has("evaluations.txt")
+    record = read_record(tmp_path / "run")
+    assert record["status"] == "finished"
+    assert len(record["sessions"]) == 2
+
+
+def test_another_study_is_refused_with_what_differs(tmp_path: Path) -> None:
+    opened(tmp_path / "run").close("finished")
+    other = {"name": "arm", "search": {"budget": 20, "seed": 0}}
+    with pytest.raises(
+        RunError, match=r"(?s)another study; use another --out.*budget: 60 there, 2"
+    ):
+        opened(tmp_path / "run", other)
+    with pytest.raises(RunError, match="holds a run of identify, not diagnose; use another --out"):
+        opened(tmp_path / "run", command="diagnose")
+    opened(tmp_path / "run").close("finished")
+
+
+def test_a_folder_that_is_no_run_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(RunError, match="not a run folder"):
+        opened(tmp_path)
+    assert names(tmp_path) == {"thesis.tex"}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("{", "run.json: damaged, not JSON"),
+        ("{}", "run.json: damaged"),
+        ('{"format": 99, "command": "identify", "status": ""}', f"format 99, .* reads {FORMAT}"),
+    ],
+)
+def test_a_damaged_record_is_reported(tmp_path: Path, content: str, expected: str) -> None:
+    opened(tmp_path / "run").close("finished")
+    (tmp_path / "run" / "run.json").write_text(content)
+    with pytest.raises(RunError, match=expected):
+        opened(tmp_path / "run")
+    with pytest.raises(RunError, match=expected):
+        read_record(tmp_path / "run")
+
+
+def test_damaged_and_missing_files_are_reported(run: Run) -> None:
+    run.write_text("belief.parquet", "no")
+    with pytest.raises(RunError, match=r"belief.parquet: damaged, not Parquet"):
+        read_frame(run.folder, "belief.parquet")
+    with pytest.raises(RunError, match=r"other.json: missing; the run is unfinished or damaged"):
+        read_json(run.folder, "other.json")
+
+
+def test_wrong_input_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(StudyError), opened(tmp_path / "run"):
+        raise StudyError("wrong")
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(StudyError), opened(tmp_path / "run") as run:
+        write_and_raise(run.path("evaluations.txt"), StudyError("wrong"))
+    assert read_record(tmp_path / "run")["status"] == "failed"
+
+
+def test_plain_gives_types_of_json() -> None:
+    assert json.dumps(plain({1: np.int64(2), "x": np.bool_(True)})) == '{"1": 2, "x": true}'
+
+
+WRITER = """
+import sys, time
+from bo_sysid.runs import Run
+run = Run.open(sys.argv[1], {"name": "arm"}, "identify")
+k = 0
+while True:
+    run.write_json("state.json", {"k": [k] * 20_000})
+    if k == 0:
+        print("writing", flush=True)
+    k += 1
+"""
+
+
+def test_a_killed_process_leaves_whole_files_and_no_lock(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    command = [sys.executable, "-c", WRITER, str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)  # noqa: S603
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "writing\n"
+        with pytest.raises(RunError, match=rf"process {process.pid} on .* is writing to this run"):
+            opened(folder, {"name": "arm"})
+    finally:
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+    with opened(folder, {"name": "arm"}) as run:
+        assert len(set(run.read_json("state.json")["k"])) == 1
+        assert names(folder) == {"run.json", "study.yaml", "state.json"}
+        assert len(run.record["sessions"]) == 2
