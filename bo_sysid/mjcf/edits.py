@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -21,8 +21,7 @@ class AddressEdit:
 
     Attributes:
         text: what it does, for messages.
-        writes: each number with its new value; one that is its own is not written, so that an
-            edit without a change leaves the compiled model the same to the last bit.
+        writes: each number with its new value.
         model: the model.
     """
 
@@ -49,6 +48,7 @@ class AddressEdit:
         return self.text
 
 
+@runtime_checkable
 class ParameterLike(Protocol):
     """What `parameter_edits` needs to know of a parameter."""
 
@@ -82,7 +82,7 @@ def address_edit(
         raise ModelError(f"{model.source}: {text}: {nearest(apply, ('set', 'scale', 'add'))}")
     targets = [target for address in addresses for target in resolve(model, address)]
     writes = [(target, _applied(target.nominal, value, apply)) for target in targets]
-    return AddressEdit(text, tuple(w for w in writes if w[1] != w[0].nominal), model)
+    return AddressEdit(text, tuple(writes), model)
 
 
 def _applied(own: float, value: float, apply: Apply) -> float:

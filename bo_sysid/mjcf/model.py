@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import mujoco
 
@@ -42,7 +42,7 @@ class Forms:
     resolved: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, spec: mujoco.MjSpec, source: str) -> Self:
+    def of(cls, spec: mujoco.MjSpec, source: str) -> "Forms":
         """Return the forms of a spec that was just read.
 
         Raises:
@@ -82,7 +82,7 @@ class Model:
     @classmethod
     def from_file(
         cls, path: str | Path, *, base: Literal["free", "fixed"] = "free", name: str = ""
-    ) -> Self:
+    ) -> "Model":
         """Read an MJCF or URDF file.
 
         Args:
@@ -106,7 +106,7 @@ class Model:
         *,
         name: str = "model",
         assets: Mapping[str, bytes | str] | None = None,
-    ) -> Self:
+    ) -> "Model":
         """Read MJCF text.
 
         Args:
@@ -120,7 +120,7 @@ class Model:
         return cls(name, name, sources.spec_from_text(text, name, assets or {}))
 
     @classmethod
-    def from_dm_control(cls, domain: str, task: str) -> Self:
+    def from_dm_control(cls, domain: str, task: str) -> "Model":
         """Return the MJCF of a dm-control suite task.
 
         The suite registers swimmers with 6 and 15 links; here ("swimmer", "swimmer3") and any
@@ -133,7 +133,7 @@ class Model:
         return cls(f"{domain}-{task}", f"dm_control {domain} {task}", spec)
 
     @classmethod
-    def from_menagerie(cls, robot: str, *, base: Literal["free", "fixed"] = "free") -> Self:
+    def from_menagerie(cls, robot: str, *, base: Literal["free", "fixed"] = "free") -> "Model":
         """Read a robot from the MuJoCo Menagerie under `$BO_SYSID_MENAGERIE`.
 
         Args:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -34,6 +34,7 @@ class Prediction:
     diverged: Bool[np.ndarray, " W"]
 
 
+@runtime_checkable
 class Simulator(Protocol):
     """Anything that predicts what candidates would have done."""
 

@@ -187,7 +187,7 @@ def _cut_one(
     fraction = instants / dt - step
     fraction[np.abs(fraction) < _ON_STEP] = 0.0
     steps = int((step + (fraction > 0)).max())
-    ctrl = _controls(model, recording, time[first], steps, dt, controlled)
+    ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
     return Windows(
         start,
@@ -231,7 +231,7 @@ def _merged(
 
 def _without_gaps(
     name: str, time: np.ndarray, first: Int[np.ndarray, " W"], horizon: int
-) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
+) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
     length = time[first + horizon] - time[first]
     whole = length <= _GAP * np.median(length)
     lost = int((~whole).sum())
@@ -241,6 +241,7 @@ def _without_gaps(
 
 def _controls(
     model: Model,
+    compiled: mujoco.MjModel,
     recording: Recording,
     start: Float[np.ndarray, " W"],
     steps: int,
@@ -249,9 +250,10 @@ def _controls(
 ) -> Ctrl:
     ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
     for k, name in enumerate(model.ctrl_channels):
+        deaf = not compiled.actuator_gainprm[k].any()  # a bias alone: its control has no effect
         if name in recording.channels:
             ctrl[..., k] = control_steps(recording.channels[name], start, steps, dt)
-        elif name.removeprefix("ctrl.") not in controlled:
+        elif not deaf and name.removeprefix("ctrl.") not in controlled:
             _require(recording, [name], "control")
     return ctrl
 

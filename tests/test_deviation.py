@@ -1,0 +1,174 @@
+"""The deviation against hand-computed numbers, analytic solutions and known statistics."""
+
+import numpy as np
+import pytest
+import torch
+
+from bo_sysid.deviation import Blocks, Deviation, Whitening, fit_starts
+from bo_sysid.deviation.forecast import fit_error, forecast_error, prediction_error
+from bo_sysid.deviation.measure import PENALTY, correlation_time
+from bo_sysid.deviation.problem import DeviationProblem
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, MujocoSimulator, State, Windows, cut
+from bo_sysid.simulation.analytic import Oscillator
+
+STIFFNESS = Parameter("stiffness", ("joint[x].stiffness",), 1.0, 9.0, 5)
+DAMPING = Parameter("damping", ("joint[x].damping",), 0.0, 0.8, 5)
+TRUTH = np.array([5.0, 0.2])
+
+
+def oscillator_windows(
+    count: int = 30, horizon: int = 4, noise: float = 0.0, velocities: bool = True
+) -> Windows:
+    """Windows of the exact solution at TRUTH, one after the other."""
+    dt, rng = 0.05, np.random.default_rng(0)
+    start = State(rng.normal(size=(count, 1)), rng.normal(size=(count, 1)), np.zeros((count, 0)))
+    channels = ("qpos.x", "qvel.x") if velocities else ("qpos.x",)
+    step = np.tile(np.arange(1, horizon + 1), (count, 1))
+    empty = Windows(
+        start, np.zeros((count, horizon, 0)), {}, channels,
+        np.zeros((count, horizon, len(channels))), step, np.zeros(step.shape),
+        np.arange(count) * 1.0, np.zeros(count, int), dt,
+    )  # fmt: skip
+    exact = next(iter(Oscillator((STIFFNESS, DAMPING)).predictions(TRUTH[None], empty))).values
+    observed = exact + noise * rng.normal(size=exact.shape)
+    return Windows(
+        start, empty.ctrl, {}, channels, observed, step, empty.fraction, empty.time,
+        empty.recording, dt,
+    )  # fmt: skip
+
+
+def unit(windows: Windows) -> Whitening:
+    return Whitening(windows.channels, np.ones(len(windows.channels)), ("sensor noise",) * 2)
+
+
+def test_deviation_is_the_mean_whitened_norm_of_the_residual() -> None:
+    windows = oscillator_windows(horizon=1)
+    simulator = Oscillator((STIFFNESS, DAMPING))
+    scale = np.array([0.5, 2.0])
+    whitening = Whitening(windows.channels, scale, ("sensor noise",) * 2)
+    other = np.array([[4.0, 0.1], [7.0, 0.6]])
+    got = Deviation(simulator, windows, whitening)(other).deviation
+    for point, value in zip(other, got, strict=True):
+        predicted = next(iter(simulator.predictions(point[None], windows))).values[:, 0]
+        by_hand = [
+            np.hypot((o[0] - p[0]) / 0.5, (o[1] - p[1]) / 2.0)
+            for o, p in zip(windows.observed[:, 0], predicted, strict=True)
+        ]
+        assert value == pytest.approx(np.mean(by_hand), rel=1e-12)
+
+
+def test_deviation_vanishes_at_the_truth_and_only_there() -> None:
+    windows = oscillator_windows()
+    deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, Whitening.of(windows))
+    assert deviation(TRUTH[None]).deviation[0] < 1e-14
+    near = TRUTH + np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.05], [0.0, -0.05]])
+    assert (deviation(near).deviation > 1e-3).all()
+
+
+def test_deviation_keeps_its_scale_as_recordings_grow() -> None:
+    few, many = oscillator_windows(count=200), oscillator_windows(count=2000)
+    values = [
+        Deviation(Oscillator((STIFFNESS, DAMPING)), w, unit(w))(np.array([[4.0, 0.1]])).deviation[0]
+        for w in (few, many)
+    ]
+    assert values[0] == pytest.approx(values[1], rel=0.1)
+
+
+def test_contributions_average_to_the_deviation() -> None:
+    windows = oscillator_windows(count=37)
+    deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, unit(windows))
+    result = deviation(np.array([[4.0, 0.1], [6.0, 0.3]]))
+    blocks = deviation.blocks
+    np.testing.assert_allclose(result.contributions @ blocks.weight, result.deviation)
+    assert blocks.weight.sum() == pytest.approx(1.0)
+
+
+def test_fitted_starts_recover_the_true_starts() -> None:
+    windows = oscillator_windows(horizon=20, velocities=False)
+    wrong = windows.with_start(
+        State(windows.start.qpos + 0.05, windows.start.qvel - 0.3, windows.start.act)
+    )
+    fitted = fit_starts(Oscillator((STIFFNESS, DAMPING)), TRUTH, wrong, np.ones(1))
+    np.testing.assert_allclose(fitted.start.qpos, windows.start.qpos, atol=1e-6)
+    np.testing.assert_allclose(fitted.start.qvel, windows.start.qvel, atol=1e-5)
+
+
+def test_errors_at_the_truth_are_the_noise() -> None:
+    sigma = 0.01
+    windows = oscillator_windows(count=600, horizon=24, noise=sigma, velocities=False)
+    whitening = Whitening(windows.channels, np.array([sigma]), ("sensor noise",))
+    deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, whitening)
+    measured = prediction_error(deviation, TRUTH)["rms"][0]  # starts are exact here
+    assert measured == pytest.approx(sigma, rel=0.02)
+    # 24 instants less 2 fitted numbers: without the correction it would be 4 % lower
+    assert fit_error(deviation, TRUTH)["rms"][0] == pytest.approx(sigma, rel=0.02)
+    # a forecast carries the noise of its start: larger than the noise, and shrinking with the past
+    short = forecast_error(deviation, TRUTH, past=6)["rms"][0]
+    long = forecast_error(deviation, TRUTH, past=18)["rms"][0]
+    assert sigma < long < short
+
+
+def test_a_diverged_window_has_a_finite_penalty() -> None:
+    model = Model.from_xml(
+        "<mujoco><option timestep='0.01'/><worldbody><body><joint name='x' type='slide'/>"
+        "<geom name='g' size='.1' mass='1'/></body></worldbody></mujoco>"
+    )
+    time = np.arange(11) * 0.01
+    recording = Recording.from_arrays(
+        time, qpos={"x": np.sin(time)}, qvel={"x": np.where(time == 0, 1e14, np.cos(time))}
+    )
+    windows = cut(model, [recording], horizon=1)
+    mass = Parameter("mass", ("geom[g].mass",), 0.5, 2.0)
+    deviation = Deviation(MujocoSimulator(model, (mass,), Engine()), windows, Whitening.of(windows))
+    result = deviation(np.array([[1.0]]))
+    assert result.diverged[0] == pytest.approx(0.1)
+    extent = np.ptp(windows.observed[:, 0], axis=0) / deviation.whitening.scale
+    assert deviation.penalty == pytest.approx(PENALTY * np.linalg.norm(extent))
+    assert deviation.penalty / 10 <= result.deviation[0] <= deviation.penalty
+
+
+def test_whitening_takes_known_noise_before_spread() -> None:
+    windows = oscillator_windows()
+    whitening = Whitening.of(windows, {"qpos": 0.003})
+    assert whitening.source == ("sensor noise", "recorded spread")
+    assert whitening.scale[0] == 0.003
+    assert whitening.scale[1] == pytest.approx(windows.observed[..., 1].std())
+
+
+def test_correlation_time_of_a_first_order_process() -> None:
+    phi, rng = 0.8, np.random.default_rng(0)
+    x = np.zeros(100_000)
+    for k in range(1, len(x)):
+        x[k] = phi * x[k - 1] + rng.normal()
+    assert correlation_time(x) == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
+    assert correlation_time(rng.normal(size=10_000)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_blocks_are_longer_than_the_correlation_time_and_know_their_recording() -> None:
+    rng = np.random.default_rng(1)
+    recording = np.repeat(np.arange(5), 200)
+    blocks = Blocks.of(rng.normal(size=1000), recording)
+    assert blocks.session is not None
+    for b in range(len(blocks.weight)):
+        assert set(recording[blocks.index == b]) == {blocks.session[b]}
+    smooth = np.repeat(rng.normal(size=20), 50)
+    assert len(Blocks.of(smooth, np.zeros(1000, int)).weight) == 8
+    assert Blocks.of(smooth, np.zeros(1000, int)).session is None
+
+
+def test_problem_is_the_deviation_in_torch() -> None:
+    windows = oscillator_windows()
+    deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, unit(windows))
+    candidates = CandidateSet.from_grid((STIFFNESS, DAMPING))
+    problem = DeviationProblem(deviation, candidates)
+    assert problem.is_minimization_problem
+    assert problem.candidates.shape == (25, 2)
+    values = problem(problem.candidates.reshape(5, 5, 2))
+    assert values.shape == (5, 5)
+    assert values.dtype == torch.float64
+    np.testing.assert_array_equal(values.ravel(), deviation(candidates.points).deviation)
+    low, high = problem.bounds
+    np.testing.assert_array_equal(torch.stack([low, high]), candidates.bounds)
