@@ -3,14 +3,13 @@
 import fnmatch
 import re
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.attributes import ATTRIBUTES, Attribute, refusal, size_of
-from bo_sysid.mjcf.inertia import mass_key
 from bo_sysid.mjcf.model import Model
 from bo_sysid.mjcf.sources import NAMED_KINDS
-from bo_sysid.mjcf.values import Target, compiled_vector, geom_mass
+from bo_sysid.mjcf.values import Target, compiled_vector, geom_mass, made_of
 
 _FORM = re.compile(
     r"(?P<kind>\w+)(?:\[(?P<pattern>.+)\])?\.(?P<attribute>\w+)(?:\[(?P<index>\d+)\])?"
@@ -37,7 +36,7 @@ class Address:
     index: int | None = None
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> "Address":
         """Read an address as a study writes it.
 
         Raises:
@@ -152,7 +151,7 @@ def _target(model: Model, address: Address, element: str, target: Any) -> Target
     if index is not None and index >= size:
         raise ModelError(f"{where}: index out of range; {name}[0] to {name}[{size - 1}] are valid")
     row = index or 0
-    key = mass_key(model._forms.base, element) if (kind, name) == ("body", "mass") else ()
+    key = made_of(model._forms.base, kind, element, name)
     value = _nominal(model, kind, element, name, attribute, row)
     return Target(str(concrete), kind, element, name, attribute, row, value, key)
 

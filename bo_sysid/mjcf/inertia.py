@@ -103,12 +103,12 @@ def scale_mass(spec: mujoco.MjSpec, body: str, ratio: float) -> None:
 
 
 def mass_key(spec: mujoco.MjSpec, body: str) -> tuple[object, ...]:
-    """Return everything in the spec that a mass or size edit of this body changes."""
+    """Return all that gives the body its mass and inertia: unequal after any edit of them."""
     element = find_body(spec, body)
     if has_inertial(element):
-        return (element.mass,)
+        return (element.mass, *element.inertia, *element.fullinertia[1:], *element.ipos)
     return tuple(
-        (geom.density, None if np.isnan(geom.mass) else geom.mass, tuple(geom.size))
+        (geom.density, None if np.isnan(geom.mass) else geom.mass, *geom.size, *geom.pos)
         for geom in element.geoms
     )
 

@@ -22,7 +22,7 @@ def spec_from_file(path: Path) -> mujoco.MjSpec:
         ModelError: the file is missing or is not a model.
     """
     if not path.is_file():
-        folder = path.parent
+        folder = path if path.is_dir() else path.parent
         there = [p.name for p in folder.iterdir()] if folder.is_dir() else []
         models = [n for n in there if n.lower().endswith((".xml", ".mjcf", ".urdf"))]
         hint = nearest(path.name, models) if models else f"no model file in {folder}"

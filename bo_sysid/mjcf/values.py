@@ -25,7 +25,7 @@ class Target:
         attribute: where spec and model keep it.
         index: component, 0 for a single number.
         nominal: the model's own value.
-        mass_key: for a body's mass, what in the spec it is made of.
+        made_of: what in the unedited spec the value follows from, where other edits change it.
     """
 
     address: str
@@ -35,7 +35,7 @@ class Target:
     attribute: Attribute
     index: int
     nominal: float
-    mass_key: tuple[object, ...] = ()
+    made_of: tuple[object, ...] = ()
 
     @property
     def moves_mass(self) -> bool:
@@ -99,8 +99,20 @@ def geom_mass(spec: mujoco.MjSpec, name: str) -> float:
     return float(compile_spec(alone, f"geom {name!r}").body(body.name).mass[0])
 
 
+def made_of(spec: mujoco.MjSpec, kind: str, element: str, name: str) -> tuple[object, ...]:
+    """Return what in the spec a mass or an inertia follows from; nothing for other numbers."""
+    if kind == "body" and name in ("mass", "inertia", "ipos"):
+        return mass_key(spec, element)
+    if (kind, name) == ("geom", "mass"):
+        return mass_key(spec, spec.geom(element).parent.name)
+    return ()
+
+
 def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, value: float) -> None:
     """Write one number into a spec, in place.
+
+    A number that has the value already is left alone, so that an edit without a change leaves
+    the compiled model the same to the last bit.
 
     Args:
         spec: the spec to change.
@@ -110,8 +122,10 @@ def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, va
         value: in the compiled model's units.
     """
     kind, name, attribute = target.kind, target.name, target.attribute
+    untouched = made_of(spec, kind, target.element, name) == target.made_of
+    if untouched and value == target.nominal:
+        return
     if (kind, name) == ("body", "mass"):
-        untouched = mass_key(spec, target.element) == target.mass_key
         source = nominal.body(target.element) if untouched else inertial(spec, target.element)
         scale_mass(spec, target.element, value / float(np.squeeze(source.mass)))
         return

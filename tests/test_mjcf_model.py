@@ -1,0 +1,333 @@
+"""Models: what is read, how it is named, that stripping and exporting change no physics."""
+
+import os
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.errors import ModelError
+from bo_sysid.mjcf import Model, address_edit
+
+ARM = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="upper"><joint name="shoulder"/>
+      <geom name="rod" size=".05" fromto="0 0 0 .3 0 0" type="capsule"/>
+      <body><joint damping="0.1"/><geom size=".04" fromto="0 0 0 .2 0 0" type="capsule"/></body>
+    </body>
+    <body name="box"><freejoint/><geom type="box" size=".1 .1 .1"/></body>
+    <body name="ball"><joint name="socket" type="ball"/><geom size=".1"/></body>
+  </worldbody>
+  <actuator>
+    <motor joint="shoulder"/>
+    <general name="valve" joint="shoulder" dyntype="filter" dynprm="0.1"/>
+    <motor joint="shoulder" gear="2"/>
+  </actuator>
+  <sensor><jointpos name="angle" joint="shoulder"/><gyro site="s"/></sensor>
+</mujoco>
+""".replace("<freejoint/>", '<freejoint/><site name="s"/>')
+
+FLOATING = """
+<mujoco>
+  <worldbody>
+    <body name="base" pos="0 0 1"><freejoint/><geom size=".1"/>
+      <body name="leg"><joint name="hip"/><geom size=".1" pos="0 0 -.3"/></body>
+    </body>
+    <body name="ball" pos="2 0 0"><freejoint name="ball"/><geom size=".1"/></body>
+  </worldbody>
+  <actuator><position name="hip" joint="hip"/></actuator>
+  <keyframe>
+    <key name="home" qpos="1 2 3 1 0 0 0 .5 4 5 6 1 0 0 0" qvel="1 2 3 4 5 6 .7 0 0 0 0 0 9"
+         ctrl=".3"/>
+  </keyframe>
+</mujoco>
+"""
+
+TETRAHEDRON = """
+v 0 0 0
+v 0.1 0 0
+v 0 0.1 0
+v 0 0 0.1
+f 1 3 2
+f 1 2 4
+f 1 4 3
+f 2 3 4
+"""
+
+MESHES = """
+<mujoco>
+  <compiler meshdir="parts"/>
+  <asset><mesh file="shell.obj"/><mesh name="core" file="shell.obj" scale="2 2 2"/></asset>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <body name="link"><joint name="hinge" axis="0 1 0" damping="0.1"/>
+      <inertial mass="1" pos=".1 0 0" diaginertia=".01 .01 .01"/>
+      <geom name="seen" type="mesh" mesh="shell" contype="0" conaffinity="0"/>
+      <geom name="felt" type="mesh" mesh="core"/>
+    </body>
+    <body name="other" pos="1 0 0"><joint name="other" axis="0 1 0"/>
+      <geom name="weighing" type="mesh" mesh="shell" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def roll_out(model: mujoco.MjModel, steps: int = 300) -> np.ndarray:
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    states = []
+    for _ in range(steps):
+        data.ctrl[:] = rng.uniform(-1, 1, model.nu)
+        mujoco.mj_step(model, data)
+        states.append(np.concatenate([data.qpos, data.qvel]))
+    return np.array(states)
+
+
+SUITE = [("cheetah", "run"), ("hopper", "hop"), ("swimmer", "swimmer6"), ("swimmer", "swimmer3")]
+
+
+@pytest.mark.parametrize(("domain", "task"), SUITE)
+def test_stripped_model_moves_as_the_full_one_to_the_last_bit(domain, task):
+    model = Model.from_dm_control(domain, task)
+    lean, full = model.compile(), model.compile(visuals=True)
+    np.testing.assert_array_equal(roll_out(lean), roll_out(full))
+    assert lean.ntex == lean.ncam == lean.nlight == 0
+    assert full.ntex > 0
+    assert full.ncam > 0
+
+
+def test_unedited_model_moves_as_the_suites_own_to_the_last_bit():
+    from dm_control.mujoco import Physics
+    from dm_control.suite import hopper
+
+    ours = Model.from_dm_control("hopper", "stand").compile()
+    theirs = Physics.from_xml_string(*hopper.get_model_and_assets()).model.ptr
+    np.testing.assert_array_equal(roll_out(ours), roll_out(theirs))
+
+
+@pytest.mark.parametrize(
+    ("domain", "task", "bodies"),
+    [("swimmer", "swimmer3", 3), ("swimmer3", "swim", 3), ("swimmer", "swimmer15", 15)],
+)
+def test_swimmers_of_any_length(domain, task, bodies):
+    assert len(Model.from_dm_control(domain, task).bodies) == bodies + 1
+
+
+def test_tasks_arguments_reach_the_builder():
+    assert len(Model.from_dm_control("cartpole", "balance").joints) == 2
+    assert len(Model.from_dm_control("cartpole", "two_poles").joints) == 3
+
+
+def test_unnamed_elements_get_stable_names():
+    model = Model.from_xml(ARM)
+    assert model.joints == ("shoulder", "joint_1", "joint_2", "socket")
+    assert model.bodies == ("world", "upper", "body_2", "box", "ball")
+    assert model.geoms == ("geom_0", "rod", "geom_2", "geom_3", "geom_4")
+    assert model.actuators == ("actuator_0", "valve", "actuator_2")
+    assert model.sensors == ("angle", "sensor_1")
+    assert model.spec().joint("joint_1").damping[0] == 0.1
+
+
+def test_lone_actuator_is_called_after_its_joint():
+    text = ARM.replace('<motor joint="shoulder" gear="2"/>', "").replace(
+        '<general name="valve" joint="shoulder"', '<general name="valve" joint="joint"'
+    )
+    model = Model.from_xml(text.replace("<joint damping", '<joint name="joint" damping'))
+    assert model.actuators == ("shoulder", "valve")
+
+
+def test_channels_follow_mujocos_order():
+    model = Model.from_xml(ARM)
+    compiled = model.compile()
+    assert model.qpos_channels == (
+        "qpos.shoulder",
+        "qpos.joint_1",
+        *(f"qpos.joint_2.{i}" for i in range(7)),
+        *(f"qpos.socket.{i}" for i in range(4)),
+    )
+    assert model.qvel_channels[2:8] == tuple(f"qvel.joint_2.{i}" for i in range(6))
+    assert len(model.qvel_channels) == compiled.nv
+    assert model.act_channels == ("act.valve",)
+    assert model.ctrl_channels == ("ctrl.actuator_0", "ctrl.valve", "ctrl.actuator_2")
+    assert model.sensor_channels == ("sensor.angle", *(f"sensor.sensor_1.{i}" for i in range(3)))
+
+
+def test_copies_do_not_reach_the_model():
+    model = Model.from_xml(ARM)
+    model.spec().joint("shoulder").damping[0] = 7.0
+    model.compile().dof_damping[:] = 7.0
+    model.compile([lambda spec: spec.joint("shoulder").damping.__setitem__(0, 7.0)])
+    assert model.compile().dof_damping[0] == 0.0
+    with pytest.raises(AttributeError):
+        model.name = "other"  # type: ignore[misc]
+
+
+def test_timestep():
+    model = Model.from_xml(ARM)
+    assert model.compile(timestep=0.003).opt.timestep == 0.003
+    assert model.compile().opt.timestep == 0.002
+    with pytest.raises(ModelError, match="timestep 0 s must be above 0"):
+        model.compile(timestep=0.0)
+
+
+def test_fixed_base_holds_the_robot_and_leaves_objects_free(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text(FLOATING)
+    model = Model.from_file(path, base="fixed")
+    assert model.joints == ("hip", "ball")
+    compiled = model.compile()
+    np.testing.assert_array_equal(compiled.body("base").pos, [0, 0, 1])
+    np.testing.assert_array_equal(compiled.key_qpos[0], [0.5, 4, 5, 6, 1, 0, 0, 0])
+    np.testing.assert_array_equal(compiled.key_qvel[0], [0.7, 0, 0, 0, 0, 0, 9])
+    np.testing.assert_array_equal(compiled.key_ctrl[0], [0.3])
+    assert Model.from_file(path).joints == ("joint_0", "hip", "ball")
+
+
+def test_keyframes_follow_an_edit_that_adds_a_joint():
+    def add(spec: mujoco.MjSpec) -> None:
+        motor = spec.body("leg").add_joint(name="play", ref=0.1)
+        motor.armature = 0.1
+
+    compiled = Model.from_xml(FLOATING).compile([add])
+    expected = [1, 2, 3, 1, 0, 0, 0, 0.5, np.radians(0.1), 4, 5, 6, 1, 0, 0, 0]
+    np.testing.assert_allclose(compiled.key_qpos[0], expected)
+
+
+def test_only_meshes_without_effect_are_stripped(tmp_path):
+    model = Model.from_xml(MESHES, assets={"parts/shell.obj": TETRAHEDRON})
+    lean, full = model.compile(), model.compile(visuals=True)
+    assert model.geoms == ("felt", "weighing")
+    assert (full.ngeom, full.nmesh) == (3, 2)
+    np.testing.assert_array_equal(lean.body_mass, full.body_mass)
+    np.testing.assert_array_equal(roll_out(lean), roll_out(full))
+
+
+def test_what_a_sensor_sees_stays():
+    text = MESHES.replace(
+        "</worldbody>", '<site name="eye" pos="0 0 1"/></worldbody><sensor>SENSOR</sensor>'
+    )
+    assets = {"parts/shell.obj": TETRAHEDRON}
+    ray = text.replace("SENSOR", '<rangefinder site="eye"/>')
+    assert "seen" in Model.from_xml(ray, assets=assets).geoms
+    distance = text.replace("SENSOR", '<distance geom1="seen" geom2="weighing"/>')
+    assert "seen" in Model.from_xml(distance, assets=assets).geoms
+
+
+def test_export_loads_in_plain_mujoco_and_moves_the_same(tmp_path):
+    model = Model.from_dm_control("cheetah", "run")
+    edits = [
+        address_edit(model, ["body[torso].mass"], 1 / 3, "scale"),
+        address_edit(model, ["joint[*].damping"], np.pi, "scale"),
+        address_edit(model, ["geom[ffoot].size[0]"], 0.05123456789012345),
+    ]
+    model.export(tmp_path / "deep" / "cheetah.xml", edits)
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "deep" / "cheetah.xml"))
+    np.testing.assert_array_equal(roll_out(loaded), roll_out(model.compile(edits)))
+    assert loaded.ntex > 0
+    assert [p.name for p in (tmp_path / "deep").iterdir()] == ["cheetah.xml"]
+
+
+def test_export_carries_its_assets_along(tmp_path):
+    source = tmp_path / "source"
+    (source / "parts").mkdir(parents=True)
+    (source / "parts" / "shell.obj").write_text(TETRAHEDRON)
+    (source / "robot.xml").write_text(MESHES)
+    from_disk = Model.from_file(source / "robot.xml")
+    from_memory = Model.from_xml(MESHES, assets={"shell.obj": TETRAHEDRON})
+    for model in (from_disk, from_memory):
+        folder = tmp_path / model.name
+        model.export(folder / "out.xml")
+        moved = folder.rename(tmp_path / f"{model.name} moved")
+        loaded = mujoco.MjModel.from_xml_path(str(moved / "out.xml"))
+        # MuJoCo writes where it moved a mesh to, which rounds
+        np.testing.assert_allclose(roll_out(loaded), roll_out(model.compile()), atol=1e-10)
+        assert [p.name for p in (moved / "out_assets").iterdir()] == ["shell.obj"]
+
+
+def test_export_that_fails_leaves_the_old_file(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text("old")
+    model = Model.from_xml(ARM)
+    with pytest.raises(ModelError, match="mass"):
+        model.export(path, [address_edit(model, ["geom[rod].mass"], -1.0)])
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["model.xml"]
+
+
+def test_includes_and_urdf_from_files(tmp_path):
+    (tmp_path / "common.xml").write_text('<mujoco><option timestep="0.004"/></mujoco>')
+    (tmp_path / "main.xml").write_text(
+        '<mujoco><include file="common.xml"/><worldbody><body><joint name="j"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    assert Model.from_file(tmp_path / "main.xml").compile().opt.timestep == 0.004
+    inertial = (
+        '<inertial><mass value="2"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="arm"><link name="base">{inertial}</link><link name="link">{inertial}</link>'
+        '<joint name="hinge" type="revolute"><parent link="base"/><child link="link"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="3"/></joint></robot>'
+    )
+    urdf = Model.from_file(tmp_path / "arm.urdf")
+    assert urdf.joints == ("hinge",)
+    assert urdf.compile().body("link").mass[0] == 2.0
+
+
+def test_menagerie(tmp_path, monkeypatch):
+    monkeypatch.delenv("BO_SYSID_MENAGERIE", raising=False)
+    with pytest.raises(ModelError, match=r"set \$BO_SYSID_MENAGERIE to a folder"):
+        Model.from_menagerie("arm")
+    robot = tmp_path / "maker_arm"
+    robot.mkdir()
+    (robot / "arm.xml").write_text(ARM)
+    (robot / "hand.xml").write_text(FLOATING)
+    monkeypatch.setenv("BO_SYSID_MENAGERIE", str(tmp_path))
+    with pytest.raises(ModelError, match=r"name one of its files: 'maker_arm/arm\.xml'"):
+        Model.from_menagerie("maker_arm")
+    with pytest.raises(ModelError, match="did you mean 'maker_arm'"):
+        Model.from_menagerie("makers_arm")
+    assert Model.from_menagerie("maker_arm/hand.xml", base="fixed").joints == ("hip", "ball")
+    (robot / "scene.xml").write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    assert Model.from_menagerie("maker_arm").joints[0] == "shoulder"
+
+
+def test_messages_for_files_that_are_no_models(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "photo.xml").write_bytes(b"\x89PNG\x00\x01")
+    (tmp_path / "typo.xml").write_text(ARM.replace("<worldbody>", "<worldbod>"))
+    (tmp_path / "dust.xml").write_text(
+        '<mujoco><worldbody><body name="dust"><joint/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(ModelError, match=r"amr\.xml: no such model file; did you mean 'arm\.xml'"):
+        Model.from_file(tmp_path / "amr.xml")
+    with pytest.raises(ModelError, match=r"photo\.xml: not a model"):
+        Model.from_file(tmp_path / "photo.xml")
+    with pytest.raises(ModelError, match=r"typo\.xml: not a model.*worldbod"):
+        Model.from_file(tmp_path / "typo.xml")
+    with pytest.raises(ModelError, match=r"dust\.xml: the model does not compile.*'dust'"):
+        Model.from_file(tmp_path / "dust.xml")
+
+
+def test_messages_for_tasks_that_the_suite_lacks():
+    with pytest.raises(ModelError, match="no domain 'cheeta'; did you mean 'cheetah'"):
+        Model.from_dm_control("cheeta", "run")
+    with pytest.raises(ModelError, match="hopper has no task 'hops'; did you mean 'hop'"):
+        Model.from_dm_control("hopper", "hops")
+
+
+def test_plugins_survive(tmp_path):
+    text = """
+    <mujoco><extension><plugin plugin="mujoco.elasticity.cable"/></extension><worldbody>
+      <composite type="cable" curve="s" count="6 1 1" size="1" offset="0 0 1" initial="none">
+        <plugin plugin="mujoco.elasticity.cable"><config key="bend" value="4e6"/></plugin>
+        <joint kind="main" damping=".01"/><geom type="capsule" size=".005" density="1000"/>
+      </composite></worldbody></mujoco>"""
+    model = Model.from_xml(text)
+    np.testing.assert_array_equal(roll_out(model.compile()), roll_out(model.compile(visuals=True)))
+    model.export(tmp_path / "cable.xml")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "cable.xml")).nplugin == 1
