@@ -118,10 +118,14 @@ def usable_rows(
             kept = "the value before it is held" if held else "no measurement was made up"
             notes.append(f"{_counted(int(missing.sum()), 'empty cell')} skipped; {kept}")
     if bad.size:
+        remedy = (
+            ". Where an empty cell means that nothing new was recorded, say `missing: skip` for "
+            "this channel under columns:"
+        )
         raise RecordingError(
             f"{where}: row {bad[0]} is {_shown(values[bad[0]])}; every sample must be a finite "
-            f"number ({bad.size} of {len(values)} are not). Where an empty cell means that nothing "
-            "new was recorded, say `missing: skip` for this channel under columns:"
+            f"number ({bad.size} of {len(values)} are not)"
+            + (remedy if np.isnan(values[bad[0]]) else "")
         )
     if rows.size < 2:
         raise RecordingError(f"{where}: {rows.size} samples; at least 2 are needed")
@@ -161,15 +165,9 @@ def motion_flaws(source: str, channels: Mapping[str, Channel]) -> list[str]:
     """Return a sentence about measured channels that never move.
 
     Raises:
-        RecordingError: nothing is measured, or no position moves (no measured channel where
-            positions were not recorded).
+        RecordingError: no position moves (no measured channel where positions were not recorded).
     """
     measured = {n: c for n, c in channels.items() if c.hold == "none"}
-    if not measured:
-        raise RecordingError(
-            f"{source}: nothing was measured; channels: {', '.join(channels)}. At least one qpos, "
-            "qvel or sensor channel is needed"
-        )
     frozen = [n for n, c in measured.items() if np.ptp(c.values) == 0]
     positions = [n for n in measured if n.startswith("qpos.")] or list(measured)
     if set(positions) <= set(frozen):

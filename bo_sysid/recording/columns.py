@@ -16,6 +16,7 @@ from bo_sysid.recording.units import unit_of_kind
 from bo_sysid.recording.value import KINDS, Hold
 
 Missing = Literal["error", "skip"]
+_CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
 _NUMBERS = ("sign", "scale", "offset", "unwrap")
 _CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 
@@ -50,12 +51,10 @@ class ColumnRule:
 
     def __post_init__(self) -> None:
         _require(self.sign in (1, -1), "sign", self.sign, "1 or -1")
-        _require(np.isfinite(self.scale) and self.scale != 0, "scale", self.scale, "not zero")
+        _require(np.isfinite(self.scale) and self.scale != 0, "scale", self.scale, "finite, not 0")
         _require(bool(np.isfinite(self.offset)), "offset", self.offset, "finite")
         positive = bool(np.isfinite(self.unwrap)) and self.unwrap >= 0
         _require(positive, "unwrap", self.unwrap, "true, or the size of the jump in SI units")
-        _require_choice("hold", self.hold, get_args(Hold))
-        _require_choice("missing", self.missing, get_args(Missing))
 
     @classmethod
     def parse(cls, channel: str, rule: "ColumnRule | Mapping[str, Any] | str") -> "ColumnRule":
@@ -109,7 +108,6 @@ class ClockRule:
     def __post_init__(self) -> None:
         if self.unit is not None:
             unit_of_kind(self.unit, "time", f"clock {self.source!r}")
-        _require_choice("hold", self.hold, get_args(Hold))
 
     @classmethod
     def parse(cls, key: str, rule: "ClockRule | Mapping[str, Any] | str") -> "ClockRule":
@@ -133,24 +131,30 @@ class ClockRule:
 
 def _arguments(where: str, rule: Mapping[str, Any] | str, names: Sequence[str]) -> dict[str, Any]:
     """Return keyword arguments from a rule in a study, where `source` is called ``from``."""
-    given = {"from": rule} if isinstance(rule, str) else dict(rule)
+    given: Mapping[str, Any] = {"from": rule} if isinstance(rule, str) else rule
     keys = ["from" if name == "source" else name for name in names]
+    arguments = {}
     for key, value in given.items():
         if key not in keys:
             raise RecordingError(f"{where}: unknown key {key!r}; {nearest(str(key), keys)}")
-        number = key in _NUMBERS
-        if value is not None and not isinstance(value, int | float if number else str):
-            expected = "a number" if number else "text"
-            raise RecordingError(f"{where}: {key} is {value!r}; it must be {expected}")
-    stated = {key: value for key, value in given.items() if value is not None}
-    return {("source" if key == "from" else key): value for key, value in stated.items()}
+        if value is not None:
+            arguments["source" if key == "from" else key] = _checked(f"{where}: {key}", key, value)
+    return arguments
+
+
+def _checked(where: str, key: str, value: object) -> object:
+    """Return the value of a key, numbers as floats, or raise where its type is wrong."""
+    if key in _NUMBERS:
+        if not isinstance(value, int | float):
+            raise RecordingError(f"{where} is {value!r}; it must be a number")
+        return value if isinstance(value, bool) or key == "sign" else float(value)
+    if not isinstance(value, str):
+        raise RecordingError(f"{where} is {value!r}; it must be text")
+    if value not in _CHOICES.get(key, (value,)):
+        raise RecordingError(f"{where} is {value!r}; {nearest(value, _CHOICES[key])}")
+    return value
 
 
 def _require(holds: bool, key: str, value: object, rule: str) -> None:
     if not holds:
         raise RecordingError(f"{key} is {value!r}; it must be {rule}")
-
-
-def _require_choice(key: str, value: object, valid: tuple[str, ...]) -> None:
-    if value is not None and value not in valid:
-        raise RecordingError(f"{key} is {value!r}; {nearest(str(value), valid)}")

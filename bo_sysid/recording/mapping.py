@@ -52,10 +52,10 @@ def to_recording(
             rules.setdefault(column, ColumnRule())
     mapper = _Mapper(table, rules, clock_rules)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
-    if not channels:
+    if all(channel.hold == "zero" for channel in channels.values()):
         raise RecordingError(
-            f"{table.source}: no column follows the convention (qpos.<joint>, ctrl.<actuator>, …); "
-            f"it has {', '.join(map(repr, table.columns))}. "
+            f"{table.source}: no column is a measured channel (qpos.<joint>, qvel.<joint>, "
+            f"sensor.<name>); it has {', '.join(map(repr, table.columns))}. "
             "Say which is which, for instance columns: {qpos.elbow: {from: theta2, unit: deg}}"
         )
     flaws = [*mapper.flaws(), *motion_flaws(table.source, channels)]
@@ -156,8 +156,8 @@ class _Mapper:
         table, column = self.table, stated.source or "time"
         if column not in table.columns:
             raise RecordingError(
-                f"{table.source}: no column {column!r} with time stamps; "
-                f"{nearest(column, table.columns)} "
+                f"{table.source}: no column {column!r} with time stamps "
+                f"({nearest(column, table.columns)}). "
                 "Say which it is, for instance columns: {time: {from: t, unit: ms}}"
             )
         where = f"{table.source}: time stamps in column {column!r}"

@@ -7,11 +7,14 @@ its σ). For uneven stamps the third difference becomes the third divided differ
 the squares of its weights sum to one: the same estimate, exact for parabolas on any grid.
 """
 
+from math import sqrt
+
 import numpy as np
 
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.value import Recording
 
+_REPEATED = 0.1  # share of samples that equal the one before, from which on a channel is coarse
 _GAP = 2.0  # four samples that span more than this many medians lie across a gap
 
 
@@ -41,11 +44,14 @@ def noise_sigma(time: Times, values: Samples) -> float:
     weights = 1.0 / np.prod(offsets + np.eye(4), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     third = np.sum(weights * (samples - samples[:, :1]), axis=1)[whole]
-    return max(1.4826 * float(np.median(np.abs(third))), _resolution(values) / np.sqrt(12))
+    mad = float(np.median(np.abs(third)))
+    return max(1.4826 * mad, _resolution(values) / sqrt(12))
 
 
 def _resolution(values: Samples) -> float:
-    """Return the smallest step between values that occur; 0 where all are equal."""
+    """Return the smallest step between values that occur; 0 where few samples repeat."""
+    if np.mean(np.diff(values) == 0) < _REPEATED:
+        return 0.0
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-9 * np.ptp(values)]  # the same value, rounded otherwise
     return float(steps.min()) if steps.size else 0.0

@@ -4,11 +4,9 @@ A reader turns a file into a `RawTable` and interprets nothing; names, units and
 by `bo_sysid.recording.mapping`. A new format is one function with the decorator `reader`.
 """
 
-import csv
 import gzip
-import io
 import json
-import zipfile
+import re
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,6 +23,8 @@ from bo_sysid.recording.value import Recording
 Reader = Callable[[Path], RawTable]
 READERS: dict[str, Reader] = {}
 """Reader by file ending, for instance ``.csv``."""
+
+_TRAILING = ""  # name of the empty column after a separator at the end of each line
 
 # the first bytes of a file say what it is, whatever its name says
 _SIGNATURES = {
@@ -60,7 +60,9 @@ def read_table(path: str | Path) -> RawTable:
     if not path.exists():
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         raise RecordingError(f"{path}: no such file; {nearest(path.name, siblings)}")
-    if path.is_file() and path.stat().st_size == 0:
+    if path.is_dir():
+        raise RecordingError(f"{path}: a folder, not a file")
+    if path.stat().st_size == 0:
         raise RecordingError(f"{path}: the file is empty")
     return READERS[ending](path)
 
@@ -91,32 +93,42 @@ def read_recording(
     """
     path = Path(path)
     table = read_table(path)
-    name = path.name.removesuffix(_ending(path))
+    name = path.name[: -len(_ending(path))]
     return to_recording(table, columns, clocks, name=name, strict=strict)
 
 
 @reader(".csv", ".csv.gz", ".tsv", ".txt")
 def read_csv(path: Path) -> RawTable:
-    """Read a text file with one header line; the separator is found in that line."""
-    text = _text(path)
-    header, separator = _header(path, text)
+    """Read a text file with one header line; the separator is found in that line.
+
+    Blank lines and lines that start with ``#`` may stand before the header; the header itself may
+    start with ``#``, as `numpy.savetxt` writes it.
+    """
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names, separator, body = _header_and_body(path, _text(path))
+    if not body.strip():
+        raise RecordingError(f"{path}: the file names its columns but holds no samples")
+    if separator == " ":  # any run of blanks
+        body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     try:
-        frame = pd.read_csv(
-            io.StringIO(text),
-            sep=separator,
-            header=None,
-            skiprows=1,
-            names=header,
-            index_col=False,
-            skipinitialspace=True,
-            float_precision="round_trip",
-            keep_default_na=False,
-            na_values=["", "nan", "NaN", "NAN", "null", "NULL"],
-            low_memory=False,
+        table = arrow_csv.read_csv(
+            pa.BufferReader(body.encode()),
+            arrow_csv.ReadOptions(column_names=names, use_threads=False),
+            arrow_csv.ParseOptions(delimiter=separator),
+            arrow_csv.ConvertOptions(
+                null_values=["", "nan", "NaN", "NAN", "null", "NULL"], strings_can_be_null=True
+            ),
         )
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        raise RecordingError(f"{path}: not a table: {error}") from None
-    return RawTable(str(path), {str(c): frame[c].to_numpy() for c in frame.columns})
+    except pa.ArrowInvalid as error:
+        found = re.search(r"Row #(\d+): (.*)", str(error), re.DOTALL)
+        what = f"row {int(found[1]) - 1}: {found[2]}" if found else str(error)
+        raise RecordingError(f"{path}: not a table of {len(names)} columns: {what}") from None
+    columns = _columns(table)
+    if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
+        raise RecordingError(f"{path}: the last column has values but no name in the first line")
+    return RawTable(str(path), columns)
 
 
 @reader(".parquet", ".pq")
@@ -130,12 +142,11 @@ def read_parquet(path: Path) -> RawTable:
         table = pq.ParquetFile(path).read()
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(f"{path}: a damaged Parquet file: {error}") from None
-    columns = {n: table.column(n).to_pandas().to_numpy() for n in table.column_names}
     described = {f.name: f.metadata or {} for f in table.schema}
     own = json.loads((table.schema.metadata or {}).get(b"bo_sysid", b"{}"))
     return RawTable(
         source=str(path),
-        columns=columns,
+        columns=_columns(table),
         units={n: m[b"unit"].decode() for n, m in described.items() if b"unit" in m},
         holds={
             n: "zero" if m[b"hold"] == b"zero" else "none"
@@ -152,36 +163,32 @@ def read_npz(path: Path) -> RawTable:
     """Read named NumPy arrays; a ``T x k`` array becomes k columns with an index."""
     _require_content(path, b"PK\x03\x04")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise RecordingError(f"{path}: a damaged NumPy archive: {error}") from None
-    except ValueError as error:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    except Exception as error:  # a damaged archive can lead the parser to raise anything
         raise RecordingError(
-            f"{path}: {error}; arrays of Python objects are not read, save plain numbers"
+            f"{path}: cannot be read as a NumPy archive: {error}. Only plain arrays of numbers are "
+            "read, no Python objects"
         ) from None
-    return RawTable(str(path), _split(arrays, str(path)))
+    return _split(arrays, str(path))
 
 
 @reader(".mat")
 def read_mat(path: Path) -> RawTable:
     """Read a MATLAB file up to version 7; fields of a struct become ``struct.field``."""
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     if _starts(path, b"MATLAB 7.3") or _starts(path, b"\x89HDF"):
         raise RecordingError(
             f"{path}: a MATLAB 7.3 (HDF5) file; save it again with save('file.mat', ..., '-v7')"
         )
-    signature = next((s for s in _SIGNATURES if _starts(path, s)), None)
-    if signature not in (None, b"MATLAB 5.0"):
-        _require_content(path, b"MATLAB 5.0")
+    if not _starts(path, b"MATLAB 5.0") and any(_starts(path, s) for s in _SIGNATURES):
+        _require_content(path, b"MATLAB 5.0")  # version 4 has no signature of its own
     try:
         content = loadmat(path, simplify_cells=True)
-    except (MatReadError, ValueError, TypeError, OSError, EOFError, zlib.error) as error:
-        raise RecordingError(f"{path}: not a MATLAB file: {error}") from None
-    arrays = _flat({k: v for k, v in content.items() if not k.startswith("__")})
-    return RawTable(str(path), _split(arrays, str(path)))
+    except Exception as error:  # a damaged file can lead the parser to raise anything
+        raise RecordingError(f"{path}: cannot be read as a MATLAB file: {error}") from None
+    return _split(_flat({k: v for k, v in content.items() if not k.startswith("__")}), str(path))
 
 
 def _ending(path: Path) -> str:
@@ -230,26 +237,40 @@ def _text(path: Path) -> str:
         raise RecordingError(f"{path}: not UTF-8 text: {error}") from None
 
 
-def _header(path: Path, text: str) -> tuple[list[str], str]:
-    """Return the column names of the first line and the separator."""
-    first = text.split("\n", 1)[0].strip("\r").lstrip("#").strip()
-    separator = max(",;\t", key=first.count)
-    if separator not in first:
-        separator = r"\s+" if " " in first else ","
-    names = first.split() if separator == r"\s+" else next(csv.reader([first], delimiter=separator))
-    names = [n.strip() for n in names]
-    if not first or all(_is_number(n) for n in names):
+def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
+    """Return the column names, the separator, and the lines below the header."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    comments = []
+    while lines and (not lines[0].strip() or lines[0].lstrip().startswith("#")):
+        comments.append(lines.pop(0))
+    header = lines.pop(0) if lines else ""
+    separator, names = _names(header)
+    if all(_is_number(name) for name in names) and comments:
+        lines.insert(0, header)
+        header = comments[-1].lstrip("# ")
+        separator, names = _names(header)
+    if not names or all(_is_number(name) for name in names):
         raise RecordingError(
             f"{path}: the first line must name the columns (time, qpos.<joint>, …), not "
-            f"{first[:60]!r}"
+            f"{header[:60]!r}"
         )
+    if lines and lines[0].count(separator) == len(names) and lines[0].endswith(separator):
+        names.append(_TRAILING)  # every line ends with a separator, only the header does not
     for name in names:
-        if not name or names.count(name) > 1:
+        if (not name and name is not names[-1]) or names.count(name) > 1:
             raise RecordingError(
-                f"{path}: column {name!r} appears {names.count(name)} times in the first line; "
-                "every column needs a name of its own"
+                f"{path}: the first line names column {names.index(name)} {name!r}; every column "
+                "needs a name of its own"
             )
-    return names, separator
+    return names, separator, "\n".join(lines)
+
+
+def _names(header: str) -> tuple[str, list[str]]:
+    """Return the separator of a header line and the names between."""
+    separator = max(",;\t", key=header.count)
+    if separator not in header:
+        return " ", header.split()
+    return separator, [name.strip().strip('"').strip() for name in header.split(separator)]
 
 
 def _is_number(text: str) -> bool:
@@ -271,18 +292,22 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
     return flat
 
 
-def _split(arrays: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray]:
+def _split(arrays: Mapping[str, np.ndarray], source: str) -> RawTable:
     """Return vectors by name; the longer axis of a matrix is time, the other one an index."""
     columns: dict[str, np.ndarray] = {}
+    notes = []
     for name, array in arrays.items():
-        array = np.squeeze(array) if array.ndim > 1 else np.atleast_1d(array)
+        array = np.squeeze(array) if array.ndim > 1 else array
         if array.ndim <= 1:
             columns[name] = np.atleast_1d(array)
         elif array.ndim == 2:
             samples = array if array.shape[0] >= array.shape[1] else array.T
             columns.update({f"{name}.{i}": samples[:, i] for i in range(samples.shape[1])})
         else:
-            raise RecordingError(
-                f"{source}: array {name!r} has {array.ndim} dimensions; at most 2 are read"
-            )
-    return columns
+            notes.append(f"Array {name!r} has {array.ndim} dimensions and was not read.")
+    return RawTable(source, columns, notes=tuple(notes))
+
+
+def _columns(table: Any) -> dict[str, np.ndarray]:
+    """Return the columns of an Arrow table by name; null becomes NaN."""
+    return {n: table.column(n).to_pandas().to_numpy() for n in table.column_names}

@@ -91,6 +91,6 @@ def _number(cell: Any) -> float | None:
     if not text:
         return float("nan")
     try:
-        return float(text)
+        return float(text) if "_" not in text else None  # Python reads 1_0 as ten
     except ValueError:
         return None

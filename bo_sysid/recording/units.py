@@ -86,7 +86,7 @@ _ALIASES = {
 }
 
 UNITS: dict[str, Unit] = {
-    name: Unit(quantity, si, factor)
+    name: Unit(quantity, si, float(factor))
     for quantity, (si, names) in _QUANTITIES.items()
     for name, factor in names.items()
 } | {name: Unit("count", "", None) for name in ("tick", "ticks", "count", "counts")}
@@ -113,8 +113,8 @@ def unit(name: str, where: str) -> Unit:
     plain = _ALIASES.get(plain, plain)
     if plain not in UNITS:
         raise RecordingError(
-            f"{where}: unknown unit {name!r}; {nearest(name, UNITS)} "
-            "For any other unit leave `unit` out and give `scale`, the SI value of one."
+            f"{where}: unknown unit {name!r} ({nearest(name, UNITS)}). For any other unit leave "
+            "`unit` out and give `scale`, the SI value of one"
         )
     return UNITS[plain]
 

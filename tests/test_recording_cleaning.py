@@ -1,0 +1,145 @@
+import numpy as np
+import pytest
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import RawTable
+from bo_sysid.recording.mapping import to_recording
+
+TIME = np.arange(50) * 0.01
+WAVE = np.sin(2 * TIME)
+
+
+def read(time=TIME, columns=None, strict=False, **arrays):
+    table = {"time": time, "qpos.a": np.sin(2 * np.nan_to_num(time, posinf=0.0))}
+    table |= {k.replace("__", "."): v for k, v in arrays.items()}
+    return to_recording(RawTable("log.csv", table), columns, strict=strict)
+
+
+def with_value(row, value, array=WAVE):
+    changed = array.copy()
+    changed[row] = value
+    return changed
+
+
+def test_a_clean_log_passes_strict_and_says_nothing():
+    assert read(strict=True).notes == ()
+
+
+def test_duplicate_stamps_keep_the_first_sample():
+    time = with_value(7, TIME[6], TIME)
+    recording = read(time, ctrl__m=np.arange(50.0))
+    channel = recording.channels["ctrl.m"]
+    assert channel.values.tolist() == [v for v in range(50) if v != 7]
+    assert np.all(np.diff(channel.time) > 0)
+    assert any("1 duplicate stamp" in n and "rows 7" in n for n in recording.notes)
+
+
+def test_gaps_are_kept_and_nothing_is_invented():
+    time = np.delete(TIME, [10, 11, 30])
+    recording = read(time)
+    np.testing.assert_array_equal(recording.channels["qpos.a"].time, time)
+    assert any("2 gaps" in n and "about 3 samples missing" in n for n in recording.notes)
+
+
+def test_jitter_is_kept_and_said():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(0.01 + 0.001 * rng.uniform(-1, 1, 200))
+    recording = read(time)
+    np.testing.assert_array_equal(recording.channels["qpos.a"].time, time)
+    assert any("jitter" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("time", "match"),
+    [
+        (with_value(7, TIME[6], TIME), "duplicate stamp"),
+        (np.delete(TIME, 10), "1 gap"),
+        (np.cumsum(0.01 + 0.002 * np.sin(np.arange(50) ** 2)), "jitter"),
+    ],
+)
+def test_strict_refuses_what_is_otherwise_used(time, match):
+    assert read(time).channels["qpos.a"].values.size >= 49
+    with pytest.raises(RecordingError, match=rf"log.csv: refused because of --strict.*{match}"):
+        read(time, strict=True)
+
+
+def test_a_paused_command_is_no_gap_in_a_measurement():
+    clock = np.array([0.0, 0.1, 0.1, 0.45])
+    recording = read(strict=True, time__ctrl=clock, ctrl__m=np.arange(4.0))
+    assert recording.channels["ctrl.m"].values.tolist() == [0, 1, 3]
+
+
+def test_a_channel_that_never_moves_is_noted_and_refused_by_strict():
+    assert "Never moves: qpos.b; nothing can be said about it." in read(qpos__b=0 * WAVE).notes
+    with pytest.raises(RecordingError, match=r"--strict.*Never moves: qpos.b"):
+        read(strict=True, qpos__b=0 * WAVE)
+
+
+@pytest.mark.parametrize("more", [{}, {"qvel__a": WAVE}, {"ctrl__m": WAVE}])
+def test_positions_that_never_move_are_an_error(more):
+    with pytest.raises(RecordingError, match=r"qpos.a never moves \(all 50 samples are 2\)"):
+        read(qpos__a=0 * WAVE + 2, **more)
+
+
+def test_time_running_backwards_names_the_row():
+    with pytest.raises(
+        RecordingError, match=r"column 'time': time runs backwards in row 20, from 0.19 s to 0.05 s"
+    ):
+        read(with_value(20, 0.05, TIME))
+
+
+@pytest.mark.parametrize(("bad", "shown"), [(np.nan, "empty"), (np.inf, "inf"), (-np.inf, "-inf")])
+def test_a_value_that_is_not_finite_names_file_column_and_row(bad, shown):
+    with pytest.raises(
+        RecordingError, match=rf"log.csv: qpos.b, column 'qpos.b': row 9 is {shown}"
+    ):
+        read(qpos__b=with_value(9, bad))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_stamp_that_is_not_finite_names_the_row(bad):
+    with pytest.raises(RecordingError, match="column 'time': row 9 is"):
+        read(with_value(9, bad, TIME), qpos__a=WAVE)
+
+
+def test_empty_cells_are_skipped_only_when_a_rule_says_so():
+    sparse = np.where(np.arange(50) % 5 == 0, WAVE, np.nan)
+    with pytest.raises(RecordingError, match=r"row 1 is empty.*`missing: skip`"):
+        read(ctrl__m=sparse, qpos__b=WAVE)
+    recording = read(columns={"ctrl.m": {"missing": "skip"}}, ctrl__m=sparse)
+    np.testing.assert_array_equal(recording.channels["ctrl.m"].values, WAVE[::5])
+    np.testing.assert_array_equal(recording.channels["ctrl.m"].time, TIME[::5])
+    assert any("40 empty cells skipped; the value before it is held" in n for n in recording.notes)
+
+
+def test_skipping_empty_cells_does_not_skip_infinite_ones():
+    with pytest.raises(RecordingError, match="row 3 is inf"):
+        read(columns={"qpos.b": {"missing": "skip"}}, qpos__b=with_value(3, np.inf))
+
+
+def test_states_may_have_one_stamp_more_than_controls():
+    recording = read(ctrl__m=WAVE[:-1])
+    assert recording.channels["ctrl.m"].time.size == 49
+    assert any("one sample fewer than time stamps" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize("size", [48, 51, 1])
+def test_lengths_that_do_not_match_are_an_error(size):
+    with pytest.raises(RecordingError, match=rf"{size} samples, but its clock, column 'time', has"):
+        read(ctrl__m=np.resize(WAVE, size))
+
+
+def test_a_measured_channel_may_not_be_shorter():
+    with pytest.raises(RecordingError, match="49 samples, but its clock"):
+        read(qpos__b=WAVE[:-1])
+
+
+def test_a_value_without_a_stamp_is_an_error():
+    clock = with_value(slice(40, None), np.nan, TIME)
+    with pytest.raises(RecordingError, match=r"row 40 has a value but no time stamp.*'time.ctrl'"):
+        read(time__ctrl=clock, ctrl__m=WAVE)
+
+
+def test_one_stamp_over_and_over_is_an_error():
+    with pytest.raises(RecordingError, match="50 rows hold 1 different time stamps"):
+        read(np.zeros(50), qpos__a=WAVE)

@@ -1,0 +1,171 @@
+import numpy as np
+import pytest
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import ClockRule, ColumnRule, RawTable
+from bo_sysid.recording.mapping import to_recording
+from bo_sysid.recording.units import UNITS, unit
+
+TIME = np.arange(50) * 0.01
+WAVE = np.sin(2 * TIME)
+
+
+def read(columns=None, clocks=None, strict=False, **arrays):
+    table = {"time": TIME, "qpos.a": WAVE} | {k.replace("__", "."): v for k, v in arrays.items()}
+    return to_recording(RawTable("log.csv", table), columns, clocks, strict=strict)
+
+
+def test_names_of_the_convention_map_by_themselves():
+    recording = read(ctrl__m=WAVE, other=WAVE)
+    assert set(recording.channels) == {"qpos.a", "ctrl.m"}
+    assert recording.channels["ctrl.m"].hold == "zero"
+    assert recording.channels["qpos.a"].hold == "none"
+    np.testing.assert_array_equal(recording.channels["qpos.a"].values, WAVE)
+    assert "Columns not used: other." in recording.notes
+    assert "Held between samples (zero order): ctrl.m." in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("channel", "written", "si", "factor"),
+    [
+        ("qpos.b", "deg", "rad", np.pi / 180),
+        ("qpos.b", "mm", "m", 1e-3),
+        ("qpos.b", "turns", "rad", 2 * np.pi),
+        ("qvel.b", "rpm", "rad/s", 2 * np.pi / 60),
+        ("qvel.b", "deg/s", "rad/s", np.pi / 180),
+        ("aux.b", "mA", "A", 1e-3),
+        ("aux.b", "mV", "V", 1e-3),
+        ("ctrl.b", "N*mm", "N m", 1e-3),
+        ("ctrl.b", "mNm", "N m", 1e-3),
+        ("ctrl.b", "%", "", 1e-2),
+        ("sensor.b", "g0", "m/s²", 9.80665),
+    ],
+)
+def test_units_are_converted_to_si(channel, written, si, factor):
+    recording = read({channel: {"from": "raw", "unit": written}}, raw=WAVE)
+    assert recording.channels[channel].unit == si
+    np.testing.assert_allclose(recording.channels[channel].values, factor * WAVE, rtol=1e-14)
+    assert any("raw" in note and written in note for note in recording.notes)
+
+
+def test_every_unit_is_its_own_name_and_its_si_unit_has_factor_one():
+    for name, entry in UNITS.items():
+        assert unit(name, "here") is entry
+        if entry.si:
+            assert UNITS[entry.si].factor == 1
+
+
+def test_rule_order_is_unit_scale_unwrap_sign_offset():
+    turns = 3.0 * TIME / TIME[-1]  # three turns, read modulo one by a 4096-tick encoder
+    ticks = np.floor(turns % 1.0 * 4096)
+    rule = {"from": "enc", "unit": "ticks", "scale": 2 * np.pi / 4096, "unwrap": True, "sign": -1}
+    recording = read({"qpos.b": rule | {"offset": 0.5}}, enc=ticks)
+    np.testing.assert_allclose(
+        recording.channels["qpos.b"].values, 0.5 - 2 * np.pi * turns, atol=2 * np.pi / 4096
+    )
+    note = next(n for n in recording.notes if n.startswith("qpos.b"))
+    for word in ("'enc'", "scaled", "unwrapped", "sign reversed", "offset by 0.5"):
+        assert word in note
+
+
+def test_unwrap_takes_the_jump_of_a_geared_encoder():
+    truth = 4.0 * TIME
+    period = 2 * np.pi / 6
+    recording = read({"qpos.b": {"from": "enc", "unwrap": period}}, enc=truth % period)
+    np.testing.assert_allclose(recording.channels["qpos.b"].values, truth, atol=1e-12)
+
+
+def test_the_time_column_is_named_and_converted():
+    table = RawTable("log.csv", {"t": 1000 * TIME, "qpos.a": WAVE})
+    recording = to_recording(table, {"time": {"from": "t", "unit": "ms"}})
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, TIME, atol=1e-15)
+    assert "Time stamps in column 't' converted from ms to s." in recording.notes
+
+
+def test_a_kind_or_a_channel_can_have_a_clock_of_its_own():
+    late = TIME + 0.003
+    arrays = {"ctrl__m": WAVE, "ctrl__n": WAVE, "t_cmd": late, "t_n": 1000 * (TIME + 0.004)}
+    clocks = {"ctrl": {"from": "t_cmd", "hold": "zero"}, "ctrl.n": {"from": "t_n", "unit": "ms"}}
+    channels = read(None, clocks, **arrays).channels
+    np.testing.assert_array_equal(channels["ctrl.m"].time, late)
+    np.testing.assert_allclose(channels["ctrl.n"].time, TIME + 0.004, atol=1e-15)
+    np.testing.assert_array_equal(channels["qpos.a"].time, TIME)
+
+
+def test_a_column_called_time_of_a_kind_is_its_clock_and_may_be_shorter():
+    clock = np.append(TIME[:20] * 2, np.full(30, np.nan))
+    values = np.append(WAVE[:20], np.full(30, np.nan))
+    channel = read(time__ctrl=clock, ctrl__m=values).channels["ctrl.m"]
+    np.testing.assert_array_equal(channel.time, TIME[:20] * 2)
+    np.testing.assert_array_equal(channel.values, WAVE[:20])
+
+
+def test_a_hold_can_be_stated_for_any_channel():
+    recording = read({"sensor.s": {"from": "s", "hold": "zero"}}, s=WAVE)
+    assert recording.channels["sensor.s"].hold == "zero"
+
+
+def test_rules_can_be_given_as_values():
+    rule = ColumnRule("s", unit="deg", sign=-1)
+    clocks = {"sensor": ClockRule("t2")}
+    channel = read({"sensor.s": rule}, clocks, s=WAVE, t2=TIME + 1).channels["sensor.s"]
+    np.testing.assert_allclose(channel.values, -np.pi / 180 * WAVE)
+    assert channel.time[0] == 1.0
+
+
+def test_a_rule_of_none_values_is_the_default_rule():
+    rule = {"from": None, "unit": None, "hold": None, "clock": None}
+    assert ColumnRule.parse("qpos.a", rule) == ColumnRule()
+    assert read(None, {"qpos": {"from": "time", "hold": None}}).channels["qpos.a"].time[1] == 0.01
+
+
+@pytest.mark.parametrize(
+    ("columns", "match"),
+    [
+        ({"qpos.b": {"from": "tetha"}}, "no column 'tetha', which qpos.b.*did you mean 'theta'"),
+        ({"qpos.b": {"from": "theta", "unit": "degg"}}, "qpos.b: unknown unit 'degg'.*'deg'"),
+        ({"qpos.b": {"from": "theta", "unit": "rpm"}}, "'rpm' measures angular velocity.*angle"),
+        ({"time": {"from": "theta", "unit": "mm"}}, "columns: time: unit 'mm' measures length"),
+        ({"qpos.b": {"from": "theta", "unit": "ticks"}}, "needs `scale`.*4096"),
+        ({"qpos.b": {"from": "theta", "sine": -1}}, "unknown key 'sine'; did you mean 'sign'"),
+        ({"qpos.b": {"from": "theta", "sign": -2}}, "sign is -2; it must be 1 or -1"),
+        ({"qpos.b": {"from": "theta", "sign": "-1"}}, "sign is '-1'; it must be a number"),
+        ({"qpos.b": {"from": 3}}, "from is 3; it must be text"),
+        ({"qpos.b": {"from": "theta", "scale": 0}}, "scale is 0.0; it must be finite, not 0"),
+        ({"qpos.b": {"from": "theta", "offset": np.inf}}, "offset is inf; it must be finite"),
+        ({"qpos.b": {"from": "theta", "unwrap": -1}}, "unwrap is -1"),
+        ({"qpos.b": {"from": "theta", "hold": "zeros"}}, "hold is 'zeros'; did you mean 'zero'"),
+        ({"qpos.b": {"from": "theta", "missing": "skipp"}}, "did you mean 'skip'"),
+        ({"pos.b": {"from": "theta"}}, "columns: pos.b.*did you mean 'qpos'"),
+        ({"qpos": {"from": "theta"}}, "columns: qpos: a channel is called"),
+    ],
+)
+def test_a_wrong_rule_is_refused_with_the_nearest_right_one(columns, match):
+    with pytest.raises(RecordingError, match=match):
+        read(columns, theta=WAVE)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "match"),
+    [
+        ({"ctl": {"from": "t2"}}, "clocks: ctl.*did you mean 'ctrl'"),
+        ({"ctrl": {"from": "t3"}}, "no column 't3' with time stamps.*'t2'"),
+        ({"ctrl.n": {"from": "t2"}}, "'ctrl.n' fits no channel; did you mean 'ctrl.m'"),
+        ({"ctrl": {"from": "t2", "unit": "mm"}}, "unit 'mm' measures length"),
+        ({"ctrl": {"fron": "t2"}}, "unknown key 'fron'; did you mean 'from'"),
+        ({"ctrl": {"from": "t2", "hold": "zeero"}}, "hold is 'zeero'; did you mean 'zero'"),
+    ],
+)
+def test_a_wrong_clock_is_refused_with_the_nearest_right_one(clocks, match):
+    with pytest.raises(RecordingError, match=match):
+        read(None, clocks, ctrl__m=WAVE, t2=TIME)
+
+
+def test_without_a_time_column_the_message_shows_how_to_name_it():
+    with pytest.raises(RecordingError, match=r"no column 'time'.*'stamp'.*columns: \{time: \{from"):
+        to_recording(RawTable("log.csv", {"stamp": TIME, "qpos.a": WAVE}))
+
+
+def test_without_a_measured_channel_the_message_shows_the_columns():
+    with pytest.raises(RecordingError, match=r"no column is a measured.*'theta'.*columns: \{qpos"):
+        to_recording(RawTable("log.csv", {"time": TIME, "theta": WAVE, "ctrl.m": WAVE}))

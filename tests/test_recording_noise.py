@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+
+from bo_sysid.recording import Channel, Recording, noise_sigma, sensor_noise
+
+
+def clock(kind, size, rng):
+    if kind == "even":
+        return np.arange(size) * 0.01
+    return np.cumsum(rng.uniform(0.004, 0.016, size))
+
+
+@pytest.mark.parametrize("kind", ["even", "uneven"])
+@pytest.mark.parametrize("sigma", [1e-5, 1e-2])
+def test_noise_on_a_slow_signal_is_recovered(kind, sigma):
+    rng = np.random.default_rng(0)
+    time = clock(kind, 20_000, rng)
+    values = 3e-4 * np.sin(0.3 * time) + 5.0 + sigma * rng.normal(size=time.size)
+    assert noise_sigma(time, values) == pytest.approx(sigma, rel=0.04)
+
+
+@pytest.mark.parametrize("kind", ["even", "uneven"])
+def test_a_parabola_is_no_noise_on_any_grid(kind):
+    time = clock(kind, 500, np.random.default_rng(1))
+    values = 2.0 - 3.0 * time + 4.0 * time**2
+    assert noise_sigma(time, values) < 1e-13 * np.ptp(values)
+
+
+def test_jumps_and_gaps_do_not_count():
+    rng = np.random.default_rng(2)
+    time = np.arange(5000) * 0.01
+    time[2500:] += 30.0
+    values = 0.01 * rng.normal(size=5000)
+    values[1000:] += 5.0
+    values[2500:] += np.sin(time[2500:] * 0.1)
+    assert noise_sigma(time, values) == pytest.approx(0.01, rel=0.06)
+
+
+@pytest.mark.parametrize("kind", ["even", "uneven"])
+def test_a_coarse_encoder_has_at_least_its_rounding_error(kind):
+    time = clock(kind, 5000, np.random.default_rng(3))
+    resolution = 2 * np.pi / 4096
+    values = np.round(0.5 * np.sin(0.2 * time) / resolution) * resolution
+    assert noise_sigma(time, values) == pytest.approx(resolution / np.sqrt(12), rel=0.5)
+
+
+def test_nothing_can_be_said_about_a_frozen_or_tiny_channel():
+    assert noise_sigma(np.arange(3.0), np.array([1.0, 5.0, 2.0])) == 0.0
+    assert noise_sigma(np.arange(50.0), np.full(50, 3.0)) == 0.0
+
+
+def test_sensor_noise_looks_at_measured_channels_only():
+    time, values = np.arange(50.0), np.random.default_rng(4).normal(size=50)
+    recording = Recording(
+        "r", {"qpos.a": Channel(time, values), "ctrl.m": Channel(time, values, hold="zero")}
+    )
+    assert set(sensor_noise(recording)) == {"qpos.a"}

@@ -1,0 +1,308 @@
+"""One conformance suite over every registered reader, then what each must refuse."""
+
+import gzip
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.io
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import READERS, read_recording, write_recording
+from bo_sysid.recording.value import Recording
+
+RNG = np.random.default_rng(0)
+COLUMNS = {
+    "time": np.cumsum(RNG.uniform(0.0099, 0.0101, 40)),
+    "qpos.a": RNG.normal(size=40) * 1e-7,
+    "qpos.b": RNG.normal(size=40) * 1e7,
+    "ctrl.m": np.round(RNG.normal(size=40), 2),
+}
+
+
+def save_csv(path, separator=","):
+    pd.DataFrame(COLUMNS).to_csv(path, index=False, sep=separator)
+
+
+def save_parquet(path):
+    pd.DataFrame(COLUMNS).to_parquet(path)
+
+
+SAVE = {  # by ending: a writer of the format's own library
+    ".csv": save_csv,
+    ".csv.gz": save_csv,
+    ".txt": lambda path: np.savetxt(
+        path, np.stack(list(COLUMNS.values()), axis=1), header=" ".join(COLUMNS), fmt="%.17g"
+    ),
+    ".tsv": lambda path: save_csv(path, "\t"),
+    ".parquet": save_parquet,
+    ".pq": save_parquet,
+    ".npz": lambda path: np.savez(path, **COLUMNS),
+    ".mat": lambda path: scipy.io.savemat(
+        path,
+        {
+            "time": COLUMNS["time"],
+            "qpos": {"a": COLUMNS["qpos.a"], "b": COLUMNS["qpos.b"]},
+            "ctrl": {"m": COLUMNS["ctrl.m"]},
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_every_reader_returns_the_very_numbers_of_the_formats_own_library(ending, tmp_path):
+    path = tmp_path / f"arm-3{ending}"
+    SAVE[ending](path)
+    recording = read_recording(path, strict=True)
+    assert recording.name == "arm-3"
+    assert set(recording.channels) == {"qpos.a", "qpos.b", "ctrl.m"}
+    for name, channel in recording.channels.items():
+        np.testing.assert_array_equal(channel.time, COLUMNS["time"])
+        np.testing.assert_array_equal(channel.values, COLUMNS[name])
+        assert str(path) in channel.source
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_every_reader_applies_rules(ending, tmp_path):
+    path = tmp_path / f"log{ending}"
+    SAVE[ending](path)
+    rules = {"qpos.elbow": {"from": "qpos.a", "unit": "deg", "sign": -1}}
+    recording = read_recording(path, rules, {"qpos": {"from": "time"}})
+    np.testing.assert_allclose(
+        recording.channels["qpos.elbow"].values, -np.pi / 180 * COLUMNS["qpos.a"], rtol=1e-14
+    )
+
+
+@pytest.mark.parametrize("ending", READERS)
+def test_every_reader_refuses_an_empty_file(ending, tmp_path):
+    path = tmp_path / f"log{ending}"
+    path.touch()
+    with pytest.raises(RecordingError, match=r"log.*: the file is empty"):
+        read_recording(path)
+
+
+LIES = [
+    (ending, content)
+    for ending in READERS
+    for content in ("noise", "text", "gzip", "parquet", "npz", "mat", "half")
+    if content not in (ending[1:], "parquet" if ending == ".pq" else "")
+    and not (content == "half" and ending in (".csv", ".tsv", ".txt"))  # half a text is a text
+]
+
+
+@pytest.mark.parametrize(("ending", "content"), LIES)
+def test_every_reader_refuses_what_its_ending_does_not_say(ending, content, tmp_path):
+    path, other = tmp_path / f"log{ending}", tmp_path / f"other.{content}"
+    if content == "noise":
+        other.write_bytes(bytes(np.random.default_rng(1).integers(0, 256, 5000, dtype=np.uint8)))
+    elif content == "text":
+        other.write_text("once upon a time\nthere was a robot that logged prose\n")
+    elif content == "gzip":
+        other.write_bytes(gzip.compress(b"PAR1 once upon a time"))
+    elif content == "half":
+        SAVE[ending](path)
+        other.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    else:
+        SAVE[f".{content}"](other)
+    path.write_bytes(other.read_bytes())
+    with pytest.raises(RecordingError, match="log"):
+        read_recording(path)
+
+
+def test_an_unknown_ending_names_the_nearest(tmp_path):
+    path = tmp_path / "log.parket"
+    path.touch()
+    with pytest.raises(RecordingError, match=r"end in '.parket'; did you mean '.parquet'"):
+        read_recording(path)
+
+
+def test_a_missing_file_names_the_nearest(tmp_path):
+    (tmp_path / "swing-1.csv").touch()
+    with pytest.raises(RecordingError, match=r"no such file; did you mean 'swing-1.csv'"):
+        read_recording(tmp_path / "swng-1.csv")
+
+
+def test_a_folder_is_no_file(tmp_path):
+    (tmp_path / "log.csv").mkdir()
+    with pytest.raises(RecordingError, match="a folder, not a file"):
+        read_recording(tmp_path / "log.csv")
+
+
+def test_matlab_7_3_says_what_to_do(tmp_path):
+    path = tmp_path / "log.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(RecordingError, match=r"MATLAB 7.3.*'-v7'"):
+        read_recording(path)
+
+
+def test_python_objects_are_not_unpickled(tmp_path):
+    path = tmp_path / "log.npz"
+    np.savez(path, time=np.arange(3.0), **{"qpos.a": np.array([1, None, 2], dtype=object)})
+    with pytest.raises(RecordingError, match="no Python objects"):
+        read_recording(path)
+
+
+def test_matrices_become_channels_with_an_index(tmp_path):
+    states = np.random.default_rng(2).normal(size=(30, 7))
+    np.savez(
+        tmp_path / "log.npz",
+        time=np.arange(30) * 0.01,
+        **{"qpos.root": states, "wide": states.T, "image": np.zeros((30, 4, 4))},
+    )
+    rules = {"sensor.s": {"from": "wide.2"}}
+    recording = read_recording(tmp_path / "log.npz", rules)
+    np.testing.assert_array_equal(recording.channels["qpos.root.6"].values, states[:, 6])
+    np.testing.assert_array_equal(recording.channels["sensor.s"].values, states[:, 2])
+    assert "Array 'image' has 3 dimensions and was not read." in recording.notes
+
+
+def test_time_stamps_of_a_date_become_seconds(tmp_path):
+    seconds = 1.7e9 + np.arange(20) * 0.25
+    frame = pd.DataFrame({"time": pd.to_datetime(seconds, unit="s"), "qpos.a": np.arange(20.0)})
+    frame.to_parquet(tmp_path / "log.parquet")
+    channel = read_recording(tmp_path / "log.parquet").channels["qpos.a"]
+    np.testing.assert_allclose(channel.time, seconds, atol=1e-6)
+
+
+GOOD = "time,qpos.a,ctrl.m\n0.0,1.0,1\n0.1,2.0,2\n0.2,4.0,3\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GOOD.replace(",", ";"),
+        GOOD.replace(",", "\t"),
+        GOOD.replace(",", "   "),
+        GOOD.replace(",", ", "),
+        GOOD.replace("\n", "\r\n"),
+        GOOD.replace("\n", "\r"),
+        GOOD.rstrip(),
+        GOOD + "\n\n",
+        "\ufeff" + GOOD,
+        "\n" + GOOD,
+        "# " + GOOD,
+        "# logged by hand\n# twice, yes\n" + GOOD,
+        GOOD.replace("\n", ",\n"),
+        GOOD.replace("\n", ",\n").replace("ctrl.m,", "ctrl.m", 1),
+        GOOD.replace("time", '"time"'),
+    ],
+    ids=range(15),
+)
+def test_the_ways_to_write_a_csv_file(text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode())
+    channels = read_recording(path).channels
+    assert channels["qpos.a"].values.tolist() == [1, 2, 4]
+    assert channels["ctrl.m"].time.tolist() == [0, 0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        (GOOD.replace("4.0", "oops"), r"column 'qpos.a', row 2: 'oops' is not a number"),
+        (GOOD.replace("4.0", "4_0"), r"column 'qpos.a', row 2: '4_0' is not a number"),
+        (GOOD.replace(",", ";").replace("4.0", "4,0"), "write decimals with a point"),
+        (GOOD.replace("4.0", ""), r"column 'qpos.a': row 2 is empty"),
+        (GOOD.replace("4.0", "nan"), r"column 'qpos.a': row 2 is empty \(NaN\)"),
+        (GOOD.replace("4.0", "1e999"), r"column 'qpos.a': row 2 is inf"),
+        (GOOD + "0.3,5\n", r"row 3: Expected 3 columns, got 2"),
+        (GOOD + "0.3,5,6,7\n", r"row 3: Expected 3 columns, got 4"),
+        (GOOD.replace("ctrl.m", "qpos.a"), "names column 1 'qpos.a'.*name of its own"),
+        (GOOD.split("\n", 1)[1], "the first line must name the columns"),
+        ("time,qpos.a\n", "names its columns but holds no samples"),
+        ("  \n\n", "the first line must name the columns"),
+        (GOOD.replace("\n", ",7\n").replace("ctrl.m,7", "ctrl.m,"), "last column has values"),
+        (GOOD.encode("utf-16"), "not text"),
+        (GOOD.replace("ctrl.m", "ctrl.µ").encode("latin1"), "not UTF-8 text"),
+    ],
+)
+def test_a_wrong_csv_file_says_where(text, match, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(RecordingError, match=match) as error:
+        read_recording(path)
+    assert str(path) in str(error.value)
+
+
+def several_clocks():
+    rng = np.random.default_rng(3)
+    make = Recording.from_arrays
+    fast = make(np.cumsum(rng.uniform(1, 2, 90)), qpos={"a": rng.normal(size=90)})
+    slow = make(
+        rng.uniform() + np.arange(30) * 3.0,
+        ctrl={"m": rng.normal(size=30), "n": rng.normal(size=30)},
+        sensor={"s": rng.normal(size=30)},
+        units={"ctrl.m": "N m"},
+    )
+    lone = make(np.arange(7) * 12.0 + 0.1, sensor={"t": rng.normal(size=7)})
+    return Recording(
+        "three clocks", {**fast.channels, **slow.channels, **lone.channels}, ("Made up.",)
+    )
+
+
+def one_clock():
+    rng = np.random.default_rng(4)
+    time = np.cumsum(rng.uniform(0.9e-3, 1.1e-3, 100)) + 1.7e9
+    return Recording.from_arrays(time, qpos={"root": rng.normal(size=(100, 7))}, name="one clock")
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv", ".csv.gz"])
+@pytest.mark.parametrize("make", [one_clock, several_clocks])
+def test_what_is_written_is_read_back_bit_for_bit(make, ending, tmp_path):
+    recording = make()
+    path = write_recording(recording, tmp_path / "deep" / f"log{ending}")
+    back = read_recording(path)
+    assert set(back.channels) == set(recording.channels)
+    for name, channel in recording.channels.items():
+        np.testing.assert_array_equal(back.channels[name].time, channel.time)
+        np.testing.assert_array_equal(back.channels[name].values, channel.values)
+        assert back.channels[name].hold == channel.hold
+        if ending == ".parquet":
+            assert back.channels[name].unit == channel.unit
+    if ending == ".parquet":
+        assert back.name == recording.name
+        assert back.notes[: len(recording.notes)] == recording.notes
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_reading_and_writing_again_and_again_adds_nothing(tmp_path):
+    recording = read_recording(write_recording(several_clocks(), tmp_path / "0.parquet"))
+    again = read_recording(write_recording(recording, tmp_path / "1.parquet"))
+    assert again.notes == recording.notes
+
+
+def test_parquet_keeps_an_unusual_hold_and_csv_refuses_it(tmp_path):
+    time, values = np.arange(5.0), np.arange(5.0)
+    recording = Recording.from_arrays(time, qpos={"a": values}, ctrl={"m": values})
+    held = read_recording(
+        write_recording(recording, tmp_path / "a.parquet"), {"qpos.b": {"from": "ctrl.m"}}
+    )
+    assert held.channels["qpos.b"].hold == "zero"
+    with pytest.raises(RecordingError, match=r"'qpos.b' has hold 'zero'.*write Parquet"):
+        write_recording(held, tmp_path / "b.csv")
+    assert not (tmp_path / "b.csv").exists()
+
+
+def test_an_unknown_ending_writes_nothing(tmp_path):
+    with pytest.raises(RecordingError, match=r"no writer for files that end in '.npz'"):
+        write_recording(one_clock(), tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
+    path = write_recording(one_clock(), tmp_path / "a.csv")
+    before = path.read_bytes()
+    monkeypatch.setattr(pd.DataFrame, "to_csv", lambda *_, **__: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_recording(several_clocks(), path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.csv"]
+
+
+def test_importing_recordings_is_light():
+    heavy = ("torch", "mujoco", "scipy.io", "pooch", "matplotlib")
+    code = f"import sys, bo_sysid.recording; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    assert done.stdout.strip() == "[]"
