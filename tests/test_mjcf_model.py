@@ -1,6 +1,7 @@
 """Models: what is read, how it is named, that stripping and exporting change no physics."""
 
 import os
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -331,3 +332,53 @@ def test_plugins_survive(tmp_path):
     np.testing.assert_array_equal(roll_out(model.compile()), roll_out(model.compile(visuals=True)))
     model.export(tmp_path / "cable.xml")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "cable.xml")).nplugin == 1
+
+
+def test_mocap_bodies_survive_a_changed_keyframe():
+    mocap = '<worldbody><body name="hand" mocap="true" pos="0 0 2"><site name="grip"/></body>'
+    text = FLOATING.replace("<worldbody>", mocap).replace('ctrl=".3"', 'ctrl=".3" mpos="1 2 3"')
+
+    def add(spec: mujoco.MjSpec) -> None:
+        spec.body("leg").add_joint(name="play")
+
+    for edits in ([], [add]):
+        compiled = Model.from_xml(text).compile(edits)
+        np.testing.assert_array_equal(compiled.key_mpos[0], [1, 2, 3])
+        assert compiled.body("hand").mocapid[0] == 0
+
+
+def test_masses_of_discarded_geoms_can_be_scaled():
+    text = """
+    <mujoco><compiler discardvisual="true"/><worldbody><body name="arm"><joint/>
+      <geom size=".1" contype="0" conaffinity="0"/><geom size=".2"/></body></worldbody></mujoco>"""
+    model = Model.from_xml(text)
+    nominal = model.compile()
+    assert nominal.ngeom == 1
+    volume = 4 / 3 * np.pi * (0.1**3 + 0.2**3)
+    assert nominal.body("arm").mass[0] == pytest.approx(1000 * volume)
+    edited = model.compile([address_edit(model, ["body[arm].mass"], 3.0, "scale")])
+    np.testing.assert_allclose(edited.body("arm").mass, 3 * nominal.body("arm").mass)
+    np.testing.assert_allclose(edited.body("arm").inertia, 3 * nominal.body("arm").inertia)
+
+
+def test_edits_that_touch_no_mass_keep_the_masses_of_settotalmass_to_the_last_bit():
+    model = Model.from_dm_control("cheetah", "run")
+
+    def wind(spec: mujoco.MjSpec) -> None:
+        spec.option.wind[0] = 1.0
+
+    np.testing.assert_array_equal(model.compile([wind]).body_mass, model.compile().body_mass)
+
+
+def test_compiling_for_simulation_is_cheap():
+    model = Model.from_dm_control("cheetah", "run")
+
+    def median(visuals: bool, repeats: int) -> float:
+        times = []
+        for _ in range(repeats):
+            start = perf_counter()
+            model.compile(visuals=visuals)
+            times.append(perf_counter() - start)
+        return float(np.median(times))
+
+    assert median(False, 50) < 0.1 * median(True, 5)

@@ -151,9 +151,10 @@ def _target(model: Model, address: Address, element: str, target: Any) -> Target
     if index is not None and index >= size:
         raise ModelError(f"{where}: index out of range; {name}[0] to {name}[{size - 1}] are valid")
     row = index or 0
-    key = made_of(model._forms.base, kind, element, name)
+    forms = (model._forms.base, model._forms.lean)
+    keys = tuple(made_of(form, kind, element, name) for form in forms)
     value = _nominal(model, kind, element, name, attribute, row)
-    return Target(str(concrete), kind, element, name, attribute, row, value, key)
+    return Target(str(concrete), kind, element, name, attribute, row, value, keys)
 
 
 def _nominal(

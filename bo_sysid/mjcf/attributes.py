@@ -56,7 +56,8 @@ ATTRIBUTES: dict[str, dict[str, Attribute]] = {
         **_polynomial("dof", "damping"),
         **_polynomial("jnt", "stiffness"),
         **_plain("dof", armature=0, frictionloss=0),
-        **_plain("jnt", pos=3, margin=0, actfrcrange=2),
+        **_plain("jnt", pos=3, margin=0),
+        "actuatorfrcrange": Attribute("actfrcrange", ("jnt_actfrcrange",), 2),
         "range": Attribute("range", ("jnt_range",), 2, angle=True),
         "ref": Attribute("ref", ("qpos0",), angle=True),
         "springref": Attribute("springref", ("qpos_spring",), angle=True),
@@ -75,14 +76,15 @@ ATTRIBUTES: dict[str, dict[str, Attribute]] = {
         "kp": Attribute("gainprm"),
         "kv": Attribute("gainprm"),
         **_plain("actuator", gear=6, gainprm=10, biasprm=10, dynprm=10),
-        **_plain("actuator", ctrlrange=2, forcerange=2, actrange=2, cranklength=0),
+        **_plain("actuator", ctrlrange=2, forcerange=2, actrange=2),
         **_plain("actuator", armature=0, delay=0),
         **_polynomial("actuator", "damping"),
     },
     "tendon": {
         **_polynomial("tendon", "damping"),
         **_polynomial("tendon", "stiffness"),
-        **_plain("tendon", frictionloss=0, armature=0, margin=0, range=2, actfrcrange=2),
+        **_plain("tendon", frictionloss=0, armature=0, margin=0, range=2),
+        "actuatorfrcrange": Attribute("actfrcrange", ("tendon_actfrcrange",), 2),
         "springlength": Attribute("springlength", ("tendon_lengthspring",), 2),
         **_solver("tendon", "limit", "_limit", "_lim"),
         **_solver("tendon", "friction", "_friction", "_fri"),
@@ -143,7 +145,7 @@ def refusal(kind: str, name: str, element: Any) -> str:
 
 def _joint(name: str, joint: Any) -> str:
     scalar = joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    if name in ("ref", "springref", "range", "actfrcrange") and not scalar:
+    if name in ("ref", "springref", "range", "actuatorfrcrange") and not scalar:
         return "only hinge and slide joints have it"
     if name == "pos" and joint.type == mujoco.mjtJoint.mjJNT_FREE:
         return "a free joint sits at its body's origin"

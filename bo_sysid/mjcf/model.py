@@ -15,7 +15,10 @@ from bo_sysid.mjcf.inertia import release_total_mass, same_inertia
 from bo_sysid.mjcf.strip import stripped
 
 Edit = Callable[[mujoco.MjSpec], None]
-"""Changes a spec in place. Called once for every compilation, on a fresh copy."""
+"""Changes a spec in place; may be called more than once in a compilation, on fresh copies.
+
+One with an attribute `moves_mass` that is false says that it changes no mass, size or density;
+models that use `settotalmass` then compile once instead of twice."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,8 @@ class Target:
         attribute: where spec and model keep it.
         index: component, 0 for a single number.
         nominal: the model's own value.
-        made_of: what in the unedited spec the value follows from, where other edits change it.
+        made_of: what in the unedited spec the value follows from, where other edits change it;
+            one for each form of the spec, with and without `settotalmass`.
     """
 
     address: str
@@ -35,7 +36,7 @@ class Target:
     attribute: Attribute
     index: int
     nominal: float
-    made_of: tuple[object, ...] = ()
+    made_of: tuple[tuple[object, ...], ...] = ((),)
 
     @property
     def moves_mass(self) -> bool:
@@ -122,7 +123,7 @@ def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, va
         value: in the compiled model's units.
     """
     kind, name, attribute = target.kind, target.name, target.attribute
-    untouched = made_of(spec, kind, target.element, name) == target.made_of
+    untouched = made_of(spec, kind, target.element, name) in target.made_of
     if untouched and value == target.nominal:
         return
     if (kind, name) == ("body", "mass"):
