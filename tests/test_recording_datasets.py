@@ -135,20 +135,28 @@ def test_an_unknown_dataset_names_the_nearest():
         load_dataset("emsp")
 
 
-def test_a_dataset_needs_both_parts():
-    recording = Recording.from_arrays([0.0, 1.0], qpos={"a": [0.0, 1.0]})
-    with pytest.raises(RecordingError, match="both parts of the split"):
-        Dataset("d", (recording,), (), "")
+def test_the_held_out_part_is_read_when_it_is_asked_for_and_once():
+    opened = []
+
+    def read(part):
+        opened.append(part)
+        return (Recording.from_arrays([0.0, 1.0], qpos={"a": [0.0, 1.0]}),)
+
+    data = Dataset("d", lambda: read("train"), lambda: read("holdout"), "Someone, 2020.")
+    assert data.train is data.train
+    assert opened == ["train"]
+    assert data.holdout is data.holdout
+    assert opened == ["train", "holdout"]
 
 
 @pytest.mark.parametrize("name", ["quanser_qube", "contactnets_cube"])
 def test_sources_that_must_be_converted_say_how(name, monkeypatch, tmp_path):
     monkeypatch.setenv("BO_SYSID_DATA", str(tmp_path))
     with pytest.raises(RecordingError, match=r"not under \$BO_SYSID_DATA.*numpy.savez"):
-        load_dataset(name)
+        _ = load_dataset(name).train
     monkeypatch.delenv("BO_SYSID_DATA")
     with pytest.raises(RecordingError, match=r"\$BO_SYSID_DATA is not set.*numpy.savez"):
-        load_dataset(name)
+        _ = load_dataset(name).holdout
 
 
 @pytest.fixture

@@ -185,6 +185,8 @@ class Recording:
             first, last = np.searchsorted(c.time, [start, stop])
             if c.hold == "zero":
                 first = max(int(np.searchsorted(c.time, start, side="right")) - 1, 0)
+                # a command that did not change within the part brings a neighbour along
+                first, last = max(min(first, int(last) - 2), 0), max(int(last), 2)
             if last - first < 2:
                 raise RecordingError(
                     f"{self.name}: channel {name!r} has fewer than 2 samples from {start:g} s to "

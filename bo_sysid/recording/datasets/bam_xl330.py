@@ -20,7 +20,6 @@ The servo's law is duty = clip(kp · (goal − q) · 4096 / (2π · 256 · 885),
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 
@@ -35,19 +34,21 @@ _URL = (
     "https://raw.githubusercontent.com/Rhoban/bam/"
     "af2260462471ff45ac18af159b1327ea51d8db15/bam/data.bak/raw/"
 )
-_FILES = {
+_TRAIN = {  # gains 100 and 400
     "2026-01-15_10h28m10": "e58f3c2a08a5e0e37a2c5e930d0830a438bc102b8d21482767124f495b92f2ce",
     "2026-01-15_10h28m17": "ef6507934ba465eb31529d7d98715ecc70bd5c87be049fd4618a94ce39290569",
     "2026-01-15_10h28m24": "165b171df12b3e8b39504ce36d37e373ad105c0dddf4d3d073c747fd492e8bef",
     "2026-01-15_10h28m32": "fdc255edae6995298af437f37582eb8cd0c4a5ddcec4f49fb7c4d6f3303aaa9c",
-    "2026-01-15_10h28m42": "1c6386bfa3be021c8ca8a96a7cbee93914f6271a050282b1c3b7d5ef373427db",
-    "2026-01-15_10h28m49": "e2223826274fca7799a2be0cb371e4269ead88cd9077fbb68498ef93e4e0de97",
-    "2026-01-15_10h28m57": "c10a350d9c7222d4d3499d140edd3ac4e63fe94f3b59a675116a34db7d66152c",
-    "2026-01-15_10h29m04": "7996c43314a9f60094a6119346b54ff9ff84cb6726c967f4a88a7175278f6515",
     "2026-01-15_10h29m14": "016d15d21c464457aa30eaeab3977228b08cd5acf7542f24067440126c0bf480",
     "2026-01-15_10h29m21": "fe68cff62e976c87a2fcab925a517fbff83be16c862693310fdc1eff743eddab",
     "2026-01-15_10h29m29": "b9ce9fc0f396e6b03bd514e9254cb83b8a64e1a5df1728b9a10e3b4a5a9513ca",
     "2026-01-15_10h29m37": "838d390b7190c4ce1608157cf629989648773b7336728a0931a61c6018c6700b",
+}
+_HOLDOUT = {  # gain 200
+    "2026-01-15_10h28m42": "1c6386bfa3be021c8ca8a96a7cbee93914f6271a050282b1c3b7d5ef373427db",
+    "2026-01-15_10h28m49": "e2223826274fca7799a2be0cb371e4269ead88cd9077fbb68498ef93e4e0de97",
+    "2026-01-15_10h28m57": "c10a350d9c7222d4d3499d140edd3ac4e63fe94f3b59a675116a34db7d66152c",
+    "2026-01-15_10h29m04": "7996c43314a9f60094a6119346b54ff9ff84cb6726c967f4a88a7175278f6515",
 }
 _HOW = (
     "Copy bam/data.bak/raw/*.json of github.com/Rhoban/bam at commit af2260462471 into "
@@ -66,7 +67,6 @@ _COLUMNS = {
     "aux.temperature": {"from": "temp", "unit": "°C"},
 }
 _FULL_DUTY = 885  # register value of a bridge that is always on
-_HELD_OUT_GAIN = 200
 CITATION = (
     "M. Duclusaud, G. Passault, V. Padois, O. Ly: Extended friction models for the physics "
     "simulation of servo actuators. ICRA, 2025. Data: github.com/Rhoban/bam, Apache-2.0."
@@ -76,21 +76,18 @@ CITATION = (
 @dataset("bam_xl330")
 def load() -> Dataset:
     """Return the runs of the XL-330, split by gain."""
-    runs = [
-        _read(locate("bam_xl330", SourceFile(f"{name}.json", f"{_URL}{name}.json", digest), _HOW))
-        for name, digest in _FILES.items()
-    ]
-    held_out = [run.channels["aux.kp"].values[0] == _HELD_OUT_GAIN for run in runs]
     return Dataset(
         name="bam_xl330",
-        train=tuple(r for r, held in zip(runs, held_out, strict=True) if not held),
-        holdout=tuple(r for r, held in zip(runs, held_out, strict=True) if held),
+        read_train=lambda: tuple(_read(run, digest) for run, digest in _TRAIN.items()),
+        read_holdout=lambda: tuple(_read(run, digest) for run, digest in _HOLDOUT.items()),
         citation=CITATION,
         notes=("Train: gains 100 and 400. Held out: gain 200.",),
     )
 
 
-def _read(path: Path) -> Recording:
+def _read(run_id: str, digest: str) -> Recording:
+    file = SourceFile(f"{run_id}.json", f"{_URL}{run_id}.json", digest)
+    path = locate("bam_xl330", file, _HOW)
     try:
         run = json.loads(path.read_text(encoding="utf-8"))
         entries = run["entries"]

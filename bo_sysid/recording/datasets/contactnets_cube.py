@@ -36,6 +36,7 @@ _HOW = (
 )
 HALF_SIDE = 0.0524  # m, the source's unit of length
 RATE = 148.0  # Hz
+_HELD_OUT = 80  # tosses, of 400
 _UNITS = {
     **{f"qpos.cube.{i}": "m" for i in range(3)},
     **{f"qvel.cube.{i}": "m/s" for i in range(3)},
@@ -51,6 +52,17 @@ CITATION = (
 @dataset("contactnets_cube")
 def load() -> Dataset:
     """Return one recording a toss, the last fifth held out."""
+    return Dataset(
+        name="contactnets_cube",
+        read_train=lambda: _read(slice(None, -_HELD_OUT)),
+        read_holdout=lambda: _read(slice(-_HELD_OUT, None)),
+        citation=CITATION,
+        notes=("Held out: the last fifth of the tosses.", _NOTE),
+    )
+
+
+def _read(part: slice) -> tuple[Recording, ...]:
+    """Read a part of the tosses."""
     path = locate("contactnets_cube", _FILE, _HOW)
     with np.load(path, allow_pickle=False) as archive:
         if not {"data", "lengths", "ids"} <= set(archive.files):
@@ -61,18 +73,8 @@ def load() -> Dataset:
             f"{path}: data {data.shape} must have 19 columns and one row for each of the "
             f"{lengths.sum()} rows that lengths announce"
         )
-    tosses = [
-        _toss(int(number), rows)
-        for number, rows in zip(ids, np.split(data, np.cumsum(lengths)[:-1]), strict=True)
-    ]
-    first_held_out = len(tosses) * 4 // 5
-    return Dataset(
-        name="contactnets_cube",
-        train=tuple(tosses[:first_held_out]),
-        holdout=tuple(tosses[first_held_out:]),
-        citation=CITATION,
-        notes=("Held out: the last fifth of the tosses.", _NOTE),
-    )
+    tosses = list(zip(ids, np.split(data, np.cumsum(lengths)[:-1]), strict=True))
+    return tuple(_toss(int(number), rows) for number, rows in tosses[part])
 
 
 def _toss(number: int, rows: np.ndarray) -> Recording:

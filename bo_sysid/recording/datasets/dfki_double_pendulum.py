@@ -108,12 +108,16 @@ def load_c0() -> Dataset:
 
 
 def _load(name: str, build: str, *sorts: Mapping[str, tuple[str, str]]) -> Dataset:
-    """Read all runs of a build; the last one of each sort is held out."""
-    runs = [[_read(build, run, *origin) for run, origin in sort.items()] for sort in sorts]
+    """Return the runs of a build; the last one of each sort is held out."""
+
+    def read(part: slice) -> tuple[Recording, ...]:
+        runs = [run for sort in sorts for run in list(sort.items())[part]]
+        return tuple(_read(build, run, *published) for run, published in runs)
+
     return Dataset(
         name=name,
-        train=tuple(run for sort in runs for run in sort[:-1]),
-        holdout=tuple(sort[-1] for sort in runs),
+        read_train=lambda: read(slice(None, -1)),
+        read_holdout=lambda: read(slice(-1, None)),
         citation=CITATION,
         notes=(f"Design {build}. Held out: the last sinusoid and the last swing-up.",),
     )

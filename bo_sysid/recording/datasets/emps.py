@@ -14,9 +14,12 @@ loop; the second file adds pulses of force.
 Velocities were not recorded. Default split: DATA_EMPS trains, DATA_EMPS_PULSES is held out.
 """
 
+from collections.abc import Mapping
+
 from bo_sysid.recording.datasets.registry import Dataset, dataset
 from bo_sysid.recording.datasets.source import SourceFile, locate
 from bo_sysid.recording.readers import read_recording
+from bo_sysid.recording.value import Recording
 
 _URL = (
     "https://raw.githubusercontent.com/forgi86/sysid-neural-continuous/"
@@ -32,6 +35,7 @@ _COLUMNS = {
     "ctrl.vir": {"from": "vir", "unit": "V"},
     "goal.vir": {"from": "qg", "unit": "m"},
 }
+_PULSES = {"aux.pulses": {"from": "pulses_N", "unit": "N"}}
 _HOW = (
     "Download DATA_EMPS.mat and DATA_EMPS_PULSES.mat from nonlinearbenchmark.org (EMPS) into "
     "$BO_SYSID_DATA/emps"
@@ -45,15 +49,16 @@ CITATION = (
 @dataset("emps")
 def load() -> Dataset:
     """Return the two recordings of the EMPS benchmark."""
-    train, pulses = (
-        locate("emps", SourceFile(name, _URL + name, digest), _HOW)
-        for name, digest in _FILES.items()
-    )
-    added = {"aux.pulses": {"from": "pulses_N", "unit": "N"}}
     return Dataset(
         name="emps",
-        train=(read_recording(train, _COLUMNS),),
-        holdout=(read_recording(pulses, _COLUMNS | added),),
+        read_train=lambda: (_read("DATA_EMPS.mat", _COLUMNS),),
+        read_holdout=lambda: (_read("DATA_EMPS_PULSES.mat", _COLUMNS | _PULSES),),
         citation=CITATION,
         notes=("Train: DATA_EMPS. Held out: DATA_EMPS_PULSES, with pulses of force.",),
+    )
+
+
+def _read(name: str, columns: Mapping[str, Mapping[str, str]]) -> Recording:
+    return read_recording(
+        locate("emps", SourceFile(name, _URL + name, _FILES[name]), _HOW), columns
     )

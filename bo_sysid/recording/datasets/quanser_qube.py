@@ -47,17 +47,21 @@ CITATION = (
 @dataset("quanser_qube")
 def load() -> Dataset:
     """Return the runs of the Qube, the last of each sort held out."""
-    runs = {sort: [_read(sort, p, s) for s in stamps] for sort, (p, stamps) in _RUNS.items()}
     return Dataset(
         name="quanser_qube",
-        train=tuple(run for sort in runs.values() for run in sort[:-1]),
-        holdout=tuple(sort[-1] for sort in runs.values()),
+        read_train=lambda: _read(slice(None, -1)),
+        read_holdout=lambda: _read(slice(-1, None)),
         citation=CITATION,
         notes=("Held out: the last chirp and the last swing-up.",),
     )
 
 
-def _read(sort: str, pattern: str, stamp: str) -> Recording:
-    path = locate("quanser_qube", SourceFile(pattern.format(stamp)), _HOW)
-    recording = read_recording(path, _COLUMNS)
-    return Recording(f"qube_{sort}_{stamp}", recording.channels, recording.notes)
+def _read(part: slice) -> tuple[Recording, ...]:
+    """Read a part of the runs of each sort."""
+    recordings = []
+    for sort, (pattern, stamps) in _RUNS.items():
+        for stamp in stamps[part]:
+            path = locate("quanser_qube", SourceFile(pattern.format(stamp)), _HOW)
+            read = read_recording(path, _COLUMNS)
+            recordings.append(Recording(f"qube_{sort}_{stamp}", read.channels, read.notes))
+    return tuple(recordings)

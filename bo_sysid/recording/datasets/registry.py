@@ -2,32 +2,41 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
-from bo_sysid.errors import RecordingError
 from bo_sysid.recording.value import Recording
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings of a machine that its authors published.
+    """Recordings of a machine that its authors published, with a default split.
+
+    The files of a part are opened when the part is first asked for: what is held out stays
+    untouched until then.
 
     Attributes:
         name: name in a study, ``dataset: <name>``.
-        train: recordings to identify and diagnose on.
-        holdout: recordings that are read once, after the answer is frozen.
+        read_train: reads the recordings to identify and diagnose on.
+        read_holdout: reads those that are looked at once, after the answer is frozen.
         citation: whom to cite.
         notes: the split, and what was converted.
     """
 
     name: str
-    train: tuple[Recording, ...]
-    holdout: tuple[Recording, ...]
+    read_train: Callable[[], tuple[Recording, ...]]
+    read_holdout: Callable[[], tuple[Recording, ...]]
     citation: str
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if not self.train or not self.holdout:
-            raise RecordingError(f"dataset {self.name}: both parts of the split need a recording")
+    @cached_property
+    def train(self) -> tuple[Recording, ...]:
+        """The recordings to identify and diagnose on."""
+        return self.read_train()
+
+    @cached_property
+    def holdout(self) -> tuple[Recording, ...]:
+        """The recordings that are looked at once, after the answer is frozen."""
+        return self.read_holdout()
 
 
 Loader = Callable[[], Dataset]

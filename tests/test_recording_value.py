@@ -1,0 +1,114 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import Channel, Recording
+
+TIME = np.array([0.0, 0.1, 0.3, 0.4])
+VALUES = np.array([1.0, -2.0, 3.0, 0.5])
+
+
+def test_a_channel_is_frozen_and_keeps_its_own_copy():
+    values = VALUES.copy()
+    channel = Channel(TIME, values)
+    values[0] = 99.0
+    assert channel.values[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        channel.values[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("time", "values", "match"),
+    [
+        (TIME[:1], VALUES[:1], "1 samples; at least 2"),
+        (TIME[::-1], VALUES, "must increase; row 1"),
+        (np.array([0, 1, 1, 2.0]), VALUES, "must increase; row 2"),
+        (TIME, np.array([1, np.nan, 2, 3]), "value in row 1 is nan"),
+        (np.array([0, 1, np.inf, 3]), VALUES, "time stamp in row 2 is inf"),
+    ],
+)
+def test_a_channel_is_validated_when_made(time, values, match):
+    with pytest.raises(RecordingError, match=f"log.csv: q.*{match}"):
+        Channel(time, values, source="log.csv: q")
+
+
+def test_the_value_held_is_that_of_the_last_stamp():
+    at = Channel(TIME, VALUES, hold="zero").at(np.array([-1.0, 0.0, 0.0999, 0.1, 0.35, 9.0]))
+    np.testing.assert_array_equal(at, [1.0, 1.0, 1.0, -2.0, 3.0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("name", "match"),
+    [("qposs.a", "did you mean 'qpos'"), ("qpos", "<kind>.<name>"), ("qpos.a b", "<kind>.<name>")],
+)
+def test_channel_names_follow_the_convention(name, match):
+    with pytest.raises(RecordingError, match=match):
+        Recording("r", {name: Channel(TIME, VALUES)})
+
+
+def test_a_recording_needs_a_channel():
+    with pytest.raises(RecordingError, match="at least one channel"):
+        Recording("r", {})
+
+
+def test_from_arrays_indexes_coordinates_and_holds_controls():
+    recording = Recording.from_arrays(
+        TIME,
+        qpos={"root": np.arange(28.0).reshape(4, 7), "arm": VALUES},
+        ctrl={"arm": VALUES},
+        units={"qpos.arm": "rad", "qpos.root": "m"},
+    )
+    assert recording.channels["qpos.root.6"].values.tolist() == [6, 13, 20, 27]
+    assert recording.channels["qpos.root.6"].unit == "m"
+    assert recording.channels["qpos.arm"].unit == "rad"
+    assert recording.channels["ctrl.arm"].hold == "zero"
+    assert list(recording.of_kind("ctrl")) == ["arm"]
+    with pytest.raises(RecordingError, match="unknown kind 'qpoz'; did you mean 'qpos'"):
+        Recording.from_arrays(TIME, qpoz={"a": VALUES})
+
+
+def test_frames_there_and_back():
+    frame = pd.DataFrame({"time": TIME, "qpos.a": VALUES, "ctrl.m": VALUES})
+    pd.testing.assert_frame_equal(Recording.from_frame(frame).to_frame(), frame)
+    with pytest.raises(RecordingError, match="no column 'time'; did you mean 'timee'"):
+        Recording.from_frame(frame.rename(columns={"time": "timee"}))
+
+
+def test_a_frame_of_several_clocks_invents_no_measurement():
+    slow = Channel(TIME[::2] + 0.05, VALUES[::2], hold="zero")
+    frame = Recording("r", {"qpos.a": Channel(TIME, VALUES), "ctrl.m": slow}).to_frame()
+    assert frame["qpos.a"].isna().sum() == 2
+    assert frame.loc[frame["time"] == 0.3, "ctrl.m"].item() == 1.0
+
+
+def test_a_part_keeps_the_control_that_was_held_when_it_began():
+    recording = Recording(
+        "r",
+        {
+            "qpos.a": Channel(TIME, VALUES),
+            "ctrl.m": Channel(np.array([0.05, 0.35]), np.array([7.0, 8.0]), hold="zero"),
+        },
+    )
+    part = recording.between(0.1, 0.4)
+    assert part.channels["qpos.a"].time.tolist() == [0.1, 0.3]
+    assert part.channels["ctrl.m"].at(np.array([0.1])).item() == 7.0
+    assert recording.span == (0.0, 0.4)
+    with pytest.raises(RecordingError, match=r"'qpos.a' has fewer than 2 samples"):
+        recording.between(0.31, 0.39)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0.0, 0.2), (0.15, 0.3), (0.29, 0.5)])
+def test_a_command_that_does_not_change_within_a_part_is_still_held(start, stop):
+    command = Channel(np.array([0.1, 0.28]), np.array([7.0, 8.0]), hold="zero")
+    time = np.arange(60) * 0.01
+    recording = Recording("r", {"qpos.a": Channel(time, time), "ctrl.m": command})
+    part = recording.between(start, stop)
+    inside = part.channels["qpos.a"].time
+    np.testing.assert_array_equal(part.channels["ctrl.m"].at(inside), command.at(inside))
+
+
+def test_notes_are_added_to_a_copy():
+    recording = Recording("r", {"qpos.a": Channel(TIME, VALUES)}, ("One.",))
+    assert recording.with_notes(["Two."]).notes == ("One.", "Two.")
+    assert recording.notes == ("One.",)
