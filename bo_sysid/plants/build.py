@@ -1,0 +1,102 @@
+"""From a study's `plant:` to the plant, and from the plant to recordings."""
+
+from collections.abc import Sequence
+
+from bo_sysid.errors import UserError, nearest
+from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
+from bo_sysid.plants.excitation import multisine, smooth_random
+from bo_sysid.plants.plant import Plant
+from bo_sysid.plants.tasks import find_task
+from bo_sysid.recording import Recording
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
+
+EXCITATIONS = {"multisine": multisine, "random": smooth_random}
+"""Controls that move a machine, by name."""
+
+
+def build_plant(study: Study, *, budget: int | None = None, seed: int | None = None) -> Plant:
+    """Return the simulated machine that a study describes.
+
+    Args:
+        study: its `plant:` says what the machine has differently; without one the machine is the
+            nominal model.
+        budget: most trajectories; no limit by default.
+        seed: of starts and noise; the study's by default.
+
+    Raises:
+        StudyError: `plant:` names a parameter that the study does not have.
+        ModelError: the plant's model does not compile.
+    """
+    model = load_model(study)
+    plant = study.plant
+    task = None
+    if study.model.dm_control is not None:
+        task = find_task(study.model.dm_control.domain, study.model.dm_control.task)
+    if plant is not None and plant.effects:
+        raise study.error(("plant", "effects"), "plants with effects cannot be built yet")
+    return Plant(
+        model,
+        [] if plant is None else _parameter_edits(study, model),
+        task=task,
+        name="plant",
+        timestep=None if plant is None else plant.timestep,
+        noise={} if plant is None else dict(plant.noise),
+        budget=budget,
+        seed=study.search.seed if seed is None else seed,
+    )
+
+
+def record(
+    plant: Plant,
+    model: Model,
+    count: int,
+    *,
+    duration: float,
+    excitation: str = "random",
+    seed: int = 0,
+    warmstart: bool = False,
+) -> tuple[Recording, ...]:
+    """Roll a plant out under an excitation and return one recording a trajectory.
+
+    Args:
+        plant: the machine.
+        model: the nominal model, whose control ranges the excitation keeps.
+        count: number of trajectories.
+        duration: of each, in [s].
+        excitation: "random" or "multisine".
+        seed: of the excitations.
+        warmstart: also record the solver's warm start, see `Plant.record`.
+
+    Raises:
+        UserError: there is no such excitation, or the plant refuses.
+    """
+    if excitation not in EXCITATIONS:
+        raise UserError(f"unknown excitation {excitation!r}; {nearest(excitation, EXCITATIONS)}")
+    compiled = model.compile()
+    made = EXCITATIONS[excitation]
+    return tuple(
+        plant.record(
+            made(compiled, duration, plant.control_timestep, seed=seed * 1_009 + number),
+            warmstart=warmstart,
+        )
+        for number in range(count)
+    )
+
+
+def _parameter_edits(study: Study, model: Model) -> Sequence[Edit]:
+    """Return the edits of `plant.parameters`: names of the study's parameters, or addresses."""
+    assert study.plant is not None  # noqa: S101 - the caller looked
+    known = {p.name: p for p in study.parameter_set(model)}
+    edits: list[Edit] = []
+    for name, value in study.plant.parameters.items():
+        if name in known:
+            edits += parameter_edits(model, [known[name]], [value])
+        elif "[" in name or name.startswith("option."):
+            edits.append(address_edit(model, [name], value, "set"))
+        else:
+            raise study.error(
+                ("plant", "parameters", name),
+                f"no parameter {name!r}; {nearest(name, known)} (or an MJCF address)",
+            )
+    return edits
