@@ -339,7 +339,7 @@ def test_mocap_bodies_survive_a_changed_keyframe():
     text = FLOATING.replace("<worldbody>", mocap).replace('ctrl=".3"', 'ctrl=".3" mpos="1 2 3"')
 
     def add(spec: mujoco.MjSpec) -> None:
-        spec.body("leg").add_joint(name="play")
+        spec.body("leg").add_joint(name="play").armature = 0.1
 
     for edits in ([], [add]):
         compiled = Model.from_xml(text).compile(edits)
