@@ -154,6 +154,21 @@ class PlantEffect(Section):
     """Further components by name."""
 
 
+class Record(Section):
+    """What `bo-sysid record` records of the plant."""
+
+    train: Count = 3
+    """Number of training recordings."""
+    holdout: Count = 1
+    """Number of recordings that are set aside."""
+    seconds: Positive = 5.0
+    """Length of each, in s."""
+    excitation: Literal["random", "multisine"] = "random"
+    """Controls that move the plant: random with a correlation time, or sums of sines."""
+    warmstart: bool = False
+    """Also record the solver's warm start, so that the true parameters predict exactly."""
+
+
 class Plant(Section):
     """A simulated machine to record from: what it has is hidden from every other command."""
 
@@ -165,3 +180,5 @@ class Plant(Section):
     """Standard deviation of the noise by kind of channel or by channel, in its unit."""
     timestep: Positive | None = None
     """Time step of the plant in s; the model's where left out."""
+    record: Record = Record()
+    """What `bo-sysid record` records."""

@@ -314,8 +314,10 @@ class Study(Section):
             root = Path(anchor) if anchor else self._folder
             files = sorted(p for p in root.glob(pattern[len(anchor) :]) if p.is_file())
             if not files:
+                made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
                 raise self.error(
-                    ("recordings", part, i), f"{pattern!r} matches no file; {_near(root / pattern)}"
+                    ("recordings", part, i),
+                    f"{pattern!r} matches no file; {_near(root / pattern)}{made}",
                 )
             found.update(dict.fromkeys(files))
         return tuple(found)

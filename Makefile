@@ -1,0 +1,37 @@
+# make demo | test | lint | bench: each makes .venv first, once.
+# make setup PIP_ARGS="--index-url …" says where pip takes packages from.
+
+PYTHON ?= python3
+PIP_ARGS ?=
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: setup demo test lint bench
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "Python 3.11 or newer is needed: make setup PYTHON=python3.12"; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_ARGS) \
+		--constraint constraints.txt --editable '.[dev,notebooks]'
+	@touch $(READY)
+
+demo: setup
+	$(BIN)/bo-sysid demo
+
+lint: setup
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# the tests run in two processes: one thread each for linear algebra
+test: export OMP_NUM_THREADS = 1
+test: export OPENBLAS_NUM_THREADS = 1
+test: lint
+	$(BIN)/python -m pytest --numprocesses 2 --quiet
+
+bench: setup
+	for name in benchmarks/*.py; do $(BIN)/python $$name || exit 1; done

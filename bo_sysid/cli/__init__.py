@@ -1,0 +1,80 @@
+"""The command line: the only place that prints.
+
+One module a verb, each with `add_parser` and `run`. They import what they need when they run, so
+that ``--help`` and errors of input answer at once.
+"""
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+from bo_sysid import __version__
+from bo_sysid.cli import check, demo, identify, record, report, schema
+from bo_sysid.errors import UserError
+
+VERBS = (check, identify, record, report, schema, demo)
+"""The verbs, in the order of the help."""
+
+DONE, DEFECT, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports wrong arguments like any other wrong input."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message} ({self.prog} --help)")
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of all verbs."""
+    parser = _Parser(
+        prog="bo-sysid",
+        description="Find where a MuJoCo simulation and a real machine disagree, and repair the "
+        "model.",
+        epilog="Exit code: 0 done, 2 the study, model or recording is wrong, 1 anything else.",
+    )
+    parser.add_argument("--version", action="version", version=f"bo-sysid {__version__}")
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    for verb in VERBS:
+        verb.add_parser(verbs)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        argv: the arguments; those of the process where left out.
+
+    Returns:
+        The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted; 1 anything
+        else, with a traceback.
+    """
+    try:
+        args = make_parser().parse_args(argv)
+        args.run(args)
+        sys.stdout.flush()
+    except SystemExit as end:  # --help and --version
+        return int(end.code or DONE)
+    except UserError as error:
+        return _say(str(error), WRONG_INPUT)
+    except BrokenPipeError:  # whoever read the output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except OSError as error:  # a missing file, no permission, a full disk
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(f"{where}{error.strerror or error}", WRONG_INPUT)
+    except KeyboardInterrupt:
+        return _say("interrupted; the same command goes on where it was", INTERRUPTED)
+    except Exception:
+        traceback.print_exc()
+        return _say("this is a defect of bo-sysid: please report the lines above", DEFECT)
+    return DONE
+
+
+def _say(message: str, code: int) -> int:
+    print(f"bo-sysid: {message}", file=sys.stderr)
+    return code

@@ -1,0 +1,51 @@
+"""`bo-sysid identify`: find the parameters that fit, and how sure one can be."""
+
+import argparse
+from typing import TYPE_CHECKING
+
+from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.progress import shown
+
+if TYPE_CHECKING:
+    from bo_sysid.runs import Run
+    from bo_sysid.study import Study
+
+
+def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = verbs.add_parser(
+        "identify",
+        help="find the parameters that fit, and how sure one can be",
+        description="Find the parameters of the model that predict the recordings best, and how "
+        "sure one can be. An interrupted run goes on with the same command.",
+    )
+    add_study(parser)
+    add_out(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Identify, and print what was found."""
+    study = load_study(args)
+    with open_run(args, study, "identify") as run:
+        identify_into(run, study, strict=args.strict)
+    print_run(run)
+
+
+def identify_into(run: "Run", study: "Study", *, strict: bool = False) -> None:
+    """Identify into a run folder, with progress.
+
+    Raises:
+        UserError: the study, its model or its recordings are wrong.
+    """
+    with shown("identify") as progress:
+        from bo_sysid.identify import identify
+
+        identify(study, run, progress=progress, strict=strict)
+
+
+def print_run(run: "Run") -> None:
+    """Print what a run found, and where it is."""
+    from bo_sysid.report.text import run_text
+
+    print(run_text(run.folder))

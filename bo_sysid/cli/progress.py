@@ -1,0 +1,83 @@
+"""Progress of long commands: a bar on a terminal, lines elsewhere; both on stderr."""
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+from bo_sysid.execution import Progress, Report
+
+EVERY = 5.0
+"""Least time between two lines, in s."""
+
+
+@contextlib.contextmanager
+def shown(title: str) -> Iterator[Report]:
+    """Yield what a long computation, called `title`, reports its progress to."""
+    if sys.stderr.isatty():
+        with _bar(title) as report:
+            yield report
+    else:
+        yield Lines(title)
+
+
+class Lines:
+    """Prints a line at most every few seconds, and the last one in any case.
+
+    Args:
+        title: what is being done.
+        every: least time between two lines in [s].
+        clock: returns the time in [s].
+    """
+
+    def __init__(
+        self, title: str, every: float = EVERY, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._title, self._every, self._clock = title, every, clock
+        self._began = self._last = clock()
+        self._first: int | None = None
+
+    def __call__(self, progress: Progress) -> None:
+        """Print where it stands, unless a line was printed a moment ago."""
+        now = self._clock()
+        if self._first is None:
+            self._first = progress.step - 1  # a resumed run does not begin at zero
+        if now - self._last < self._every and progress.step < progress.of:
+            return
+        self._last = now
+        done, ahead = progress.step - self._first, progress.of - progress.step
+        left = f", {_duration((now - self._began) / done * ahead)} left" if done and ahead else ""
+        message = f": {progress.message}" if progress.message else ""
+        print(
+            f"{self._title} {progress.step}/{progress.of}{left}{message}",
+            file=sys.stderr,
+            flush=True,
+        )
+
+
+@contextlib.contextmanager
+def _bar(title: str) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[message]}", markup=False),
+    )
+    with Bar(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(title, total=None, message="")
+
+        def report(progress: Progress) -> None:
+            bar.update(task, completed=progress.step, total=progress.of, message=progress.message)
+
+        yield report
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"

@@ -1,0 +1,101 @@
+"""Results as text: what the command line prints, and `bo-sysid report` again later."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from bo_sysid.runs import read_frame, read_json, read_record
+from bo_sysid.study.check import Check
+
+_FEW = 12  # notes that are shown; all are in the run folder
+
+
+def run_text(folder: str | Path) -> str:
+    """Return what a run folder holds, in words and tables.
+
+    A run that is unfinished says how far it came.
+
+    Raises:
+        RunError: the folder is no run, or is damaged.
+    """
+    folder = Path(folder)
+    record = read_record(folder)
+    head = f"{folder}: {record['command']}, {record['status']}"
+    if (folder / "identification.json").is_file():
+        return "\n".join([head, identification_text(read_json(folder, "identification.json"))])
+    if (folder / "evaluations.parquet").is_file():
+        frame = read_frame(folder, "evaluations.parquet")
+        return (
+            f"{head}\n{len(frame)} evaluations so far, lowest deviation "
+            f"{frame['deviation'].min():.4g}. The same command goes on."
+        )
+    return f"{head}\nNothing was computed yet."
+
+
+def identification_text(summary: Mapping[str, Any]) -> str:
+    """Return an identification's `summary` in words and tables."""
+    parameters = pd.DataFrame(summary["parameters"])
+    shown = [c for c in ("name", "unit", "nominal", "value", "low95", "high95") if c in parameters]
+    parts = [
+        f"{summary['name']}: stopped after {summary['evaluations']} of {summary['candidates']} "
+        f"candidates, {summary['stopped']}",
+        "",
+        table(parameters[shown]),
+    ]
+    bound = parameters.loc[parameters["at_bound"].astype(bool), "name"]
+    if len(bound):
+        parts += ["", f"On a bound, so that the truth may lie beyond: {', '.join(bound)}."]
+    parts += [
+        "",
+        "Root mean square errors of prediction, in the channel's unit:",
+        table(pd.DataFrame(summary["errors"])),
+    ]
+    return "\n".join([*parts, *_notes(summary["notes"])])
+
+
+def check_text(found: Check) -> str:
+    """Return what a study is made of, in words and tables."""
+    several = "s" if len(found.recordings) > 1 else ""
+    columns = {"interval": "interval [ms]", "noise": "noise (σ)"}
+    parts = [
+        f"{found.name}: model {found.model} at {1e3 * found.timestep:g} ms, "
+        f"{len(found.recordings)} training recording{several} ({', '.join(found.recordings)})",
+        "",
+        table(found.channels.rename(columns=columns)),
+    ]
+    if len(found.parameters):
+        parts += ["", table(found.parameters), "", f"B has {found.candidates} candidates."]
+    else:
+        parts += ["", "Nothing is uncertain: the study names no parameters."]
+    return "\n".join([*parts, *_notes(found.notes)])
+
+
+def table(frame: pd.DataFrame) -> str:
+    """Return a DataFrame as aligned columns; numbers have four digits, what is missing is empty."""
+    rows = [[_cell(value) for value in row] for row in frame.to_numpy(object)]
+    cells = [[str(c) for c in frame.columns], *rows]
+    numeric = [pd.api.types.is_numeric_dtype(frame[c]) for c in frame.columns]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(numeric))]
+    lines = []
+    for row in cells:
+        padded = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row, widths, numeric, strict=True)
+        ]
+        lines.append("  ".join(padded).rstrip())
+    return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "" if pd.isna(value) else f"{value:.4g}"
+    return "" if value is None else str(value)
+
+
+def _notes(notes: Sequence[str]) -> list[str]:
+    if not notes:
+        return []
+    more = [f"- and {len(notes) - _FEW} more"] if len(notes) > _FEW else []
+    return ["", "What was done to the data:", *[f"- {n}" for n in notes[:_FEW]], *more]

@@ -1,0 +1,169 @@
+"""What a study's model, recordings and parameters are, before anything is fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.mjcf import Address, Model
+from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.recording import Recording, Sampling
+from bo_sysid.recording.noise import noise_sigma
+from bo_sysid.study.inputs import load_model, load_train
+from bo_sysid.study.study import Study
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a study is made of.
+
+    Attributes:
+        name: of the study.
+        model: where the model comes from.
+        timestep: of the model, in [s].
+        recordings: names of the training recordings.
+        channels: one row a channel of the model or of a recording: channel, use (what it is in the
+            model), recordings that have it, samples, interval in [ms], low, high, unit, noise
+            (standard deviation).
+        parameters: one row a parameter: name, unit, addresses, apply, nominal, low, high, steps.
+        candidates: number N of candidates in B; 0 where nothing is uncertain.
+        notes: what was done to the data.
+    """
+
+    name: str
+    model: str
+    timestep: float
+    recordings: tuple[str, ...]
+    channels: pd.DataFrame
+    parameters: pd.DataFrame
+    candidates: int
+    notes: tuple[str, ...]
+
+
+def check(study: Study, *, strict: bool = False) -> Check:
+    """Load what a study names, and match recordings and parameters with the model.
+
+    Args:
+        study: the study.
+        strict: refuse messy recordings.
+
+    Raises:
+        UserError: something is wrong or does not fit together.
+    """
+    model = load_model(study)
+    recordings = load_train(study, strict=strict)
+    for recording in recordings:
+        require_known(model, recording)
+    for name in study.actuators:
+        if name not in model.actuators:
+            near = nearest(name, model.actuators)
+            raise study.error(("actuators", name), f"the model has no such actuator; {near}")
+    parameters = study.parameter_set(model)
+    laws = {f"ctrl.{name}": a.law for name, a in study.actuators.items()}
+    return Check(
+        study.name,
+        model.source,
+        float(model.compile().opt.timestep),
+        tuple(r.name for r in recordings),
+        _channels(model, recordings, laws),
+        described(model, parameters),
+        len(candidate_set(study, parameters)) if parameters else 0,
+        tuple(dict.fromkeys(n for r in recordings for n in r.notes)),
+    )
+
+
+def require_known(model: Model, recording: Recording) -> None:
+    """Refuse a recording with a joint, actuator or sensor that the model does not have.
+
+    Raises:
+        RecordingError: the message names the channel and the nearest one of the model.
+    """
+    known = _known(model)
+    for name in recording.channels:
+        kind = name.split(".", 1)[0]
+        if kind in known and name not in known[kind]:
+            raise RecordingError(
+                f"{recording.name}: channel {name!r} is not in the model {model.source}; "
+                f"{nearest(name, known[kind]) or f'it has no {kind} at all'}"
+            )
+
+
+def candidate_set(study: Study, parameters: Sequence[Parameter]) -> CandidateSet:
+    """Return the discrete set B: the full grid, or a Sobol design of the stated size."""
+    size = study.search.candidates.sobol
+    if size is None:
+        return CandidateSet.from_grid(parameters)
+    return CandidateSet.from_sobol(parameters, size, study.search.seed)
+
+
+def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
+    """Return one row a parameter: name, unit, addresses, apply, nominal, low, high, steps."""
+    return pd.DataFrame(
+        {
+            "name": [p.name for p in parameters],
+            "unit": [p.unit for p in parameters],
+            "addresses": [", ".join(p.addresses) for p in parameters],
+            "apply": [p.apply for p in parameters],
+            "nominal": [nominal(model, p) for p in parameters],
+            "low": [p.low for p in parameters],
+            "high": [p.high for p in parameters],
+            "steps": [p.steps for p in parameters],
+        }
+    )
+
+
+def nominal(model: Model, parameter: Parameter) -> float:
+    """Return the value that leaves the model as it is: its own, a factor of 1, a change of 0."""
+    neutral = {"scale": 1.0, "add": 0.0}
+    if parameter.apply in neutral:
+        return neutral[parameter.apply]
+    return float(Address.parse(parameter.addresses[0]).read(model))
+
+
+def _known(model: Model) -> dict[str, tuple[str, ...]]:
+    return {
+        "qpos": model.qpos_channels,
+        "qvel": model.qvel_channels,
+        "act": model.act_channels,
+        "ctrl": model.ctrl_channels,
+        "sensor": model.sensor_channels,
+        "goal": tuple(f"goal.{a}" for a in model.actuators),
+    }
+
+
+def _channels(model: Model, recordings: Sequence[Recording], laws: dict[str, str]) -> pd.DataFrame:
+    known = _known(model)
+    needed = [*known["qpos"], *known["qvel"], *known["ctrl"]]
+    recorded = dict.fromkeys(n for r in recordings for n in r.channels)
+    rows = []
+    for name in dict.fromkeys([*needed, *recorded]):
+        found = [r.channels[name] for r in recordings if name in r.channels]
+        kind = name.split(".", 1)[0]
+        row: dict[str, object] = {
+            "channel": name,
+            "use": _use(name, laws, recorded=bool(found), known=kind in known),
+            "recordings": f"{len(found)} of {len(recordings)}",
+            "samples": sum(len(c.time) for c in found),
+        }
+        if found:
+            row |= {
+                "interval": 1e3 * float(np.median([Sampling.of(c.time).median_dt for c in found])),
+                "low": min(float(c.values.min()) for c in found),
+                "high": max(float(c.values.max()) for c in found),
+                "unit": found[0].unit,
+            }
+            if found[0].hold == "none":
+                row["noise"] = float(np.median([noise_sigma(c.time, c.values) for c in found]))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _use(name: str, laws: dict[str, str], *, recorded: bool, known: bool) -> str:
+    if name in laws:
+        return f"computed by {laws[name]}"
+    if recorded:
+        return "in the model" if known else "auxiliary"
+    missing = {"qpos": "missing", "qvel": "estimated from qpos", "ctrl": "missing"}
+    return missing[name.split(".", 1)[0]]

@@ -1,0 +1,270 @@
+"""The command line: exit codes, one message for wrong input, nothing heavy before it is needed."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from bo_sysid import __version__
+from bo_sysid.cli import VERBS, main
+from bo_sysid.runs import Run
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="rod">
+      <joint name="hinge" axis="0 1 0" damping="0.05"/>
+      <geom name="rod" type="capsule" size=".02" fromto="0 0 0 0 0 -.4" mass=".5"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+STUDY = """
+model: pendulum.xml
+recordings: {train: [log.csv]}
+parameters:
+  - {name: mass, address: "geom[rod].mass", low: 0.3, high: 0.8, steps: 21, unit: kg}
+  - {name: damping, address: "joint[hinge].damping", low: 0, high: 0.1, steps: 5}
+"""
+LOG = "time,qpos.hinge,ctrl.motor\n" + "".join(
+    f"{k * 0.01:.2f},{(k % 40) / 40:.4f},{k % 3}\n" for k in range(80)
+)
+
+Say = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, content in (("pendulum.xml", MODEL), ("arm.yaml", STUDY), ("log.csv", LOG)):
+        (tmp_path / name).write_text(content)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def say(capsys: pytest.CaptureFixture[str]) -> Say:
+    """Return a function that runs a command and returns exit code, stdout and stderr."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = main(arguments)
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+def test_help_names_every_verb(say: Say) -> None:
+    code, out, _ = say("--help")
+    assert code == 0
+    names = [verb.__name__.rsplit(".", 1)[1] for verb in VERBS]
+    assert names == ["check", "identify", "record", "report", "schema", "demo"]
+    assert all(name in out for name in names)
+    for name in names:
+        code, out, _ = say(name, "--help")
+        assert code == 0
+        assert f"bo-sysid {name}" in out
+    assert say("--version") == (0, f"bo-sysid {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["identfy", "arm.yaml"], r"invalid choice: 'identfy' \(choose from"),
+        ([], "required: VERB"),
+        (["check"], "required: STUDY"),
+        (["check", "arm.yaml", "--sed", "x"], "unrecognized arguments"),
+        (["check", "arm.yaml", "--seed", "x"], "argument --seed: invalid int value: 'x'"),
+        (["check", "amr.yaml"], "amr.yaml: no such file; did you mean 'arm.yaml'"),
+        (["check", "arm.yaml", "--set", "serach.budget=3"], "unknown key; did you mean 'search'"),
+        (["check", "arm.yaml", "--set", "recordings={dataset: empz}"], "unknown dataset 'empz'; d"),
+        (["check", "arm.yaml", "--set", "model=pendulm.xml"], "did you mean 'pendulum.xml'"),
+        (["check", "arm.yaml", "--set", "actuators={motr: {law: a.py:b}}"], "--trust-code"),
+        (["check", "arm.yaml", "--set", "budget"], "must be key=value"),
+        (["report", "nowhere"], "nowhere: not a run folder"),
+        (["identify", "arm.yaml", "--threads", "0"], "--threads 0: at least 1"),
+        (["record", "arm.yaml"], "plant: record needs this key"),
+    ],
+)
+def test_wrong_input_gives_one_message(
+    folder: Path, say: Say, arguments: list[str], expected: str
+) -> None:
+    code, out, err = say(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("bo-sysid: ")
+    assert "Traceback" not in err
+    assert re.search(expected, err)
+    assert not list(folder.glob("runs/*"))
+
+
+@pytest.mark.parametrize(
+    ("log", "expected"),
+    [
+        (
+            "time,qpos.hing,ctrl.motor\n0,0,0\n1,1,1\n2,3,0\n",
+            r"'qpos.hing' is not in the model.*'q",
+        ),
+        ("time,qpos.hinge\n0,0\n1,nan\n2,3\n", "qpos.hinge"),
+        ("time,qpos.hinge\n0,0\n2,1\n1,3\n", "row"),
+        ("qpos.hinge\n0\n2\n", "time"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["check", "identify"])
+def test_wrong_recordings_give_one_message(
+    folder: Path, say: Say, verb: str, log: str, expected: str
+) -> None:
+    (folder / "log.csv").write_text(log)
+    code, out, err = say(verb, "arm.yaml")
+    assert (code, out) == (2, "")
+    assert "log.csv" in err or "log:" in err
+    assert re.search(expected, err)
+    assert not list(folder.glob("runs/*"))
+
+
+def test_a_model_that_does_not_compile_gives_one_message(folder: Path, say: Say) -> None:
+    (folder / "pendulum.xml").write_text(MODEL.replace('joint="hinge"', 'joint="hing"'))
+    code, _, err = say("check", "arm.yaml")
+    assert code == 2
+    assert "pendulum.xml" in err
+    assert "hing" in err
+
+
+def test_a_file_that_cannot_be_read_gives_one_message(folder: Path, say: Say) -> None:
+    (folder / "arm.yaml").unlink()
+    (folder / "arm.yaml").mkdir()
+    code, _, err = say("check", "arm.yaml")
+    assert (code, err) == (2, "bo-sysid: arm.yaml: is a folder, not a study file\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "expected"),
+    [
+        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: Permission denied\n"),
+        (OSError(28, "No space left on device"), 2, "bo-sysid: No space left on device\n"),
+        (KeyboardInterrupt(), 130, "bo-sysid: interrupted; the same command goes on"),
+        (ZeroDivisionError("division by zero"), 1, "Traceback"),
+    ],
+)
+def test_errors_have_exit_codes(
+    folder: Path,
+    say: Say,
+    monkeypatch: pytest.MonkeyPatch,
+    error: BaseException,
+    code: int,
+    expected: str,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("bo_sysid.study.check.check", fail)
+    found, _, err = say("check", "arm.yaml")
+    assert found == code
+    assert expected in err
+    assert ("Traceback" in err) == (code == 1)
+
+
+def test_check_tells_what_fits_what(folder: Path, say: Say) -> None:
+    code, out, err = say("check", "arm.yaml")
+    assert (code, err) == (0, "")
+    rows = {line.split()[0]: line.split() for line in out.splitlines() if line.strip()}
+    expected = ["in", "the", "model", "1", "of", "1", "60", "10", "0", "0.975"]
+    assert rows["qpos.hinge"][1:11] == expected
+    assert "estimated from qpos" in " ".join(rows["qvel.hinge"])
+    assert rows["mass"] == ["mass", "kg", "geom[rod].mass", "set", "0.5", "0.3", "0.8", "21"]
+    assert "B has 105 candidates." in out
+    assert "set aside" in out
+    assert not (folder / "runs").exists()
+
+
+def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> None:
+    rows = LOG.splitlines()
+    (folder / "log.csv").write_text("\n".join(rows[:20] + rows[30:]) + "\n")
+    assert say("check", "arm.yaml")[0] == 0
+    code, _, err = say("check", "arm.yaml", "--strict")
+    assert code == 2
+    assert "gap" in err
+
+
+def test_options_change_the_study(folder: Path, say: Say) -> None:
+    code, out, _ = say("check", "arm.yaml", "--set", "search.candidates={sobol: 77}", "--seed", "3")
+    assert code == 0
+    assert "B has 77 candidates." in out
+
+
+def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> None:
+    import pandas as pd
+
+    with Run.open(folder / "run", {}, "identify") as run:
+        assert "Nothing was computed yet." in say("report", "run")[1]
+        run.write_frame("evaluations.parquet", pd.DataFrame({"deviation": [0.5, 0.25]}))
+        code, out, _ = say("report", "run")
+    assert code == 0
+    assert "2 evaluations so far, lowest deviation 0.25. The same command goes on." in out
+    (folder / "run" / "evaluations.parquet").write_text("no")
+    code, _, err = say("report", "run")
+    assert code == 2
+    assert "evaluations.parquet: damaged" in err
+
+
+def test_schema_is_one_that_takes_the_study(say: Say) -> None:
+    code, out, _ = say("schema")
+    assert code == 0
+    schema = json.loads(out)
+    jsonschema.validate(yaml.safe_load(STUDY), schema)
+    assert "emps" in schema["$defs"]["Recordings"]["properties"]["dataset"]["anyOf"][0]["enum"]
+
+
+def test_record_makes_recordings_and_a_study_on_them(folder: Path, say: Say) -> None:
+    plant = "plant={parameters: {mass: 0.613}, record: {train: 2, holdout: 1, seconds: 0.5}}"
+    code, out, _ = say("record", "arm.yaml", "--set", plant, "--out", "made")
+    assert code == 0
+    assert "bo-sysid identify made/arm.yaml" in out
+    made = {p.name for p in (folder / "made").glob("*.parquet")}
+    assert made == {"train-0.parquet", "train-1.parquet", "holdout-0.parquet"}
+    code, out, _ = say("check", "made/arm.yaml")
+    assert code == 0
+    assert "2 training recordings" in out
+    before = (folder / "made" / "train-1.parquet").read_bytes()
+    assert say("record", "arm.yaml", "--set", plant, "--out", "made")[0] == 0
+    assert (folder / "made" / "train-1.parquet").read_bytes() == before
+
+
+QUICK = """
+import sys
+from bo_sysid.cli import main
+code = main(sys.argv[1:])
+heavy = {"torch", "botorch", "gpytorch", "dm_control", "matplotlib", "numpy"} & set(sys.modules)
+print(code, *sorted(heavy), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "loaded", "within"),
+    [
+        (["--help"], 0, set(), 0.3),
+        (["identify", "--help"], 0, set(), 0.3),
+        (["identify", "arm.yaml", "--set", "search.budgett=3"], 2, set(), 1.0),
+        (["identify", "arm.yaml", "--set", "recordings.train=nothing.csv"], 2, {"numpy"}, 2.0),
+        (["check", "arm.yaml"], 0, {"numpy"}, 2.0),
+        (["schema"], 0, {"numpy"}, 2.0),
+    ],
+)
+def test_answers_at_once_without_torch(
+    folder: Path, arguments: list[str], code: int, loaded: set[str], within: float
+) -> None:
+    def run() -> tuple[float, str]:
+        began = time.perf_counter()
+        command = [sys.executable, "-c", QUICK, *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+        return time.perf_counter() - began, done.stderr.splitlines()[-1]
+
+    taken, said = min(run() for _ in range(3))
+    assert said.split() == [str(code), *sorted(loaded)]
+    assert taken < within

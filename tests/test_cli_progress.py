@@ -1,0 +1,63 @@
+"""Progress: lines now and then where there is no terminal, a bar where there is one."""
+
+import io
+
+import pytest
+
+from bo_sysid.cli.progress import Lines, shown
+from bo_sysid.execution import Progress
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_lines_come_now_and_then_with_the_time_left(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = Clock()
+    report = Lines("identify", every=5.0, clock=clock)
+    for step in range(1, 61):
+        clock.now += 2.0
+        report(Progress(step, 60, f"lowest deviation {1 / step:.2g}"))
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "identify 3/60, 1:54 left: lowest deviation 0.33"
+    assert lines[1].startswith("identify 6/60, 1:48 left")
+    assert lines[-1] == "identify 60/60: lowest deviation 0.017"
+    assert len(lines) == 20
+
+
+@pytest.mark.parametrize(("step", "of", "left"), [(10, 4000, "11:05:00"), (10, 20, "1:40")])
+def test_time_left_is_right_after_a_resume(
+    capsys: pytest.CaptureFixture[str], step: int, of: int, left: str
+) -> None:
+    clock = Clock()
+    report = Lines("x", every=5.0, clock=clock)
+    for k in range(1, step + 1):  # an evaluation takes 10 s; 50 were there before
+        clock.now += 10.0
+        report(Progress(50 + k, 50 + of, ""))
+    assert capsys.readouterr().err.splitlines()[-1] == f"x {50 + step}/{50 + of}, {left} left"
+
+
+def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    stream = Terminal()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stderr", stream)
+    with shown("identify") as report:
+        report(Progress(30, 60, "lowest [deviation] 0.5"))
+    assert "30/60" in stream.getvalue()
+    assert "lowest [deviation] 0.5" in stream.getvalue()
+
+
+def test_no_terminal_gets_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    with shown("record") as report:
+        report(Progress(1, 2, "train-0"))
+        report(Progress(2, 2, "train-1"))
+    assert capsys.readouterr().err == "record 2/2: train-1\n"
