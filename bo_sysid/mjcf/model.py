@@ -51,6 +51,7 @@ class Forms:
         Raises:
             ModelError: it does not compile.
         """
+        compile_spec(spec, source)  # a copy silently drops what refers to nothing
         full = spec.copy()
         compile_spec(full, source)  # numbers the elements and fuses static bodies
         sources.name_elements(full)
