@@ -158,12 +158,33 @@ def test_matrices_become_channels_with_an_index(tmp_path):
     assert "Array 'image' has 3 dimensions and was not read." in recording.notes
 
 
-def test_time_stamps_of_a_date_become_seconds(tmp_path):
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+@pytest.mark.parametrize("zone", [None, "UTC"])
+def test_time_stamps_of_a_date_become_seconds(ending, zone, tmp_path):
     seconds = 1.7e9 + np.arange(20) * 0.25
-    frame = pd.DataFrame({"time": pd.to_datetime(seconds, unit="s"), "qpos.a": np.arange(20.0)})
-    frame.to_parquet(tmp_path / "log.parquet")
-    channel = read_recording(tmp_path / "log.parquet").channels["qpos.a"]
-    np.testing.assert_allclose(channel.time, seconds, atol=1e-6)
+    dates = pd.to_datetime(seconds, unit="s").tz_localize(zone)
+    path = tmp_path / f"log{ending}"
+    frame = pd.DataFrame({"time": dates, "qpos.a": np.arange(20.0)})
+    frame.to_parquet(path) if ending == ".parquet" else frame.to_csv(path, index=False)
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, seconds, atol=1e-6)
+    assert "Dates in column 'time' converted to seconds since 1970." in recording.notes
+
+
+def test_a_date_that_is_missing_names_its_row(tmp_path):
+    dates = pd.to_datetime([0.0, None, 2.0], unit="s")
+    pd.DataFrame({"time": dates, "qpos.a": [1.0, 2, 3]}).to_parquet(tmp_path / "log.parquet")
+    with pytest.raises(RecordingError, match=r"column 'time': row 1 is empty"):
+        read_recording(tmp_path / "log.parquet")
+
+
+def test_a_column_that_turns_from_whole_to_broken_numbers_late_is_read(tmp_path):
+    values = np.zeros(200_000)
+    values[-1] = 0.5
+    lines = (f"{k},{int(v) if v == 0 else v},{k}" for k, v in enumerate(values))
+    path = tmp_path / "log.csv"
+    path.write_text("time,ctrl.m,qpos.a\n" + "\n".join(lines))
+    np.testing.assert_array_equal(read_recording(path).channels["ctrl.m"].values, values)
 
 
 GOOD = "time,qpos.a,ctrl.m\n0.0,1.0,1\n0.1,2.0,2\n0.2,4.0,3\n"

@@ -3,8 +3,9 @@
 from bo_sysid.recording.alignment import Sampling, control_steps, sampling
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.datasets import DATASETS, Dataset, load_dataset
+from bo_sysid.recording.formats import READERS, reader
 from bo_sysid.recording.noise import noise_sigma, sensor_noise
-from bo_sysid.recording.readers import READERS, read_recording, read_table, reader
+from bo_sysid.recording.readers import read_recording, read_table
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
 from bo_sysid.recording.writers import WRITERS, write_recording

@@ -163,6 +163,8 @@ class _Mapper:
         where = f"{table.source}: time stamps in column {column!r}"
         named = stated.unit or table.units.get(column) or "s"
         factor = unit_of_kind(named, "time", where).factor or 1.0
+        if table.columns[column].dtype.kind == "M":
+            self.notes.append(f"Dates in column {column!r} converted to seconds since 1970.")
         if factor != 1.0:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
         return read_clock(

@@ -45,7 +45,7 @@ class RawTable:
             object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
 
     def column(self, name: str, wanted_by: str = "") -> np.ndarray:
-        """Return one column as floats.
+        """Return one column as floats; dates as seconds since 1970.
 
         Args:
             name: name of the column.
@@ -63,7 +63,8 @@ class RawTable:
         if values.dtype.kind in "fiub":
             return values.astype(float)
         if values.dtype.kind == "M":
-            return values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+            seconds = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+            return np.where(np.isnat(values), np.nan, seconds)
         return _numbers(values, f"{self.source}: column {name!r}")
 
 

@@ -1,0 +1,72 @@
+"""Files of named arrays: NumPy archives and MATLAB files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording.formats.registry import content, first_bytes, reader, require_content
+from bo_sysid.recording.table import RawTable
+
+
+@reader(".npz")
+def read_npz(path: Path) -> RawTable:
+    """Read named NumPy arrays; a ``T x k`` array becomes k columns with an index."""
+    require_content(path, b"PK\x03\x04")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name]) for name in archive.files}
+    except Exception as error:  # a damaged archive can lead the parser to raise anything
+        raise RecordingError(
+            f"{path}: cannot be read as a NumPy archive: {error}. Only plain arrays of numbers are "
+            "read, no Python objects"
+        ) from None
+    return _split(arrays, str(path))
+
+
+@reader(".mat")
+def read_mat(path: Path) -> RawTable:
+    """Read a MATLAB file up to version 7; fields of a struct become ``struct.field``."""
+    from scipy.io import loadmat
+
+    first = first_bytes(path)
+    if first.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        raise RecordingError(
+            f"{path}: a MATLAB 7.3 (HDF5) file; save it again with save('file.mat', ..., '-v7')"
+        )
+    if content(first):
+        require_content(path, b"MATLAB 5.0")  # version 4 has no signature of its own
+    try:
+        found = loadmat(path, simplify_cells=True)
+    except Exception as error:  # a damaged file can lead the parser to raise anything
+        raise RecordingError(f"{path}: cannot be read as a MATLAB file: {error}") from None
+    return _split(_flat({k: v for k, v in found.items() if not k.startswith("__")}), str(path))
+
+
+def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
+    """Return the arrays of nested structs by dotted name."""
+    flat: dict[str, np.ndarray] = {}
+    for key, value in content.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = np.asarray(value)
+    return flat
+
+
+def _split(arrays: Mapping[str, np.ndarray], source: str) -> RawTable:
+    """Return vectors by name; the longer axis of a matrix is time, the other one an index."""
+    columns: dict[str, np.ndarray] = {}
+    notes = []
+    for name, array in arrays.items():
+        array = np.squeeze(array) if array.ndim > 1 else array
+        if array.ndim <= 1:
+            columns[name] = np.atleast_1d(array)
+        elif array.ndim == 2:
+            samples = array if array.shape[0] >= array.shape[1] else array.T
+            columns.update({f"{name}.{i}": samples[:, i] for i in range(samples.shape[1])})
+        else:
+            notes.append(f"Array {name!r} has {array.ndim} dimensions and was not read.")
+    return RawTable(source, columns, notes=tuple(notes))

@@ -1,0 +1,115 @@
+"""Tables in text: CSV and its relatives, plain or gzipped."""
+
+import gzip
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording.formats.parquet import arrow_columns
+from bo_sysid.recording.formats.registry import content, reader, require_content
+from bo_sysid.recording.table import RawTable
+
+_TRAILING = ""  # name of the empty column after a separator at the end of each line
+
+
+@reader(".csv", ".csv.gz", ".tsv", ".txt")
+def read_csv(path: Path) -> RawTable:
+    """Read a text file with one header line; the separator is found in that line.
+
+    Blank lines and lines that start with ``#`` may stand before the header; the header itself may
+    start with ``#``, as `numpy.savetxt` writes it.
+    """
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names, separator, body = _header_and_body(path, _text(path))
+    if not body.strip():
+        raise RecordingError(f"{path}: the file names its columns but holds no samples")
+    if separator == " ":  # any run of blanks
+        body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
+    data = body.encode()
+    try:
+        table = arrow_csv.read_csv(
+            pa.BufferReader(data),
+            # one block: the type of a column is that of all its cells, not of the first ones
+            arrow_csv.ReadOptions(column_names=names, use_threads=False, block_size=len(data) + 1),
+            arrow_csv.ParseOptions(delimiter=separator),
+            arrow_csv.ConvertOptions(
+                null_values=["", "nan", "NaN", "NAN", "null", "NULL"], strings_can_be_null=True
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        found = re.search(r"Row #(\d+): (.*)", str(error), re.DOTALL)
+        what = f"row {int(found[1]) - 1}: {found[2]}" if found else str(error)
+        raise RecordingError(f"{path}: not a table of {len(names)} columns: {what}") from None
+    columns = arrow_columns(table)
+    if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
+        raise RecordingError(f"{path}: the last column has values but no name in the first line")
+    return RawTable(str(path), columns)
+
+
+def _text(path: Path) -> str:
+    """Return the text of a plain or gzipped file."""
+    try:
+        if path.name.lower().endswith(".gz"):
+            require_content(path, b"\x1f\x8b")
+            data = gzip.decompress(path.read_bytes())
+        else:
+            data = path.read_bytes()
+        if content(data) or b"\0" in data[:4096]:
+            raise RecordingError(
+                f"{path}: not text as its ending says; its content is {content(data) or 'binary'}"
+            )
+        return data.decode("utf-8-sig")
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise RecordingError(f"{path}: a damaged gzip file: {error}") from None
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: not UTF-8 text: {error}") from None
+
+
+def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
+    """Return the column names, the separator, and the lines below the header."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    comments = []
+    while lines and (not lines[0].strip() or lines[0].lstrip().startswith("#")):
+        comments.append(lines.pop(0))
+    header = lines.pop(0) if lines else ""
+    separator, names = _names(header)
+    if all(_is_number(name) for name in names) and comments:
+        lines.insert(0, header)
+        header = comments[-1].lstrip("# ")
+        separator, names = _names(header)
+    if not names or all(_is_number(name) for name in names):
+        raise RecordingError(
+            f"{path}: the first line must name the columns (time, qpos.<joint>, …), not "
+            f"{header[:60]!r}"
+        )
+    if lines and lines[0].count(separator) == len(names) and lines[0].endswith(separator):
+        names.append(_TRAILING)  # every line ends with a separator, only the header does not
+    for name in names:
+        if (not name and name is not names[-1]) or names.count(name) > 1:
+            raise RecordingError(
+                f"{path}: the first line names column {names.index(name)} {name!r}; every column "
+                "needs a name of its own"
+            )
+    return names, separator, "\n".join(lines)
+
+
+def _names(header: str) -> tuple[str, list[str]]:
+    """Return the separator of a header line and the names between."""
+    separator = max(",;\t", key=header.count)
+    if separator not in header:
+        return " ", header.split()
+    return separator, [name.strip().strip('"').strip() for name in header.split(separator)]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
