@@ -216,6 +216,7 @@ def _saturation_level(x: Magnitudes, machine: Machine, site: Site) -> dict[str, 
     sentence="{site} saturates: it lacks {value} of the largest torque commanded.",
     evidence="large commands do no more than smaller ones",
     separation="steps of several sizes",
+    threshold=True,
     details=_saturation_level,
 )
 def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:

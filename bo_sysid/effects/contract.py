@@ -128,17 +128,24 @@ class Extent:
         high: upper bounds.
         grid: points at which the signature is taken where one linearisation does not serve
             (shapes such as a period or a speed, thresholds, delays); () means at the probe.
+        starts: further magnitudes from which a fit is begun, where the probe lies on a saddle.
+        refine: factors by which shapes are varied once the effect is in the leading set.
     """
 
     probe: tuple[float, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
     grid: tuple[tuple[float, ...], ...] = ()
+    starts: tuple[tuple[float, ...], ...] = ()
+    refine: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        sizes = {len(self.probe), len(self.low), len(self.high), *map(len, self.grid)}
+        vectors = (self.probe, self.low, self.high, *self.grid, *self.starts)
+        sizes = {len(v) for v in vectors}
         if len(sizes) != 1:
-            raise ValueError(f"probe, low, high and grid have different lengths {sorted(sizes)}")
+            raise ValueError(
+                f"probe, low, high, grid and starts have different lengths {sorted(sizes)}"
+            )
         for low, high in zip(self.low, self.high, strict=True):
             if not low < high:
                 raise ValueError(f"the bounds {low} and {high} are not in order")
@@ -163,7 +170,11 @@ class Effect:
         nominal: the quantity that the effect changes, as the model has it.
         family: which verdict a finding leads to.
         grouped: whether it can be missing on all sites at once, each with its own magnitude.
+        threshold: whether it acts beyond a threshold only, so that a fit must begin at a point of
+            the grid and not at the linear estimate.
         nested: id of the simpler effect that remains where the first component is 0, if any.
+        force: for an effect that is nothing but a force on its joint, that force as a law; its
+            signature is then taken from the law, without stepping an edited model.
         details: from magnitudes to derived quantities worth telling, with their units.
     """
 
@@ -181,7 +192,9 @@ class Effect:
     nominal: Callable[[Site, Machine], float] = lambda site, machine: 0.0
     family: Family = "physics"
     grouped: bool = False
+    threshold: bool = False
     nested: str | None = None
+    force: Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]] | None = None
     details: Callable[[Magnitudes, Machine, Site], Mapping[str, tuple[float, str]]] | None = None
 
     @property

@@ -13,8 +13,8 @@ from bo_sysid.effects.registry import effect
 def _tilt_extent(site: Site, machine: Machine) -> Extent | None:
     if not np.any(machine.model.opt.gravity):
         return None
-    # a planar machine feels one tilt only in second order: both signs of both are tried
-    return Extent((0.01, 0.01), (-0.6, -0.6), (0.6, 0.6))
+    # a planar machine feels one of the tilts only in second order: start off that saddle
+    return Extent((0.01, 0.01), (-0.6, -0.6), (0.6, 0.6), starts=((0.12, 0.01), (0.01, 0.12)))
 
 
 def _tilts(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:

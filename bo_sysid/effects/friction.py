@@ -20,6 +20,7 @@ from bo_sysid.effects.registry import effect
 # (1 - d)/d of the free one after a time constant: a load held at 33 rad/s² creeps 6.5e-6 rad/s.
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+_FINER = (0.55, 0.75, 1.35, 1.8)
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
 
 
@@ -46,6 +47,7 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     sentence="{site} has dry friction of {value} that the model lacks.",
     evidence="a step of force where the velocity changes sign",
     separation="reversals at different speeds",
+    force=lambda site, x, machine: lambda m: -x[0] * np.sign(m.qvel[site.name]),
     grouped=True,
 )
 def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
@@ -77,6 +79,7 @@ def _viscous_extent(site: Site, machine: Machine) -> Extent:
     sentence="{site} has viscous damping of {value} that the model lacks.",
     evidence="a force in proportion to velocity",
     separation="a range of speeds of four to one",
+    force=lambda site, x, machine: lambda m: -x[0] * m.qvel[site.name],
     grouped=True,
 )
 def viscous_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
@@ -100,6 +103,7 @@ def _quadratic_extent(site: Site, machine: Machine) -> Extent:
     sentence="{site} has quadratic damping of {value} that the model lacks.",
     evidence="a drag that grows with the square of velocity",
     separation="a range of speeds of four to one",
+    force=lambda site, x, machine: lambda m: -x[0] * m.qvel[site.name] * np.abs(m.qvel[site.name]),
 )
 def quadratic_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Drag -x·v·|v|."""
@@ -116,6 +120,7 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
         (0.0, 0.0, 0.2 * speeds[0]),
         (3 * joint.force, 3 * joint.force, 3 * speeds[-1]),
         tuple((probe, probe, s) for s in speeds),
+        refine=_FINER,
     )
 
 
@@ -132,6 +137,11 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     evidence="more friction at low speed than at high speed",
     separation="very slow reversals",
     nested="dry_friction",
+    force=lambda site, x, machine: (
+        lambda m: (
+            -np.sign(m.qvel[site.name]) * (x[1] + x[0] * np.exp(-((m.qvel[site.name] / x[2]) ** 2)))
+        )
+    ),
 )  # fmt: skip
 def stribeck_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine

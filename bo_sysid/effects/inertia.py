@@ -54,11 +54,14 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
 )
 def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """A point mass at the end of a body."""
-    body = spec.body(site.name)
-    load = body.add_body(name=f"{site.name}_payload", pos=list(machine.bodies[site.name].tip))
-    load.explicitinertial = True
-    load.mass = float(x[0])
-    load.inertia = [max(_POINT * float(x[0]), 1e-12)] * 3
+    name = f"{site.name}_payload"
+    load = spec.body(name)
+    if load is None:
+        load = spec.body(site.name).add_body(
+            name=name, pos=list(machine.bodies[site.name].tip), explicitinertial=True, mass=0.0
+        )
+    load.mass = load.mass + float(x[0])
+    load.inertia = [max(_POINT * load.mass, 1e-12)] * 3
 
 
 def _link_mass(site: Site, machine: Machine) -> float:

@@ -13,6 +13,7 @@ _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
 _NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
 _MOTOR_CONSTANT = 1e-6  # must be positive
+_FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
 
@@ -63,6 +64,7 @@ def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
     evidence="a force that grows with the distance from a rest position",
     separation="slow motion up and down over more than a radian",
     nested="constant_force",
+    force=lambda site, x, machine: lambda m: x[1] - x[0] * m.qpos[site.name],
     details=_rest_angle,
 )
 def joint_spring(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
@@ -84,6 +86,7 @@ def _constant_extent(site: Site, machine: Machine) -> Extent:
     sentence="On {site} acts a constant force of {value} that the model lacks.",
     evidence="the same force at every position and speed",
     separation="several postures",
+    force=lambda site, x, machine: lambda m: np.full_like(m.qvel[site.name], x[0]),
     grouped=True,
 )
 def constant_force(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
@@ -105,6 +108,7 @@ def _cogging_extent(site: Site, machine: Machine) -> Extent | None:
         (-most, -most, 0.5 * periods[0]),
         (most, most, 1.5 * periods[-1]),
         tuple((probe, probe, k) for k in periods),
+        refine=_FINER,
     )
 
 
@@ -127,6 +131,9 @@ def _cogging_phase(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, 
     sentence="{site} has cogging of {value} that the model lacks.",
     evidence="a force that repeats with position",
     separation="slow motion over several periods",
+    force=lambda site, x, machine: (
+        lambda m: x[0] * np.sin(x[2] * m.qpos[site.name]) + x[1] * np.cos(x[2] * m.qpos[site.name])
+    ),
     details=_cogging_phase,
 )
 def cogging(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:

@@ -1,0 +1,1 @@
+"""Where simulation and recording differ: name the missing physics, put it into the model."""

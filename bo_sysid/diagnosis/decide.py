@@ -1,0 +1,87 @@
+"""Decide between the sets that were fitted, on the training recordings alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.rules import Prior, admissible, criterion, inflation
+
+_BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
+_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent
+_ROUNDS = 3
+_MOST_EQUIVALENT = 11
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The posterior over the admissible sets.
+
+    Attributes:
+        best: the set that is answered.
+        nominal: the fit of nothing.
+        fits: the admissible sets, most probable first.
+        probability: of each.
+        equivalents: sets that the recordings do not tell from the best.
+    """
+
+    best: Fit
+    nominal: Fit
+    fits: tuple[Fit, ...]
+    probability: Float[np.ndarray, " f"]
+    equivalents: tuple[Fit, ...]
+
+
+def decide(
+    fits: Sequence[Fit], nominal: Fit, prior: Prior, Q: Float[np.ndarray, "W R k"], dof: int
+) -> Decision:
+    """Return the posterior over sets.
+
+    Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
+    to the best set; κ grows with the variance of D between blocks where that is larger than the
+    one of two nearly true models. Only sets whose every member is needed are admitted.
+    """
+    held = [f for f in fits if np.isfinite(f.cv.sum()) and admissible(f, nominal)]
+    kappa = inflation(fits)
+    best = min(held, key=lambda f: criterion(f, kappa, prior))
+    for _ in range(_ROUNDS):
+        score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
+        leader = held[int(np.argmax(score))]
+        if leader is best:
+            break
+        best = leader
+    order = np.argsort(-score)
+    weight = np.exp(score - score.max())
+    held = [held[i] for i in order]
+    score, weight = score[order], weight[order] / weight.sum()
+    near = [
+        f
+        for k, f in enumerate(held[: _MOST_EQUIVALENT + 1])
+        if f is not best and _equivalent(f, best, float(score[0] - score[k]), Q, dof)
+    ]
+    return Decision(best, nominal, tuple(held), weight, tuple(near))
+
+
+def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
+    D = fit.cv - best.cv
+    spread = float(D.var(ddof=1)) * len(D)
+    usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
+    return -0.5 * float(D.sum()) / max(1.0, kappa * np.sqrt(max(spread / usual, 1.0))) + prior.log(fit)
+
+
+def _equivalent(
+    fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int
+) -> bool:
+    if not fit.members or _names(best) <= _names(fit):
+        return False
+    apart = project(Q, fit.residual - best.residual)
+    distance = float(np.sqrt((apart**2).sum() / dof))
+    return gap < _BAND or (distance < _SAME and fit.size <= best.size)
+
+
+def _names(fit: Fit) -> set[tuple[str, str]]:
+    """Return effects and sites, an effect that contains a simpler one as that one."""
+    return {(c.effect.nested or c.effect.id, c.site.name) for c in fit.members}

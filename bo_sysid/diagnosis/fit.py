@@ -1,0 +1,165 @@
+"""What a fit says: how well it explains, how sure its magnitudes are, how much each is needed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.simulation import State
+
+_CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A set of effects fitted through the simulator.
+
+    Attributes:
+        hypothesis: members, magnitudes and nuisances.
+        groups: for each member the id of the effect that a group shares, None outside a group.
+        start: the fitted starts.
+        residual: `W x R` recorded minus predicted, in sigma.
+        jacobian: `W x R x p` response of the prediction to each magnitude: members, then the
+            study's parameters, then the share of the finer step.
+        rms: root mean square of the projected residual per degree of freedom, in sigma.
+        cv: squared residual of each block when the magnitudes come from the other blocks.
+        cost: squared residual of each block.
+        unique: size of each member in sigma that no other member or nuisance can take over.
+        covariance: `p x p` of the magnitudes, from the scatter of blocks.
+    """
+
+    hypothesis: Hypothesis
+    groups: tuple[str | None, ...]
+    start: State
+    residual: Float[np.ndarray, "W R"]
+    jacobian: Float[np.ndarray, "W R p"]
+    rms: float
+    cv: Float[np.ndarray, " b"]
+    cost: Float[np.ndarray, " b"]
+    unique: tuple[float, ...]
+    covariance: Float[np.ndarray, "p p"]
+
+    @property
+    def members(self) -> tuple[Candidate, ...]:
+        """What is supposed to be missing."""
+        return self.hypothesis.members
+
+    @property
+    def x(self) -> tuple[Float[np.ndarray, " l"], ...]:
+        """The magnitudes of each member."""
+        return self.hypothesis.x
+
+    @property
+    def size(self) -> int:
+        """Number of effects, a group counted as one."""
+        alone = sum(g is None for g in self.groups)
+        return alone + len({g for g in self.groups if g is not None})
+
+    @property
+    def key(self) -> frozenset[tuple[object, ...]]:
+        """What is supposed, without magnitudes."""
+        return set_key(self.members)
+
+    @property
+    def excess(self) -> float:
+        """What stays unexplained: rms² - 1, at least 0."""
+        return max(self.rms**2 - 1.0, 0.0)
+
+    @property
+    def rss(self) -> float:
+        """Sum of the squared projected residuals."""
+        return float(self.cost.sum())
+
+
+def set_key(members: Sequence[Candidate]) -> frozenset[tuple[object, ...]]:
+    """Return the identity of a set of candidates: effects, sites and shapes."""
+    return frozenset((*c.key, *np.round(c.shapes, 9).tolist()) for c in members)
+
+
+def assess(
+    problem: Problem,
+    Q: Float[np.ndarray, "W R k"],
+    hypothesis: Hypothesis,
+    groups: tuple[str | None, ...],
+    start: State,
+    residual: Float[np.ndarray, "W R"],
+    jacobian: Float[np.ndarray, "W R p"],
+) -> Fit:
+    """Return the fit with its statistics.
+
+    Leave-one-block-out steps are computed from the blocks' normal equations, with a ridge on unit
+    columns. The covariance is the sandwich of the blocks' gradients, at least the one of white
+    noise of the observed size. The unique size of a member is the rms of its columns times its
+    magnitudes after they are orthogonalised on all other columns.
+    """
+    y = project(Q, residual)
+    SP = project(Q, jacobian.astype(float))
+    scale = np.sqrt((SP**2).sum(axis=(0, 1))) + _TINY
+    SP = SP / scale
+    G, g, cost = _by_block(SP, y, problem.block)
+    total, p = G.sum(axis=0), len(scale)
+    cv, dof = cost.copy(), problem.dof
+    if p:
+        ridge = _CV_RIDGE * np.eye(p)
+        whole = np.linalg.solve(total + ridge, g.sum(axis=0))
+        for k in range(len(cost)):
+            step = np.linalg.solve(total - G[k] + ridge, g.sum(axis=0) - g[k]) - whole
+            cv[k] = cost[k] - 2 * step @ g[k] + step @ G[k] @ step
+    covariance = _sandwich(total, g, float(cost.sum()) / dof) / np.outer(scale, scale)
+    unique = _unique(hypothesis, total, scale, dof)
+    rms = float(np.sqrt(cost.sum() / dof))
+    return Fit(
+        hypothesis, groups, start, residual, jacobian.astype(np.float32), rms, cv, cost, unique,
+        covariance,
+    )  # fmt: skip
+
+
+def _by_block(
+    S: Float[np.ndarray, "W R p"], y: Float[np.ndarray, "W R"], block: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count, p = int(block.max()) + 1, S.shape[-1]
+    G, g, cost = np.zeros((count, p, p)), np.zeros((count, p)), np.zeros(count)
+    for k in range(count):
+        z = y[block == k].ravel()
+        A = S[block == k].reshape(z.size, p)
+        G[k], g[k], cost[k] = A.T @ A, A.T @ z, z @ z
+    return G, g, cost
+
+
+def _sandwich(
+    G: Float[np.ndarray, "p p"], g: Float[np.ndarray, "b p"], variance: float
+) -> Float[np.ndarray, "p p"]:
+    p, blocks = len(G), len(g)
+    inverse = np.linalg.pinv(G + 1e-9 * np.eye(p), hermitian=True)
+    centred = g - g.mean(axis=0)
+    meat = centred.T @ centred * blocks / max(blocks - 1, 1)
+    robust, white = inverse @ meat @ inverse, inverse * variance
+    grow = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    return np.asarray(robust * np.outer(grow, grow))
+
+
+def _unique(
+    hypothesis: Hypothesis,
+    G: Float[np.ndarray, "p p"],
+    scale: Float[np.ndarray, " p"],
+    dof: int,
+) -> tuple[float, ...]:
+    sizes, first = [], 0
+    for candidate, x in zip(hypothesis.members, hypothesis.x, strict=True):
+        # an effect that contains a simpler one must be needed beyond it
+        own = 1 if candidate.effect.nested else candidate.size
+        a = np.arange(first, first + own)
+        rest = np.setdiff1d(np.arange(len(G)), a)
+        z = x[:own] * scale[a]
+        left = G[np.ix_(a, a)]
+        if len(rest):
+            N = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest))
+            left = left - G[np.ix_(a, rest)] @ np.linalg.solve(N, G[np.ix_(rest, a)])
+        sizes.append(float(np.sqrt(max(z @ left @ z, 0.0) / dof)))
+        first += candidate.size
+    return tuple(sizes)

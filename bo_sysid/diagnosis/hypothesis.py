@@ -1,0 +1,148 @@
+"""What is supposed to be missing: effects at sites, and how large they are."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable
+from bo_sysid.mjcf import Edit, Model, address_edit
+from bo_sysid.mjcf.address import Address
+from bo_sysid.parameters import Parameter
+
+PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect at a site, with its shapes fixed.
+
+    Attributes:
+        effect: the effect.
+        site: where.
+        extent: its bounds and probe there.
+        point: the full magnitudes at which its signature is taken; the shapes are held here.
+    """
+
+    effect: Effect
+    site: Site
+    extent: Extent
+    point: Float[np.ndarray, " k"]
+    low: Float[np.ndarray, " l"] = field(init=False)
+    high: Float[np.ndarray, " l"] = field(init=False)
+    probe: Float[np.ndarray, " l"] = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high", "probe"):
+            value = np.array(getattr(self.extent, name)[: self.size], float)
+            object.__setattr__(self, name, value)
+
+    @property
+    def size(self) -> int:
+        """Number of magnitudes that are fitted."""
+        return self.effect.linear
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and site; two candidates of one key exclude each other."""
+        return self.effect.id, self.site.name
+
+    @property
+    def shapes(self) -> Float[np.ndarray, " s"]:
+        """The shapes, held fixed."""
+        return self.point[self.size :]
+
+    def full(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " k"]:
+        """Return magnitudes and shapes in one vector, as the effect takes them."""
+        return np.concatenate([x, self.shapes])
+
+    def parts(
+        self, spec: mujoco.MjSpec, x: Float[np.ndarray, " l"], machine: Machine
+    ) -> tuple[Part, ...]:
+        """Edit a spec and return what MJCF cannot express."""
+        return self.effect.parts(spec, self.site, self.full(x), machine)
+
+    def with_shapes(self, shapes: Float[np.ndarray, " s"]) -> "Candidate":
+        """Return the same effect at the same site with other shapes."""
+        point = np.concatenate([self.point[: self.size], shapes])
+        return Candidate(self.effect, self.site, self.extent, point)
+
+    def __str__(self) -> str:
+        shapes = "".join(f" {s:.3g}" for s in self.shapes)
+        return f"{self.effect.id}@{self.site.name}{shapes}"
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Candidates with their magnitudes, and the nuisances beside them.
+
+    Attributes:
+        members: what is missing.
+        x: the magnitudes of each member.
+        nuisances: the study's parameters, as candidates.
+        nuisance_x: their change from the nominal model.
+        numerics: how much of the difference to a finer time step the recordings show.
+    """
+
+    members: tuple[Candidate, ...] = ()
+    x: tuple[Float[np.ndarray, " l"], ...] = ()
+    nuisances: tuple[Candidate, ...] = ()
+    nuisance_x: tuple[Float[np.ndarray, " l"], ...] = ()
+    numerics: float = 0.0
+
+    @property
+    def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " l"]], ...]:
+        """Candidates with magnitudes, parameters first: their edits set what effects change."""
+        pairs = zip((*self.nuisances, *self.members), (*self.nuisance_x, *self.x), strict=True)
+        return tuple(pairs)
+
+
+def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, ...]:
+    """Return every effect at every site where it applies, once for each point of its grid."""
+    found = []
+    for effect in effects:
+        for site in applicable(effect, machine):
+            extent = effect.extent(site, machine)
+            assert extent is not None  # noqa: S101 - applicable
+            for point in extent.grid or (extent.probe,):
+                found.append(Candidate(effect, site, extent, np.array(point, float)))
+    return tuple(found)
+
+
+def parameter_candidates(model: Model, parameters: Sequence[Parameter]) -> tuple[Candidate, ...]:
+    """Return the study's parameters as candidates whose magnitude is the change from the model."""
+    return tuple(_parameter(model, p) for p in parameters)
+
+
+def _parameter(model: Model, p: Parameter) -> Candidate:
+    nominal = {"scale": 1.0, "add": 0.0}.get(p.apply)
+    if nominal is None:
+        nominal = float(np.mean([Address.parse(a).read(model) for a in p.addresses]))
+
+    def apply(
+        spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
+    ) -> None:
+        address_edit(model, p.addresses, nominal + float(x[0]), p.apply)(spec)
+
+    width = p.high - p.low
+    low, high = min(p.low - nominal, -1e-9 * width), max(p.high - nominal, 1e-9 * width)
+    extent = Extent((0.02 * width,), (low,), (high,))
+    effect = Effect(
+        id=PARAMETER, kind="world", components=(Component(p.name, p.unit),), apply=apply,
+        extent=lambda s, m: extent, noun=p.name, sentence="", evidence="", separation="",
+    )  # fmt: skip
+    return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe))
+
+
+def edits_and_parts(
+    hypothesis: Hypothesis, machine: Machine, model: Model
+) -> tuple[list[Edit], list[Part]]:
+    """Return the edits of a hypothesis; the list of parts is filled when they are applied."""
+    parts: list[Part] = []
+
+    def edit_of(candidate: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
+        return lambda spec: parts.extend(candidate.parts(spec, x, machine))
+
+    return [edit_of(c, x) for c, x in hypothesis.terms], parts

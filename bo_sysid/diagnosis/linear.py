@@ -1,0 +1,380 @@
+"""Signatures: how each candidate would move the predictions, from a time-varying linear model.
+
+Along the predicted motion the simulator is linearised every few steps by one-step finite
+differences, s⁺ = A s + w. The response to a candidate is then one propagation of what it adds in
+a step: B times a force, E times a change of control, or the one-step difference of the edited
+model. A change of start is a nuisance: J₀, the response to the start, is projected out of
+everything, window by window, P = I - QQᵀ with Q = orth(J₀).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.problem import Problem, force_laws, observe
+from bo_sysid.effects import Force, Part
+from bo_sysid.simulation import Engine, State, Trajectory, tangent_difference
+
+_GRID = 0.002  # [s] length of a macro step of the linear model
+_HOLD = 0.008  # [s] over which its matrices are held
+_MOVE, _TURN = 1e-5, 1e-4  # perturbation of positions and of velocities
+_FORCE = 1e-2  # of the joint's typical force
+_BATCH = 24  # columns propagated at once
+
+
+def project(
+    Q: Float[np.ndarray, "W R k"], r: Float[np.ndarray, "W R *c"]
+) -> Float[np.ndarray, "W R *c"]:
+    """Return P r = r - Q Qᵀ r for each window."""
+    if r.ndim == 2:
+        return np.asarray(r - (Q @ (Q.transpose(0, 2, 1) @ r[..., None]))[..., 0])
+    return np.asarray(r - Q @ (Q.transpose(0, 2, 1) @ r))
+
+
+@dataclass(frozen=True)
+class Along:
+    """The motion along which the model is linearised, as laws see it: `W x M` each."""
+
+    qpos: Mapping[str, Float[np.ndarray, "W M"]]
+    qvel: Mapping[str, Float[np.ndarray, "W M"]]
+    ctrl: Mapping[str, Float[np.ndarray, "W M"]]
+    signals: Mapping[str, Float[np.ndarray, "W M"]]
+    time: Float[np.ndarray, "W M"]
+    timestep: float
+    memory: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The linear time-varying model along the prediction of a hypothesis.
+
+    Attributes:
+        problem: what is predicted.
+        hypothesis: the point of linearisation.
+        start: the starts.
+        trajectory: the prediction.
+        parts: of the hypothesis.
+        macro: simulation steps in a macro step.
+        hold: macro steps over which the matrices are held; K = M / hold, rounded up.
+        A: `W x K x n x n` with n = 2 nv + na.
+        B: `W x K x n x nv` per unit of force.
+        E: `W x K x n x nu` per unit of control.
+        ctrl: `W x S x nu` controls of the hypothesis.
+        points: the states at which it was linearised.
+        Q: `W x R x 2 nv` orthonormal basis of the response to the start.
+        start_gain: `W x 2 nv x R` least-squares change of start per residual.
+    """
+
+    problem: Problem
+    hypothesis: Hypothesis
+    start: State
+    trajectory: Trajectory
+    parts: tuple[Part, ...]
+    macro: int
+    hold: int
+    A: Float[np.ndarray, "W K n n"]
+    B: Float[np.ndarray, "W K n nv"]
+    E: Float[np.ndarray, "W K n nu"]
+    ctrl: Float[np.ndarray, "W S nu"]
+    points: "Points"
+    Q: Float[np.ndarray, "W R k"]
+    start_gain: Float[np.ndarray, "W k R"]
+
+    @property
+    def macros(self) -> int:
+        """Number M of macro steps."""
+        return self.ctrl.shape[1] // self.macro
+
+    @cached_property
+    def along(self) -> Along:
+        """The motion at the beginning of every macro step."""
+        rows = slice(0, self.macros * self.macro, self.macro)
+        p, model = self.problem, self.problem.machine.model
+        joints = p.machine.joints.values()
+        qpos = {
+            j.name: self.trajectory.qpos[:, rows, int(model.joint(j.name).qposadr[0])]
+            for j in joints
+        }
+        qvel = {j.name: self.trajectory.qvel[:, rows, j.dof] for j in joints}
+        names = [c.removeprefix("ctrl.") for c in p.model.ctrl_channels]
+        ctrl = {n: self.ctrl[:, rows, i] for i, n in enumerate(names)}
+        signals = {n: s[:, rows] for n, s in p.windows.signals.items()}
+        step = self.macro * p.windows.timestep
+        time = np.broadcast_to(np.arange(self.macros) * step, (len(p.windows), self.macros))
+        return Along(qpos, qvel, ctrl, signals, time, step)
+
+    def signatures(self, candidates: Sequence[Candidate]) -> Float[np.ndarray, "W R p"]:
+        """Return the projected response to each magnitude of each candidate, per unit, in sigma."""
+        out: list[np.ndarray] = []
+        waiting: list[tuple[np.ndarray, np.ndarray]] = []
+
+        def flush() -> None:
+            if waiting:
+                forced = np.concatenate([w for w, _ in waiting], axis=-1)
+                shown = np.concatenate([s for _, s in waiting], axis=-1)
+                response = self._shown(self._propagate(forced)) + shown
+                out.append(project(self.Q, response).astype(np.float32))
+                waiting.clear()
+
+        for candidate in candidates:
+            waiting.append(self._forcing(candidate))
+            if sum(w.shape[-1] for w, _ in waiting) >= _BATCH:
+                flush()
+        flush()
+        if not out:
+            return np.zeros((*self.Q.shape[:2], 0), np.float32)
+        return np.concatenate(out, axis=-1)
+
+    def _forcing(self, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+        """Return what each magnitude adds in a macro step, and directly to the observations."""
+        W, M, n = len(self.start), self.macros, self.A.shape[-1]
+        w = np.zeros((W, M, n, candidate.size))
+        shown = np.zeros((W, self.problem.count, candidate.size))
+        for i in range(candidate.size):
+            x = np.zeros(candidate.size)
+            x[i] = candidate.point[i]
+            w[..., i], shown[..., i] = self._difference(candidate, x)
+            w[..., i] /= x[i]
+            shown[..., i] /= x[i]
+        return w, shown
+
+    def _difference(self, candidate: Candidate, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        law = candidate.effect.force
+        if law is not None:
+            joint = candidate.site.name
+            force = law(candidate.site, candidate.full(x), self.problem.machine)(self.along)
+            return self._by_force(joint, force), np.zeros(self.Q.shape[:2])
+        h = self.hypothesis
+        added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
+        model, parts = self.problem.compiled(added)
+        new = parts[len(self.parts) :]
+        w = np.zeros((len(self.start), self.macros, self.A.shape[-1]))
+        if _differ(model, self.points.model):
+            step = self.points.stepped(model, force_laws(self.parts)) - self.points.base
+            w += self._held(step.reshape(len(self.start), -1, self.A.shape[-1]))
+        for part in new:
+            if isinstance(part, Force):
+                w += self._by_force(part.joint, part.law(self.along))
+        shown = np.zeros(self.Q.shape[:2])
+        if new:
+            ctrl = self.problem.controls(parts, self.problem.windows)
+            change = _per_macro(ctrl - self.ctrl[:, : ctrl.shape[1]], self.macro, self.macros)
+            if change.any():
+                w += np.einsum("wmnu,wmu->wmn", self._held(self.E), change)
+            before = observe(self.problem.layout, self.problem.windows, self.trajectory, self.parts)
+            after = observe(self.problem.layout, self.problem.windows, self.trajectory, parts)
+            shown = self.problem.weighted(after - before)
+        return w, shown
+
+    def _by_force(self, joint: str, force: np.ndarray) -> np.ndarray:
+        dof = self.problem.machine.joints[joint].dof
+        return np.asarray(self._held(self.B[..., dof]) * force[..., None])
+
+    def _held(self, values: np.ndarray) -> np.ndarray:
+        """Return values given every `hold` macro steps for each macro step."""
+        return np.asarray(values[:, np.arange(self.macros) // self.hold])
+
+    def _propagate(
+        self, w: Float[np.ndarray, "W M n c"] | None, s0: Float[np.ndarray, "W n c"] | None = None
+    ) -> Float[np.ndarray, "W M1 n c"]:
+        """Return s⁺ = A s + w from s0, at the macro steps."""
+        W, n = len(self.start), self.A.shape[-1]
+        given = w if w is not None else s0
+        assert given is not None  # noqa: S101
+        s = np.zeros((W, n, given.shape[-1])) if s0 is None else s0
+        out = np.empty((W, self.macros + 1, n, given.shape[-1]))
+        out[:, 0] = s
+        for k in range(self.macros):
+            s = self.A[:, k // self.hold] @ s
+            if w is not None:
+                s += w[:, k]
+            out[:, k + 1] = s
+        return out
+
+    def _shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
+        """Return what the channels show of a change of state, in sigma."""
+        p = self.problem
+        at = (p.windows.step + p.windows.fraction) / self.macro
+        node = np.minimum(np.floor(at + 1e-9).astype(int), self.macros)
+        after = np.minimum(node + 1, self.macros)
+        part = np.clip(at - node, 0.0, 1.0)
+        between = bool((part > 1e-9).any())
+        row = np.arange(len(node))[:, None]
+        bend = 0.5 * part * (1 - part) * self.macro * p.windows.timestep
+        out = np.empty((len(node), node.shape[1], len(p.windows.channels), s.shape[-1]))
+        nv = p.machine.model.nv
+        for k, name in enumerate(p.windows.channels):
+            position = name in p.layout.qpos
+            column = (
+                int(p.layout.velocity[p.layout.qpos[name]])
+                if position
+                else nv + p.layout.qvel[name]
+            )
+            values = s[:, :, column]
+            out[:, :, k] = values[row, node]
+            if between:
+                out[:, :, k] += part[..., None] * (values[row, after] - values[row, node])
+                if position:
+                    v = s[:, :, nv + column]
+                    out[:, :, k] -= bend[..., None] * (v[row, after] - v[row, node])
+        out *= p.weight[..., None]
+        return out.reshape(len(node), -1, s.shape[-1])
+
+
+@dataclass(frozen=True)
+class Points:
+    """The states, one each `hold` macro steps, at which the model is stepped for differences."""
+
+    model: mujoco.MjModel
+    engine: Engine
+    state: State
+    ctrl: Float[np.ndarray, "P macro nu"]
+    signals: Mapping[str, Float[np.ndarray, "P macro"]]
+    base: Float[np.ndarray, "P n"]
+
+    def stepped(
+        self,
+        model: mujoco.MjModel,
+        laws: Any,
+        state: State | None = None,
+        ctrl: np.ndarray | None = None,
+        force: np.ndarray | None = None,
+    ) -> Float[np.ndarray, "P n"]:
+        """Return the tangent of the state after one macro step, relative to where it began."""
+        begin = self.state if state is None else state
+        t = self.engine.rollout(
+            model,
+            begin,
+            self.ctrl if ctrl is None else ctrl,
+            force=force,
+            laws=laws,
+            signals=self.signals,
+        )
+        moved = tangent_difference(model, t.qpos[:, -1], self.state.qpos)
+        return np.concatenate([moved, t.qvel[:, -1], t.act[:, -1]], axis=1)
+
+
+def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
+    """Linearise the simulator along the prediction of a hypothesis."""
+    trajectory, parts, windows = problem.simulate(hypothesis, start)
+    model, _ = problem.compiled(hypothesis)
+    macro = max(round(_GRID / windows.timestep), 1)
+    hold = max(round(_HOLD / (macro * windows.timestep)), 1)
+    ctrl = problem.controls(parts, windows)
+    spare = -ctrl.shape[1] % macro
+    ctrl = np.pad(ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
+    points = _points(problem, model, parts, trajectory, ctrl, macro, hold)
+    A, B, E = _matrices(problem, model, parts, points, len(start))
+    W, n = len(start), A.shape[-1]
+    empty = np.zeros((W, problem.count, 0))
+    linear = Linear(
+        problem, hypothesis, start, trajectory, tuple(parts), macro, hold, A, B, E, ctrl, points,
+        empty, empty.transpose(0, 2, 1),
+    )  # fmt: skip
+    identity = np.broadcast_to(np.eye(n, 2 * model.nv), (W, n, 2 * model.nv)).copy()
+    J = linear._shown(linear._propagate(None, identity))
+    Q, R = np.linalg.qr(np.clip(np.nan_to_num(J), -1e12, 1e12))
+    gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
+    return replace(linear, Q=Q, start_gain=gain)
+
+
+def _points(
+    problem: Problem,
+    model: mujoco.MjModel,
+    parts: Sequence[Part],
+    trajectory: Trajectory,
+    ctrl: np.ndarray,
+    macro: int,
+    hold: int,
+) -> Points:
+    macros = ctrl.shape[1] // macro
+    rows = np.minimum(np.arange(0, macros, hold) * macro, trajectory.qpos.shape[1] - 1)
+    flat = lambda a: a[:, rows].reshape(len(a) * len(rows), a.shape[-1])  # noqa: E731
+    state = State(flat(trajectory.qpos), flat(trajectory.qvel), flat(trajectory.act))
+    inputs = rows[:, None] + np.arange(macro)
+    signals = {
+        n: np.pad(s, ((0, 0), (0, ctrl.shape[1] - s.shape[1])), mode="edge")[:, inputs].reshape(
+            -1, macro
+        )
+        for n, s in problem.windows.signals.items()
+    }
+    points = Points(
+        model,
+        Engine(problem.engine.threads),
+        state,
+        ctrl[:, inputs].reshape(-1, macro, ctrl.shape[-1]),
+        signals,
+        np.zeros((0, 0)),
+    )
+    return replace(points, base=points.stepped(model, force_laws(parts)))
+
+
+def _matrices(
+    problem: Problem, model: mujoco.MjModel, parts: Sequence[Part], points: Points, W: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    nv, laws = model.nv, force_laws(parts)
+    P = len(points.state)
+
+    def column(
+        change: float,
+        state: State | None = None,
+        ctrl: np.ndarray | None = None,
+        force: np.ndarray | None = None,
+    ) -> np.ndarray:
+        return (points.stepped(model, laws, state, ctrl, force) - points.base) / change
+
+    A = np.empty((P, 2 * nv + model.na, 2 * nv + model.na))
+    B = np.empty((P, A.shape[1], nv))
+    E = np.empty((P, A.shape[1], points.ctrl.shape[-1]))
+    for k in range(A.shape[1]):
+        size = _MOVE if k < nv else _TURN
+        A[..., k] = column(size, _perturbed(model, points.state, k, size))
+    scale = {j.dof: j.force for j in problem.machine.joints.values()}
+    for k in range(nv):
+        size = _FORCE * scale.get(k, 1.0)
+        force = np.zeros((P, points.ctrl.shape[1], nv))
+        force[..., k] = size
+        B[..., k] = column(size, force=force)
+    for k, name in enumerate(problem.model.ctrl_channels):
+        actuator = problem.machine.actuators.get(name.removeprefix("ctrl."))
+        size = 1e-3 * max(actuator.ctrl_max if actuator else 1.0, 1e-6)
+        ctrl = points.ctrl.copy()
+        ctrl[..., k] += size
+        E[..., k] = column(size, ctrl=ctrl)
+    shape = lambda a: a.reshape(W, P // W, *a.shape[1:])  # noqa: E731
+    return shape(A), shape(B), shape(E)
+
+
+def _perturbed(model: mujoco.MjModel, state: State, k: int, size: float) -> State:
+    """Return the states with one coordinate changed: tangent position, velocity or activation."""
+    tangent = np.zeros((len(state), 2 * model.nv))
+    if k >= 2 * model.nv:
+        act = state.act.copy()
+        act[:, k - 2 * model.nv] += size
+        return replace(state, act=act)
+    tangent[:, k] = size
+    return state.moved(model, tangent)
+
+
+def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:
+    """Return the mean of `W x S x nu` over each macro step."""
+    spare = macros * macro - values.shape[1]
+    padded = np.pad(values, ((0, 0), (0, spare), (0, 0)), mode="edge")
+    return np.asarray(padded.reshape(len(values), macros, macro, -1).mean(axis=2))
+
+
+def _differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
+    """Whether two compiled models differ in anything."""
+    size = mujoco.mj_sizeModel(one)
+    if size != mujoco.mj_sizeModel(two):
+        return True
+    buffers = [np.empty(size, np.uint8) for _ in range(2)]
+    mujoco.mj_saveModel(one, None, buffers[0])
+    mujoco.mj_saveModel(two, None, buffers[1])
+    return bool((buffers[0] != buffers[1]).any())

@@ -1,0 +1,245 @@
+"""The recordings cut into windows, and what a hypothesis predicts for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.effects import Filter, Force, Machine, Part, Reading
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation import Engine, ForceLaw, State, Trajectory
+from bo_sysid.simulation.windows import Layout, Windows, cut, predicted
+
+BLOCKS = 20
+FINER = 4  # the discretisation is judged against a time step this many times smaller
+_FAR = 1e7  # residuals are cut off here, in sigma
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Windows of recordings, in units of the sensor noise.
+
+    Attributes:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: what was recorded, for filters over whole inputs.
+        windows: cut from them, observing position and velocity channels.
+        layout: where the model keeps the channels.
+        weight: `W x H x c` one over the standard deviation of each observation, 0 where there is
+            none.
+        block: `W` number of the block of time that each window belongs to.
+        nuisances: the study's parameters.
+        correction: `W x R` projected difference that a finer time step makes, or None.
+        engine: simulates.
+    """
+
+    model: Model
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    windows: Windows
+    layout: Layout
+    weight: Float[np.ndarray, "W H c"]
+    block: Int[np.ndarray, " W"]
+    nuisances: tuple[Candidate, ...]
+    correction: Float[np.ndarray, "W R"] | None
+    engine: Engine
+
+    @property
+    def count(self) -> int:
+        """Number R of observations in a window."""
+        return self.windows.observed.shape[1] * self.windows.observed.shape[2]
+
+    @property
+    def dof(self) -> int:
+        """Observations minus fitted starts."""
+        nv = self.machine.model.nv
+        return max(int((self.weight > 0).sum()) - 2 * nv * len(self.windows), 1)
+
+    def rows(self, keep: np.ndarray) -> "Problem":
+        """Return the problem with some of its windows, blocks numbered anew."""
+        windows = self.windows.rows(keep)
+        return replace(
+            self,
+            windows=windows,
+            weight=self.weight[keep],
+            block=_blocks(len(windows)),
+            correction=None if self.correction is None else self.correction[keep],
+        )
+
+    def compiled(
+        self, hypothesis: Hypothesis, timestep: float | None = None
+    ) -> tuple[mujoco.MjModel, list[Part]]:
+        """Return the model of a hypothesis and the parts that MJCF cannot express."""
+        edits, parts = edits_and_parts(hypothesis, self.machine, self.model)
+        return self.model.compile(edits, timestep=timestep or self.windows.timestep), parts
+
+    def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
+        """Return the windows' controls after the filters among `parts`."""
+        filters = [p for p in parts if isinstance(p, Filter)]
+        if not filters:
+            return windows.ctrl
+        ctrl = windows.ctrl.copy()
+        for actuator in dict.fromkeys(f.actuator for f in filters):
+            column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
+            for i, recording in enumerate(self.recordings):
+                own = windows.recording == i
+                channel = recording.channels[f"ctrl.{actuator}"]
+                for f in filters:
+                    if f.actuator == actuator:
+                        channel = f.change(channel, windows.timestep)
+                ctrl[own, :, column] = control_steps(
+                    channel, windows.time[own], windows.steps, windows.timestep
+                )
+        return ctrl
+
+    def simulate(
+        self, hypothesis: Hypothesis, start: State, finer: int = 1
+    ) -> tuple[Trajectory, list[Part], Windows]:
+        """Simulate all windows; `finer` divides the time step."""
+        windows = self.windows if finer == 1 else refined(self.windows, finer)
+        model, parts = self.compiled(hypothesis, windows.timestep)
+        ctrl = self.controls(parts, windows)
+        trajectory = self.engine.rollout(
+            model, start, ctrl, laws=force_laws(parts), signals=windows.signals
+        )
+        return trajectory, parts, windows
+
+    def residual(
+        self, hypothesis: Hypothesis, start: State, finer: int = 1
+    ) -> Float[np.ndarray, "W R"]:
+        """Return recorded minus predicted for every observation, in sigma."""
+        trajectory, parts, windows = self.simulate(hypothesis, start, finer)
+        shown = observe(self.layout, windows, trajectory, parts)
+        r = self.weighted(np.nan_to_num(windows.observed) - shown)
+        if self.correction is not None and hypothesis.numerics:
+            r = r - hypothesis.numerics * self.correction
+        return r
+
+    def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
+        """Return values in sigma, one row a window, 0 where nothing was observed."""
+        scaled = np.nan_to_num(values * self.weight, nan=_FAR, posinf=_FAR, neginf=-_FAR)
+        return np.clip(scaled, -_FAR, _FAR).reshape(len(values), -1)
+
+
+def pose(
+    model: Model,
+    machine: Machine,
+    recordings: Sequence[Recording],
+    sigma: dict[str, float],
+    nuisances: Sequence[Candidate],
+    *,
+    horizon: int,
+    stride: int = 1,
+    timestep: float | None = None,
+    engine: Engine,
+) -> Problem:
+    """Cut recordings into windows.
+
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: to cut.
+        sigma: noise of each observed channel; others are not observed.
+        nuisances: the study's parameters.
+        horizon: instants in a window.
+        stride: every how many-th of the disjoint windows to keep.
+        timestep: of the simulation in [s]; by default the model's.
+        engine: simulates.
+    """
+    windows = cut(model, recordings, horizon=horizon, timestep=timestep)
+    windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
+    scale = np.array([sigma[n] for n in windows.channels])
+    weight = np.isfinite(windows.observed) / scale
+    return Problem(
+        model,
+        machine,
+        tuple(recordings),
+        windows,
+        Layout.of(model, machine.model),
+        weight,
+        _blocks(len(windows)),
+        tuple(nuisances),
+        None,
+        engine,
+    )
+
+
+def refined(windows: Windows, finer: int) -> Windows:
+    """Return the same windows for a time step `finer` times smaller."""
+    at = (windows.step + windows.fraction) * finer
+    step = np.floor(at + 1e-9).astype(int)
+    fraction = at - step
+    fraction[np.abs(fraction) < 1e-9] = 0.0
+    return replace(
+        windows,
+        ctrl=np.repeat(windows.ctrl, finer, axis=1),
+        signals={n: np.repeat(s, finer, axis=1) for n, s in windows.signals.items()},
+        step=step,
+        fraction=fraction,
+        timestep=windows.timestep / finer,
+    )
+
+
+def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
+    """Return the forces among `parts` as laws of the simulation."""
+    return tuple(ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force))
+
+
+def observe(
+    layout: Layout, windows: Windows, trajectory: Trajectory, parts: Sequence[Part]
+) -> Float[np.ndarray, "W H c"]:
+    """Return what the channels show of a trajectory, after the readings among `parts`."""
+    shown = predicted(layout, windows, trajectory)
+    for r in parts:
+        if isinstance(r, Reading) and r.channel in windows.channels:
+            k = windows.channels.index(r.channel)
+            source = windows.channels.index(r.source or r.channel)
+            value = (
+                predicted(layout, windows, trajectory)[..., source] if r.source else shown[..., k]
+            )
+            if r.delay:
+                value = value + _delayed(layout, windows, trajectory, source, r.delay)
+            shown[..., k] = (1.0 + r.scale) * value + r.offset
+    return shown
+
+
+def _delayed(
+    layout: Layout, windows: Windows, trajectory: Trajectory, channel: int, delay: float
+) -> Float[np.ndarray, "W H"]:
+    """Return what a channel shows `delay` earlier minus what it shows now.
+
+    Before the start of the window the motion is continued along a straight line.
+    """
+    at = (windows.step + windows.fraction) - delay / windows.timestep
+    inside = np.clip(at, 0.0, windows.steps)
+    step = np.minimum(np.floor(inside).astype(int), windows.steps - 1)
+    now = replace(
+        windows,
+        channels=(windows.channels[channel],),
+        observed=windows.observed[..., channel : channel + 1],
+    )
+    then = replace(now, step=step, fraction=inside - step)
+    late = predicted(layout, then, trajectory)[..., 0]
+    first = replace(now, step=np.zeros_like(step), fraction=np.zeros_like(inside))
+    second = replace(now, step=np.ones_like(step), fraction=np.zeros_like(inside))
+    slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
+    late = late + np.minimum(at, 0.0) * slope[..., 0]
+    return late - predicted(layout, now, trajectory)[..., 0]
+
+
+def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:
+    keep = [k for k, name in enumerate(windows.channels) if name in sigma]
+    return replace(
+        windows,
+        channels=tuple(windows.channels[k] for k in keep),
+        observed=windows.observed[..., keep],
+    )
+
+
+def _blocks(count: int) -> Int[np.ndarray, " W"]:
+    return np.arange(count) * min(BLOCKS, count) // max(count, 1)

@@ -1,0 +1,257 @@
+"""Fit the magnitudes of a set of effects through the simulator.
+
+Gauss-Newton in the space from which changes of start are projected out, with Broyden's update
+between exact Jacobians, a line search, bounds by clipping, and starts that follow with the stale
+response to the start, accepted window by window.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bo_sysid.diagnosis.fit import Fit, assess
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.linear import Linear, project
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.simulation import State
+
+_NUMERICS = (-0.5, 2.0)
+_SHRINK = 0.35
+_CUT = 1e9
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to fit.
+
+    Attributes:
+        iterations: most Gauss-Newton steps.
+        gain: stop where a step gains less of the squared residual than this many variances.
+        final: go on where the fit is worse than its rivals, and to full precision.
+        rival: best rms of other fits; a fit far above gives up early.
+    """
+
+    iterations: int = 8
+    gain: float = 2.0
+    final: bool = False
+    rival: float = np.inf
+
+
+@dataclass(frozen=True)
+class _Space:
+    """The vector that is fitted: magnitudes of members, parameters, share of the finer step."""
+
+    members: tuple[Candidate, ...]
+    nuisances: tuple[Candidate, ...]
+    numerics: bool
+    low: Float[np.ndarray, " p"]
+    high: Float[np.ndarray, " p"]
+    probe: Float[np.ndarray, " p"]
+
+    @classmethod
+    def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
+        held = (*members, *problem.nuisances)
+        numerics = problem.correction is not None
+        extra = ([_NUMERICS[0]], [_NUMERICS[1]], [1.0]) if numerics else ([], [], [])
+        low, high, probe = (
+            np.concatenate([*(getattr(c, name) for c in held), np.array(tail, float)])
+            for name, tail in zip(("low", "high", "probe"), extra, strict=True)
+        )
+        return cls(tuple(members), problem.nuisances, numerics, low, high, probe)
+
+    def vector(self, x: Sequence[np.ndarray], guess: Hypothesis) -> Float[np.ndarray, " p"]:
+        tail = np.array([guess.numerics] if self.numerics else [], float)
+        nuisance = guess.nuisance_x or tuple(np.zeros(c.size) for c in self.nuisances)
+        return np.clip(np.concatenate([*x, *nuisance, tail]), self.low, self.high)
+
+    def hypothesis(self, theta: Float[np.ndarray, " p"]) -> Hypothesis:
+        held = (*self.members, *self.nuisances)
+        ends = np.cumsum([c.size for c in held]).astype(int)
+        parts = np.split(theta, ends)
+        k = len(self.members)
+        numerics = float(theta[-1]) if self.numerics else 0.0
+        return Hypothesis(
+            self.members, tuple(parts[:k]), self.nuisances, tuple(parts[k : len(held)]), numerics
+        )
+
+
+def settle(
+    problem: Problem, frame: Linear, hypothesis: Hypothesis, start: State, steps: int = 2
+) -> tuple[State, Float[np.ndarray, "W R"]]:
+    """Move the starts to where the residual is least, window by window."""
+    r = problem.residual(hypothesis, start)
+    for _ in range(steps):
+        moved, rn, better = _moved(problem, frame, hypothesis, start, r, r)
+        start, r = moved, rn
+        if not better.any():
+            break
+    return start, r
+
+
+def refit(
+    frame: Linear,
+    members: Sequence[Candidate],
+    x: Sequence[Float[np.ndarray, " l"]],
+    *,
+    groups: tuple[str | None, ...] | None = None,
+    start: State | None = None,
+    guess: Hypothesis | None = None,
+    columns: Float[np.ndarray, "W R p"] | None = None,
+    effort: Effort | None = None,
+) -> Fit:
+    """Fit a set of effects.
+
+    Args:
+        frame: the linear model whose response to the start is used.
+        members: the effects.
+        x: first magnitudes of each.
+        groups: as in `Fit`.
+        start: first starts, by default the frame's.
+        guess: gives first values of the nuisances.
+        columns: a first Jacobian in the order of `Fit.jacobian`; simulated where left out.
+        effort: how hard to fit.
+    """
+    problem, effort = frame.problem, effort or Effort()
+    space = _Space.of(problem, members)
+    theta = space.vector(x, guess or frame.hypothesis)
+    begin, r = settle(problem, frame, space.hypothesis(theta), start or frame.start, 2)
+    point = _Point(theta, begin, r, project(frame.Q, r))
+    S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
+    if len(theta):
+        point, S = _descend(frame, space, point, S if columns is not None else None, effort)
+    begin, r, _ = _moved(
+        problem, frame, space.hypothesis(point.theta), point.start, point.r, point.r
+    )
+    labels = groups if groups is not None else (None,) * len(members)
+    return assess(problem, frame.Q, space.hypothesis(point.theta), labels, begin, r, S)
+
+
+@dataclass(frozen=True)
+class _Point:
+    theta: Float[np.ndarray, " p"]
+    start: State
+    r: Float[np.ndarray, "W R"]
+    y: Float[np.ndarray, "W R"]
+
+    @property
+    def rss(self) -> float:
+        return float((self.r**2).sum())
+
+
+def _descend(
+    frame: Linear, space: _Space, point: _Point, S: np.ndarray | None, effort: Effort
+) -> tuple[_Point, np.ndarray]:
+    _problem, dof = frame.problem, frame.problem.dof
+    exact = S is None
+    J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
+    for iteration in range(effort.iterations):
+        SP = project(frame.Q, J)
+        step = _bounded_step(SP, point.y, point, space)
+        tried = _line_search(frame, space, point, J, step, 4 if exact or not iteration else 2)
+        if tried is None:
+            hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
+            if exact or hopeless or point.rss / dof > 1e4:
+                break
+            J, exact = _jacobian(frame, space, point), True
+            continue
+        gain, moved = point.rss - tried.rss, tried.theta - point.theta
+        if moved.any():
+            J = _broyden(SP, moved, project(frame.Q, point.r - tried.r))
+        exact, point = False, tried
+        tolerance = effort.gain * max(point.rss / dof, 1.0)
+        if gain < tolerance + (0.0 if effort.final else 1e-3 * point.rss):
+            break
+        behind = point.rss / dof > 3 * effort.rival**2 + 1 and gain < 0.25 * point.rss
+        if not effort.final and iteration >= 1 and behind:
+            break
+    return point, J
+
+
+def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, "W R p"]:
+    columns = []
+    for k, (value, probe) in enumerate(zip(point.theta, space.probe, strict=True)):
+        h = max(0.1 * probe if abs(value) < probe else 0.02 * abs(value), 0.05 * probe)
+        if value + h > space.high[k]:
+            h = -h
+        theta = point.theta.copy()
+        theta[k] += h
+        moved = frame.problem.residual(space.hypothesis(theta), point.start)
+        columns.append((point.r - moved) / h)
+    return np.clip(np.stack(columns, axis=-1), -_CUT, _CUT)
+
+
+def _bounded_step(
+    S: Float[np.ndarray, "W R p"], y: Float[np.ndarray, "W R"], point: _Point, space: _Space
+) -> Float[np.ndarray, " p"]:
+    """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay."""
+    A = S.reshape(-1, S.shape[-1])
+    scale = np.sqrt((A**2).sum(axis=0)) + 1e-12
+    A = A / scale
+    G, g = A.T @ A, A.T @ y.ravel()
+    theta, free = point.theta, np.ones(len(scale), bool)
+    step = np.zeros(len(scale))
+    for _ in range(len(scale)):
+        step = np.zeros(len(scale))
+        if not free.any():
+            break
+        H = G[np.ix_(free, free)] + 1e-8 * np.eye(int(free.sum()))
+        step[free] = np.linalg.solve(H, g[free]) / scale[free]
+        down = (theta + step < space.low) & (theta <= space.low + 1e-12)
+        up = (theta + step > space.high) & (theta >= space.high - 1e-12)
+        bad = free & (down | up)
+        if not bad.any():
+            break
+        free &= ~bad
+    return np.nan_to_num(step)
+
+
+def _line_search(
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, step: np.ndarray, tries: int
+) -> _Point | None:
+    share = 1.0
+    for _ in range(tries):
+        theta = np.clip(point.theta + share * step, space.low, space.high)
+        left = point.r - J @ (theta - point.theta)
+        change = np.einsum("wki,wi->wk", frame.start_gain, left) * share
+        start = point.start.moved(frame.problem.machine.model, change)
+        r = frame.problem.residual(space.hypothesis(theta), start)
+        if (r**2).sum() < point.rss:
+            return _Point(theta, start, r, project(frame.Q, r))
+        share *= _SHRINK
+    return None
+
+
+def _broyden(
+    S: Float[np.ndarray, "W R p"], moved: Float[np.ndarray, " p"], seen: Float[np.ndarray, "W R"]
+) -> Float[np.ndarray, "W R p"]:
+    """Return the Jacobian, changed least in units of its columns, that reproduces a step."""
+    scaled = moved * (S**2).sum(axis=(0, 1))
+    denominator = float(scaled @ moved)
+    if denominator <= 0:
+        return S
+    return np.asarray(S + (seen - S @ moved)[..., None] * (scaled / denominator))
+
+
+def _moved(
+    problem: Problem,
+    frame: Linear,
+    hypothesis: Hypothesis,
+    start: State,
+    r: Float[np.ndarray, "W R"],
+    toward: Float[np.ndarray, "W R"],
+) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
+    """Return starts moved to explain `toward`, where that lowers the residual of a window."""
+    change = np.einsum("wki,wi->wk", frame.start_gain, toward)
+    moved = start.moved(problem.machine.model, change)
+    rn = problem.residual(hypothesis, moved)
+    better = (rn**2).sum(axis=1) < (r**2).sum(axis=1)
+    pick = better[:, None]
+    chosen = replace(
+        start,
+        qpos=np.where(pick, moved.qpos, start.qpos),
+        qvel=np.where(pick, moved.qvel, start.qvel),
+        warmstart=None,
+    )
+    return chosen, np.where(pick, rn, r), better

@@ -1,0 +1,73 @@
+"""The rules by which sets of effects are compared, on the training recordings alone.
+
+Constants were fixed on development cases; see the benchmark of the diagnosis.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import comb, log, sqrt
+
+from bo_sysid.diagnosis.fit import Fit
+
+MARGIN = 0.2  # [sigma] least unique size of an effect
+SHARE = 1.0  # unique size relative to what stays unexplained
+PART = 0.02  # unique size relative to what the nominal model leaves unexplained
+CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Probability of a set before the recordings are seen.
+
+    Half for nothing, an eighth for each size, shared by all sets of that size; an eighth for sets
+    with groups.
+
+    Attributes:
+        singles: number of effects at sites.
+        groups: number of groups.
+    """
+
+    singles: int
+    groups: int
+
+    def log(self, fit: Fit) -> float:
+        """Return the logarithm of the prior probability of a fit's set."""
+        if not fit.members:
+            return log(0.5)
+        grouped = len({g for g in fit.groups if g is not None})
+        alone = fit.size - grouped
+        ways = comb(max(self.groups, 1), min(grouped, max(self.groups, 1))) if grouped else 1
+        return log(0.125) - log(ways) - log(comb(max(self.singles, 1), min(alone, self.singles)))
+
+
+def inflation(fits: Iterable[Fit]) -> float:
+    """Return the variance that even the best fit leaves, at least that of the sensors."""
+    return max(1.0, min(f.rms for f in fits) ** 2)
+
+
+def criterion(fit: Fit, kappa: float, prior: Prior) -> float:
+    """Return the deviance by which fits are ranked, lower is better."""
+    return float(fit.cv.sum()) / kappa - 2 * (prior.log(fit) - log(0.5))
+
+
+def required(fit: Fit, nominal: Fit) -> float:
+    """Return the unique size in sigma that every member of a fit must reach."""
+    return max(MARGIN, SHARE * sqrt(fit.excess), PART * sqrt(nominal.excess))
+
+
+def admissible(fit: Fit, nominal: Fit) -> bool:
+    """Whether every member is at least as large as what stays unexplained."""
+    need = required(fit, nominal)
+    return all(u >= need for u in fit.unique)
+
+
+def clean(fit: Fit) -> bool:
+    """Whether a fit leaves nothing to look for."""
+    return fit.excess < CLEAN
+
+
+def ranked(fits: Iterable[Fit], prior: Prior) -> list[Fit]:
+    """Return fits by the criterion, best first."""
+    held = list(fits)
+    kappa = inflation(held)
+    return sorted(held, key=lambda f: criterion(f, kappa, prior))

@@ -1,0 +1,438 @@
+"""The search for the set of effects that explains the recordings.
+
+Sets are proposed by linear algebra (`subsets`), fitted through the simulator (`refit`), and the
+model is linearised anew at the leader until it no longer changes: additions, swaps, drops, finer
+shapes. Where the nominal model is far off, short windows come first and the best sets are carried
+to longer ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.linear import Linear, linearise, project
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.rules import CLEAN, MARGIN, SHARE, Prior, clean, ranked, required
+from bo_sysid.diagnosis.subsets import Gram, Scored, Unit, clashes, gram, groups, search
+from bo_sysid.diagnosis.windowing import Prepared, correction_at
+from bo_sysid.simulation import State
+
+_TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
+_TOP_GROUPED = {1: 3, 2: 3, 3: 3}
+_NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
+
+
+@dataclass
+class Search:
+    """Fits found so far on one set of windows; the only mutable value of the diagnosis.
+
+    Attributes:
+        prepared: the windows.
+        candidates: everything that may be missing; finer shapes are added.
+        most: most effects in a set.
+        prior: of sets.
+        frame: the linear model at the present leader.
+        fits: by identity of their set.
+    """
+
+    prepared: Prepared
+    candidates: list[Candidate]
+    most: int
+    prior: Prior
+    frame: Linear
+    fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
+    _columns: dict[int, np.ndarray] = field(default_factory=dict)
+    _signatures: np.ndarray | None = None
+
+    @classmethod
+    def on(
+        cls, prepared: Prepared, candidates: list[Candidate], most: int, guess: Hypothesis | None
+    ) -> "Search":
+        """Begin on prepared windows; `guess` gives first values of the nuisances."""
+        prior = Prior(len({c.key for c in candidates}), len(groups(candidates)))
+        made = cls(prepared, candidates, most, prior, prepared.linear)
+        made.fit((), (), guess=guess)
+        return made
+
+    @property
+    def nominal(self) -> Fit:
+        """The fit of nothing."""
+        return self.fits[frozenset()]
+
+    @property
+    def best(self) -> Fit:
+        """The leading fit."""
+        return ranked(self.fits.values(), self.prior)[0]
+
+    @property
+    def least(self) -> float:
+        """The least rms of all fits."""
+        return min((f.rms for f in self.fits.values()), default=np.inf)
+
+    def fit(
+        self,
+        members: Sequence[Candidate],
+        x: Sequence[Float[np.ndarray, " l"]],
+        *,
+        labels: tuple[str | None, ...] | None = None,
+        start: State | None = None,
+        guess: Hypothesis | None = None,
+        again: bool = False,
+        effort: Effort | None = None,
+    ) -> Fit:
+        """Fit a set, or return the fit that there is; the better one is kept."""
+        key = set_key(members)
+        known = self.fits.get(key)
+        if known is not None and not again:
+            return known
+        effort = effort or Effort(rival=self.least)
+        groups_of = labels or (None,) * len(members)
+        first = [x] + ([] if again else self._other_starts(members, x))
+        found = known
+        for k, begin in enumerate(first):
+            if k and found is not None and clean(found):
+                break
+            made = refit(
+                self.frame,
+                members,
+                [self._begin(c, v) for c, v in zip(members, begin, strict=True)]
+                if not again
+                else begin,
+                groups=groups_of,
+                start=start or self.prepared.start,
+                guess=guess,
+                columns=self._first_jacobian(members),
+                effort=effort,
+            )
+            if found is None or made.rss < found.rss:
+                found = made
+        assert found is not None  # noqa: S101 - there is always a first start
+        self.fits[key] = found
+        return found
+
+    def round(self, base: Fit) -> None:
+        """Linearise at a fit and try what could be added to it, exchanged or left out."""
+        self._refine(base)
+        table = self._linearise(base)
+        if not base.members:
+            self._first(table)
+            return
+        self._add(table, base)
+        for unit in units_of(base):
+            self._exchange(table, base, unit)
+            self._drop(base, unit)
+
+    def _first(self, table: "_Table") -> None:
+        found = search(table.gram((), {}), self.most, groups(self.candidates))
+        self._run(_alone(found.get(1, [])), _TOP[1], None)
+        for size in (1, 2, 3):
+            if clean_enough(self.least):
+                return
+            sets = found.get(size, [])
+            self._run(_with_group(sets), _TOP_GROUPED[size], None)
+            if size > 1:
+                self._run(_alone(sets), _TOP[size], None)
+
+    def _add(self, table: "_Table", base: Fit) -> None:
+        room = self.most - base.size
+        if room <= 0:
+            return
+        fixed = [self.candidates.index(c) for c in base.members]
+        now = dict(zip(fixed, base.x, strict=True))
+        units = groups(self.candidates) if not clean(base) else ()
+        found = search(table.gram(fixed, now), min(room, 2), units, paired=60)
+        need = max(0.7 * MARGIN, 0.5 * SHARE * np.sqrt(base.excess))
+        self._run(_alone(found[1]), 3, base, need=need)
+        self._run(_with_group(found[1]), 2, base, need=need)
+        if room > 1 and not clean(base):
+            self._run(_alone(found[2]), 2, base, need=need)
+
+    def _exchange(self, table: "_Table", base: Fit, unit: tuple[int, ...]) -> None:
+        """Try others in the place of one unit of a fit."""
+        rest = [k for k in range(len(base.members)) if k not in unit]
+        kept = _subset(base, rest)
+        fixed = [self.candidates.index(c) for c in kept[0]]
+        now = dict(zip(fixed, kept[1], strict=True))
+        without = table.without([base.members[k] for k in unit], [base.x[k] for k in unit])
+        many = len(units_of(base)) < 3 and not clean(base)
+        units = groups(self.candidates) if not clean(base) else ()
+        found = search(without.gram(fixed, now), 2 if many else 1, units, paired=60)
+        self._run(_alone(found[1]), 2 if clean(base) else 3, base, rest)
+        self._run(_with_group(found[1]), 1, base, rest)
+        if many:
+            self._run(_alone(found[2]), 1, base, rest)
+
+    def _drop(self, base: Fit, unit: tuple[int, ...]) -> None:
+        sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
+        for out in sets:
+            rest = [k for k in range(len(base.members)) if k not in out]
+            members, x, labels = _subset(base, rest)
+            self.fit(members, x, labels=labels, start=base.start, again=True)
+
+    def _run(
+        self,
+        scored: Sequence[Scored],
+        top: int,
+        base: Fit | None,
+        kept: Sequence[int] | None = None,
+        need: float = 0.0,
+    ) -> None:
+        """Fit the best of the scored sets, on top of the kept members of a fit."""
+        seen: set[frozenset[tuple[str, str]]] = set()
+        dof = self.prepared.problem.dof
+        held: tuple[Sequence[Candidate], Sequence[np.ndarray], Sequence[str | None]] = ((), (), ())
+        if base is not None:
+            held = _subset(base, range(len(base.members)) if kept is None else kept)
+        for s in scored:
+            members = [self.candidates[i] for i in s.members]
+            key = frozenset(c.key for c in members)
+            if key in seen:
+                continue
+            seen.add(key)
+            if len(seen) > top or np.sqrt(max(s.gain, 0.0) / dof) < need:
+                return
+            if clashes([*held[0], *members]):
+                continue
+            x = np.split(s.x, np.cumsum([c.size for c in members])[:-1])
+            labels = [u.group for u in s.units for _ in u.members]
+            self.fit(
+                (*held[0], *members),
+                (*held[1], *x),
+                labels=(*held[2], *labels),
+                start=base.start if base is not None else None,
+            )
+
+    def _refine(self, base: Fit) -> None:
+        """Add finer shapes of the members of a fit to the candidates."""
+        present = {set_key([c]) for c in self.candidates}
+        for c in base.members:
+            turns = self.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
+            whole = turns is not None and turns.hinge and c.effect.vector > 1
+            if whole and clean(base):
+                continue  # periods in a turn are whole numbers
+            for factor in c.extent.refine:
+                made = c.with_shapes(c.shapes * factor)
+                if set_key([made]) not in present:
+                    self.candidates.append(made)
+
+    def _linearise(self, base: Fit) -> "_Table":
+        problem = self.prepared.problem
+        if base.members or self._signatures is not None:
+            self.frame = linearise(problem, base.hypothesis, base.start)
+        held = [*self.candidates, *problem.nuisances]
+        S = self.frame.signatures(held)
+        owner = np.repeat(np.arange(len(held)), [c.size for c in held])
+        owner[owner >= len(self.candidates)] = -1
+        if problem.correction is not None:
+            column = project(self.frame.Q, problem.correction).astype(np.float32)
+            S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, -1)
+        self._signatures = S
+        self._columns = {id(c): np.flatnonzero(owner == i) for i, c in enumerate(self.candidates)}
+        self._columns[-1] = np.flatnonzero(owner < 0)
+        A = S.reshape(-1, S.shape[-1])
+        y = project(self.frame.Q, base.residual).astype(np.float32)
+        G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)
+        return _Table(self.candidates, G, b, owner)
+
+    def _first_jacobian(self, members: Sequence[Candidate]) -> np.ndarray | None:
+        if self._signatures is None or any(id(c) not in self._columns for c in members):
+            return None
+        columns = [*(self._columns[id(c)] for c in members), self._columns[-1]]
+        return self._signatures[..., np.concatenate(columns)]
+
+    def _begin(self, c: Candidate, x: np.ndarray) -> np.ndarray:
+        """Return where a fit begins: thresholds act near the point of their grid only."""
+        if c.effect.threshold and abs(x[0] / c.point[0] - 1) > _NEAR:
+            return c.point[: c.size]
+        return x
+
+    def _other_starts(
+        self, members: Sequence[Candidate], x: Sequence[np.ndarray]
+    ) -> list[list[np.ndarray]]:
+        found = []
+        for k, c in enumerate(members):
+            for s in c.extent.starts:
+                found.append([*x[:k], np.array(s[: c.size], float), *x[k + 1 :]])
+        return found
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Inner products of all signatures and the residual of a fit."""
+
+    candidates: list[Candidate]
+    G: Float[np.ndarray, "p p"]
+    b: Float[np.ndarray, " p"]
+    owner: np.ndarray
+
+    def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
+        return gram(self.candidates, self.G, self.b, self.owner, now, fixed)
+
+    def without(self, members: Sequence[Candidate], x: Sequence[np.ndarray]) -> "_Table":
+        """Return the table for the residual before some members explained their part of it."""
+        b = self.b.copy()
+        for c, z in zip(members, x, strict=True):
+            own = np.flatnonzero(self.owner == self.candidates.index(c))
+            b = b + self.G[:, own] @ z
+        return replace(self, b=b)
+
+
+def units_of(fit: Fit) -> list[tuple[int, ...]]:
+    """Return the members of each unit of a fit: one member, or all of a group."""
+    found = [(k,) for k, g in enumerate(fit.groups) if g is None]
+    for label in dict.fromkeys(g for g in fit.groups if g is not None):
+        found.append(tuple(k for k, g in enumerate(fit.groups) if g == label))
+    return found
+
+
+def clean_enough(rms: float) -> bool:
+    """Whether the least rms leaves nothing to look for."""
+    return rms**2 - 1 <= CLEAN
+
+
+def explore(search: Search, rounds: int = 5) -> Fit:
+    """Go on until the leading set no longer changes; return the leader."""
+    if search._signatures is None:
+        search.round(search.nominal)
+    leader = search.best
+    for _ in range(rounds):
+        if not leader.members:
+            break
+        search.round(leader)
+        if search.best.key == leader.key:
+            break
+        leader = search.best
+    return search.best
+
+
+def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
+    """Begin on other windows with the best sets found so far."""
+    best = search.best
+    new = Search.on(prepared, search.candidates, search.most, best.hypothesis)
+    if best.members:
+        h = new.fit(best.members, best.x, labels=best.groups, guess=best.hypothesis)
+        new = recorrected(new, h)
+        del new.fits[h.key]
+    for f in ranked(search.fits.values(), search.prior)[:count]:
+        if f.members:
+            new.fit(f.members, f.x, labels=f.groups, guess=f.hypothesis)
+    return new
+
+
+def recorrected(search: Search, leader: Fit) -> Search:
+    """Return the search with the correction for the time step taken at the leading hypothesis."""
+    p = search.prepared
+    if p.problem.correction is None:
+        return search
+    frame = linearise(p.problem, leader.hypothesis, leader.start)
+    correction = correction_at(p.problem, frame, leader.hypothesis, leader.start)
+    problem: Problem = replace(p.problem, correction=correction)
+    prepared = replace(p, problem=problem, linear=replace(p.linear, problem=problem))
+    search.prepared, search.frame = prepared, replace(search.frame, problem=problem)
+    return search
+
+
+def stripped(search: Search) -> None:
+    """Fit the sets without their weakest member, or with the simpler effect in its place."""
+    done: set[object] = set()
+    for _ in range(4):
+        before = len(search.fits)
+        for f in ranked(search.fits.values(), search.prior)[:4]:
+            if not f.members or f.key in done:
+                continue
+            done.add(f.key)
+            _simplified(search, f)
+            weakest = int(np.argmin(f.unique))
+            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
+                rest = [k for k in range(len(f.members)) if k != weakest]
+                members, x, labels = _subset(f, rest)
+                search.fit(members, x, labels=labels, start=f.start, again=True)
+        if len(search.fits) == before:
+            return
+
+
+def _simplified(search: Search, f: Fit) -> None:
+    for k, c in enumerate(f.members):
+        if c.effect.nested is None or f.unique[k] >= 1.0:
+            continue
+        plain = [d for d in search.candidates if d.key == (c.effect.nested, c.site.name)]
+        if plain:
+            members = (*f.members[:k], plain[0], *f.members[k + 1 :])
+            x = (*f.x[:k], f.x[k][1:], *f.x[k + 1 :])
+            if not clashes(members):
+                search.fit(members, x, labels=f.groups, start=f.start)
+
+
+def eliminate(search: Search, steps: int = 14) -> None:
+    """Leave out what is too small until the leading set is admissible."""
+    for _ in range(steps):
+        for f in ranked(search.fits.values(), search.prior):
+            need = required(f, search.nominal)
+            weak = [k for k, u in enumerate(f.unique) if u < need]
+            if not weak:
+                return
+            rest = _without_weak(f, weak)
+            members, x, labels = _subset(f, rest)
+            if set_key(members) in search.fits:
+                continue
+            labels = regrouped(members, labels, search.candidates)
+            search.fit(members, x, labels=labels, start=f.start, effort=_FINAL)
+            break
+        else:
+            return
+
+
+_FINAL = Effort(iterations=5, gain=1.0, final=True)
+
+
+def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
+    """Leave out all weak members of groups at once, else the weakest member."""
+    in_groups = [k for k in weak if f.groups[k] is not None]
+    out = in_groups or [min(weak, key=lambda k: f.unique[k])]
+    return [k for k in range(len(f.members)) if k not in out]
+
+
+def regrouped(
+    members: Sequence[Candidate], labels: Sequence[str | None], candidates: Sequence[Candidate]
+) -> tuple[str | None, ...]:
+    """Return labels; a group stays one with at least two members and half of its sites."""
+    sites = {u.group: len(u.members) for u in groups(candidates)}
+    size = {g: sum(label == g for label in labels) for g in labels}
+    return tuple(
+        g if g is not None and size[g] >= max(2.0, 0.5 * sites.get(g, 0)) else None for g in labels
+    )
+
+
+def _subset(
+    fit: Fit, keep: Sequence[int]
+) -> tuple[tuple[Candidate, ...], tuple[np.ndarray, ...], tuple[str | None, ...]]:
+    return (
+        tuple(fit.members[k] for k in keep),
+        tuple(fit.x[k] for k in keep),
+        tuple(fit.groups[k] for k in keep),
+    )
+
+
+def _alone(scored: Sequence[Scored]) -> list[Scored]:
+    return [s for s in scored if all(u.group is None for u in s.units)]
+
+
+def _with_group(scored: Sequence[Scored]) -> list[Scored]:
+    return [s for s in scored if any(u.group is not None for u in s.units)]
+
+
+__all__ = [
+    "Search",
+    "Unit",
+    "carried",
+    "eliminate",
+    "explore",
+    "recorrected",
+    "stripped",
+    "units_of",
+]
