@@ -53,6 +53,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted; 1 anything
         else, with a traceback.
     """
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(errors="replace")  # type: ignore[union-attr] # names may hold any letter
     try:
         args = make_parser().parse_args(argv)
         args.run(args)

@@ -56,14 +56,14 @@ def load_study(args: argparse.Namespace) -> "Study":
     Raises:
         StudyError: it is wrong, or names something that is not registered.
     """
-    from bo_sysid.cli.names import registered
+    from bo_sysid.cli.names import check_names
     from bo_sysid.study import Study, parse_override
 
     overrides = dict(parse_override(text) for text in args.set)
     if args.seed is not None:
         overrides["search.seed"] = args.seed
     study = Study.load(args.study, overrides, trust_code=args.trust_code)
-    study.check_names(**registered())
+    check_names(study)
     return study
 
 

@@ -27,6 +27,10 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Identify, and print what was found."""
     study = load_study(args)
+
+    from bo_sysid.study.check import check
+
+    check(study, strict=args.strict)  # wrong input is told before torch is loaded
     with open_run(args, study, "identify") as run:
         identify_into(run, study, strict=args.strict)
     print_run(run)

@@ -1,8 +1,33 @@
 """Names that studies use and that registries know."""
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bo_sysid.study import Study
+
 
 def registered() -> dict[str, list[str]]:
-    """Return what is registered, by the argument of `Study.check_names`."""
+    """Return all that is registered, by the argument of `bo_sysid.study.schema`."""
+    from bo_sysid.effects import CATALOGUE
     from bo_sysid.recording.datasets import DATASETS
 
-    return {"datasets": sorted(DATASETS)}
+    return {"datasets": sorted(DATASETS), "effects": sorted(CATALOGUE)}
+
+
+def check_names(study: "Study") -> None:
+    """Check the names in a study; only registries that it uses are imported.
+
+    Raises:
+        StudyError: a name is not registered.
+    """
+    if study.recordings.dataset is not None:
+        from bo_sysid.recording.datasets import DATASETS
+
+        study.check_names(datasets=DATASETS)
+    diagnosis = study.diagnosis
+    if diagnosis.effects != "all" or diagnosis.exclude or (study.plant and study.plant.effects):
+        from bo_sysid.effects import CATALOGUE, load_effects
+
+        for file in diagnosis.effect_files:
+            load_effects(study.folder / file)
+        study.check_names(effects=CATALOGUE)

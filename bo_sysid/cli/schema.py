@@ -23,6 +23,4 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.cli.names import registered
     from bo_sysid.study import schema
 
-    names = registered()
-    names.pop("plants", None)
-    print(json.dumps(schema(**names), indent=2, ensure_ascii=False))
+    print(json.dumps(schema(**registered()), indent=2, ensure_ascii=False))

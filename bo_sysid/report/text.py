@@ -58,15 +58,21 @@ def identification_text(summary: Mapping[str, Any]) -> str:
 def check_text(found: Check) -> str:
     """Return what a study is made of, in words and tables."""
     several = "s" if len(found.recordings) > 1 else ""
-    columns = {"interval": "interval [ms]", "noise": "noise (σ)"}
+    channels = found.channels.rename(columns={"interval": "interval [ms]"})
     parts = [
         f"{found.name}: model {found.model} at {1e3 * found.timestep:g} ms, "
         f"{len(found.recordings)} training recording{several} ({', '.join(found.recordings)})",
         "",
-        table(found.channels.rename(columns=columns)),
+        table(channels),
     ]
     if len(found.parameters):
-        parts += ["", table(found.parameters), "", f"B has {found.candidates} candidates."]
+        addresses = found.parameters["addresses"].map(_shortened)
+        parts += [
+            "",
+            table(found.parameters.assign(addresses=addresses)),
+            "",
+            f"B has {found.candidates} candidates.",
+        ]
     else:
         parts += ["", "Nothing is uncertain: the study names no parameters."]
     return "\n".join([*parts, *_notes(found.notes)])
@@ -92,6 +98,12 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return "" if pd.isna(value) else f"{value:.4g}"
     return "" if value is None else str(value)
+
+
+def _shortened(addresses: str, most: int = 2) -> str:
+    parts = addresses.split(", ")
+    more = f" and {len(parts) - most} more" if len(parts) > most else ""
+    return ", ".join(parts[:most]) + more
 
 
 def _notes(notes: Sequence[str]) -> list[str]:

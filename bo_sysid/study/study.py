@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -325,6 +326,7 @@ class Study(Section):
 
 def _near(path: Path) -> str:
     """Return the files nearest to a path that does not exist, from its nearest folder."""
+    path = Path(os.path.normpath(path))
     folder = next((p for p in path.parents if p.is_dir()), Path())
     files = [p.name for p in folder.iterdir()] if folder == path.parent else []
     missing = path.relative_to(folder).parts[0]
