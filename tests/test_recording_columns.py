@@ -68,6 +68,12 @@ def test_rule_order_is_unit_scale_unwrap_sign_offset():
         assert word in note
 
 
+def test_unwrap_leaves_a_move_of_less_than_half_a_turn():
+    angle = np.where(np.arange(50) % 10 < 5, 0.0, 3.0)
+    recording = read({"qpos.b": {"from": "enc", "unwrap": True}}, enc=angle)
+    np.testing.assert_array_equal(recording.channels["qpos.b"].values, angle)
+
+
 def test_unwrap_takes_the_jump_of_a_geared_encoder():
     truth = 4.0 * TIME
     period = 2 * np.pi / 6

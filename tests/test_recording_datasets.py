@@ -93,6 +93,19 @@ def test_xl330_duty_follows_the_servos_law():
 
 
 @needs_data
+def test_double_pendulum_joints_are_not_exchanged():
+    runs = {r.name: r for r in loaded("dfki_double_pendulum").train}
+    stuck = runs["C.1_20230629-143906"].channels  # only the shoulder was driven; the elbow sticks
+    assert not stuck["ctrl.elbow"].values.any()
+    assert np.ptp(stuck["qpos.elbow"].values) < 0.01 < 0.5 < np.ptp(stuck["qpos.shoulder"].values)
+    for run in runs.values():
+        for joint, command in run.of_kind("ctrl").items():
+            if command.values.any():
+                measured = run.channels[f"aux.torque_{joint}"].values
+                assert np.corrcoef(command.values, measured)[0, 1] > 0.7
+
+
+@needs_data
 def test_cube_falls_with_gravity_and_turns_in_the_body_frame():
     mujoco = pytest.importorskip("mujoco")
     toss = loaded("contactnets_cube").train[0]
