@@ -10,6 +10,7 @@ from bo_sysid.errors import StudyError
 from bo_sysid.plants.environment import BatchEnvironment
 from bo_sysid.plants.tasks import find_task, registered
 
+TASKS = [key for key in registered() if key[0] != "gymnasium"]  # compared elsewhere
 STANDING = np.array([0.0, -0.1, 0.0, 0.0, -0.7, 1.4, -0.7])  # a hopper on its foot
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -64,7 +65,7 @@ def posture(observation, domain, size, t):
 
 
 @pytest.mark.parametrize("policy", ["random", "better"])
-@pytest.mark.parametrize(("domain", "name"), registered())
+@pytest.mark.parametrize(("domain", "name"), TASKS)
 def test_observation_and_reward_equal_dm_control_step_by_step(domain, name, policy):
     other = reference(domain, name, seed=2 if domain == "reacher" else 1)
     task = find_task(domain, name)
@@ -104,7 +105,7 @@ def test_observation_and_reward_equal_dm_control_step_by_step(domain, name, poli
         assert total > 5, "the comparison of rewards was empty"
 
 
-@pytest.mark.parametrize(("domain", "name"), registered())
+@pytest.mark.parametrize(("domain", "name"), TASKS)
 def test_starts_are_drawn_from_dm_controls_distribution(domain, name, monkeypatch):
     # one generator with one seed, handed to both: the same draws give the same start
     other = reference(domain, name, seed=5)

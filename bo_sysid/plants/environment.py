@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -34,6 +34,7 @@ class Step(NamedTuple):
     final: np.ndarray
 
 
+@runtime_checkable
 class Environment(Protocol):
     """What learning and evaluation need; `BatchEnvironment` is the fast one."""
 

@@ -8,6 +8,7 @@ compares it with dm_control's own.
 from bo_sysid.plants.tasks import (
     cartpole,
     cheetah,
+    gym_locomotion,
     hopper,
     pendulum,
     reacher,
@@ -22,6 +23,7 @@ __all__ = [
     "cartpole",
     "cheetah",
     "find_task",
+    "gym_locomotion",
     "hopper",
     "pendulum",
     "reacher",

@@ -17,7 +17,7 @@ class Bare(VectorTask):
     """
 
     rewarded: ClassVar[bool] = False
-    time_limit: ClassVar[float] = np.inf
+    time_limit: float = np.inf
 
     def __init__(self, control_timestep: float) -> None:
         self.control_timestep = control_timestep

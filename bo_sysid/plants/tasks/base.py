@@ -39,7 +39,7 @@ class VectorTask(ABC):
     """
 
     control_timestep: float
-    time_limit: ClassVar[float]
+    time_limit: float
     goal_size: ClassVar[int] = 0
     settle_time: ClassVar[float] = 0.0
     rewarded: ClassVar[bool] = True

@@ -1,6 +1,5 @@
 """dm_control's cart-pole: swing up, or balance."""
 
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -12,7 +11,7 @@ from bo_sysid.plants.tasks.shaping import tolerance
 
 class _CartPole(VectorTask):
     control_timestep: float = 0.01
-    time_limit: ClassVar[float] = 10.0
+    time_limit: float = 10.0
 
     def observe(self, sims: Simulations) -> np.ndarray:
         """Cart position, cosine and sine of every pole, velocities."""

@@ -17,7 +17,7 @@ class CheetahRun(VectorTask):
     """Reward is linear in the forward speed; an episode begins after 2 s of falling."""
 
     control_timestep: float = 0.01
-    time_limit: ClassVar[float] = 10.0
+    time_limit: float = 10.0
     settle_time: ClassVar[float] = 2.0
 
     def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:

@@ -1,6 +1,5 @@
 """dm_control's planar hopper: stand, or hop forward."""
 
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -15,7 +14,7 @@ _SPEED = 2.0  # m/s
 
 class _Hopper(VectorTask):
     control_timestep: float = 0.02
-    time_limit: ClassVar[float] = 20.0
+    time_limit: float = 20.0
 
     def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw all joints but the slides."""

@@ -1,6 +1,5 @@
 """dm_control's pendulum: swing up with little torque and stay."""
 
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -17,7 +16,7 @@ class PendulumSwingup(VectorTask):
     """Rewarded only within 8 degrees of the vertical."""
 
     control_timestep: float = 0.02
-    time_limit: ClassVar[float] = 20.0
+    time_limit: float = 20.0
 
     def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw any angle, at rest."""

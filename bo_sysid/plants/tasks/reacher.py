@@ -16,7 +16,7 @@ class Reacher(VectorTask):
     """Rewarded while the finger touches a target of radius `size` in [m], drawn at every start."""
 
     control_timestep: float = 0.02
-    time_limit: ClassVar[float] = 20.0
+    time_limit: float = 20.0
     goal_size: ClassVar[int] = 2
 
     def __init__(self, size: float) -> None:

@@ -20,7 +20,7 @@ class Swimmer(VectorTask):
     """Swim to a target that is drawn at every start; any number of links."""
 
     control_timestep: float = 0.03
-    time_limit: ClassVar[float] = 30.0
+    time_limit: float = 30.0
     goal_size: ClassVar[int] = 2
 
     def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:

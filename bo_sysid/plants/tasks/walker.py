@@ -1,6 +1,5 @@
 """dm_control's planar walker: stand, walk, run."""
 
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -19,7 +18,7 @@ class Walker(VectorTask):
     """Stay upright and move forward at `speed` in [m/s]; with 0, only stand."""
 
     control_timestep: float = 0.025
-    time_limit: ClassVar[float] = 25.0
+    time_limit: float = 25.0
 
     def __init__(self, speed: float) -> None:
         self.speed = speed

@@ -1,0 +1,128 @@
+"""Learned policies: frozen, acting in NumPy, kept in files without pickle."""
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.errors import RunError, UserError
+from bo_sysid.policy.network import GaussianPolicy, Network
+from bo_sysid.policy.normalisation import Normaliser
+from bo_sysid.runs import atomic, plain
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class LearnedPolicy:
+    """A policy with frozen statistics of its observations.
+
+    Attributes:
+        policy: layout of the parameters.
+        theta: parameters, float32.
+        normaliser: of observations.
+        about: what it was learned on, for people and for checks: JSON values by name.
+    """
+
+    policy: GaussianPolicy
+    theta: np.ndarray
+    normaliser: Normaliser
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Return the mean actions, `n x a` in [-1, 1], at `n x o` observations."""
+        means = self.policy.network(self.theta, self.normaliser(observations))
+        return np.asarray(np.clip(means, -1.0, 1.0))
+
+    def sample(self, observations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Return drawn actions, `n x a`, not clipped."""
+        means = self.policy.network(self.theta, self.normaliser(observations))
+        noise = rng.standard_normal(means.shape, dtype=np.float32)
+        return np.asarray(means + np.exp(self.policy.log_std(self.theta)) * noise)
+
+    def require(self, observation_size: int, action_size: int, where: str = "policy") -> None:
+        """Refuse a model that this policy was not learned on.
+
+        Raises:
+            UserError: the numbers of observations or actions differ.
+        """
+        own = (self.policy.network.sizes[0], self.policy.actions)
+        if own != (observation_size, action_size):
+            raise UserError(
+                f"{where}: the policy takes {own[0]} observations and gives {own[1]} actions, the "
+                f"task has {observation_size} and {action_size}; it was learned on "
+                f"{self.about.get('task', 'another task')}"
+            )
+
+    def save(self, path: str | Path) -> None:
+        """Write an ``.npz`` of arrays and a JSON header; it replaces `path` in one step."""
+        header = {
+            "format": FORMAT,
+            "sizes": list(self.policy.network.sizes),
+            "clip": self.normaliser.clip,
+            "about": dict(self.about),
+        }
+        write_arrays(
+            Path(path),
+            {"theta": self.theta, "mean": self.normaliser.mean, "std": self.normaliser.std},
+            header,
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> "LearnedPolicy":
+        """Read what `save` wrote.
+
+        Raises:
+            RunError: the file is missing, damaged, or of another format.
+        """
+        arrays, header = read_arrays(Path(path))
+        if header.get("format") != FORMAT or not {"theta", "mean", "std"} <= set(arrays):
+            raise RunError(
+                f"{path}: not a policy of format {FORMAT} (it says {header.get('format')})"
+            )
+        policy = GaussianPolicy(Network(tuple(header["sizes"])))
+        if arrays["theta"].shape != (policy.size,):
+            raise RunError(
+                f"{path}: {arrays['theta'].size} parameters for a network of {policy.size}"
+            )
+        normaliser = Normaliser(arrays["mean"], arrays["std"], float(header["clip"]))
+        return cls(policy, arrays["theta"], normaliser, header["about"])
+
+    def export(self, path: str | Path) -> None:
+        """Write the deterministic policy as a TorchScript module.
+
+        It maps `n x o` float32 observations, not normalised, to `n x a` actions in [-1, 1], and
+        runs wherever libtorch does, without this package.
+        """
+        from bo_sysid.policy.export import write_torchscript
+
+        with atomic(Path(path)) as place:
+            write_torchscript(self, place)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
+    """Write arrays and a JSON header into one ``.npz``, atomically."""
+    text = np.array(json.dumps(plain(header)))
+    with atomic(path) as place, open(place, "wb") as file:
+        np.savez(file, allow_pickle=False, _header=text, **arrays)
+
+
+def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read what `write_arrays` wrote.
+
+    Raises:
+        RunError: the file is missing or damaged.
+    """
+    if not path.is_file():
+        raise RunError(f"{path}: no such file")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(str(arrays.pop("_header")))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise RunError(f"{path}: damaged, or not a file of this package ({error})") from None
+    return arrays, header

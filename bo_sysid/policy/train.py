@@ -1,0 +1,164 @@
+"""The training loop: iterations, their log, and checkpoints that survive a kill."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RunError, StudyError, UserError
+from bo_sysid.plants.environment import Environment
+from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
+from bo_sysid.policy.trainer import Iteration, Trainer, TrpoSettings
+from bo_sysid.runs import atomic
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+CHECKPOINT, LOG, POLICY = "checkpoint.npz", "iterations.parquet", "policy.npz"
+
+Watch = Callable[[Iteration], None]
+
+
+@dataclass(frozen=True)
+class Training:
+    """A finished training run.
+
+    Attributes:
+        policy: what was learned.
+        log: one row an iteration, columns as in `Iteration`.
+    """
+
+    policy: LearnedPolicy
+    log: pd.DataFrame
+
+
+def train(
+    environment: Environment,
+    settings: TrpoSettings | None = None,
+    *,
+    steps: int,
+    seed: int = 0,
+    threads: int = 1,
+    folder: Path | None = None,
+    every: int = 10,
+    about: Mapping[str, Any] | None = None,
+    tensorboard: bool = False,
+    watch: Watch | None = None,
+) -> Training:
+    """Learn a policy.
+
+    Args:
+        environment: where to learn; it begins new episodes.
+        settings: of the algorithm.
+        steps: control steps in all, rounded up to whole batches.
+        seed: of networks, actions and shuffles; the environment has its own.
+        threads: of the update; results do not depend on it.
+        folder: where checkpoints, log and policy are written. With a checkpoint there, training
+            goes on from it and ends as if it had never been interrupted.
+        every: iterations between checkpoints.
+        about: what the policy is learned on, stored with it.
+        tensorboard: also write TensorBoard events into `folder`.
+        watch: called with each iteration's log.
+
+    Raises:
+        StudyError: a setting is wrong.
+        RunError: the checkpoint is damaged or belongs to another training.
+        UserError: TensorBoard is asked for and not installed.
+    """
+    if steps < 1 or every < 1:
+        raise StudyError(f"policy: steps {steps} and every {every} must be at least 1")
+    trainer = Trainer(environment, settings, seed=seed, threads=threads)
+    log = _resume(trainer, folder) if folder else []
+    writer = _writer(folder, tensorboard)
+    while trainer.steps < steps:
+        row = trainer.iterate()
+        log.append(row)
+        if writer:
+            _write_events(writer, row)
+        if watch:
+            watch(row)
+        if folder and (trainer.iterations % every == 0 or trainer.steps >= steps):
+            _checkpoint(trainer, folder, log)
+    learned = LearnedPolicy(
+        trainer.policy, trainer.theta.copy(), trainer.normaliser(), dict(about or {})
+    )
+    if folder:
+        learned.save(folder / POLICY)
+    if writer:
+        writer.close()
+    return Training(learned, _frame(log))
+
+
+def _identity(trainer: Trainer) -> dict[str, Any]:
+    """Return what must be equal for a checkpoint to be gone on from."""
+    environment = trainer.environment
+    return {
+        "settings": dataclasses.asdict(trainer.settings),
+        "seed": trainer.seed,
+        "environments": environment.n,
+        "observations": environment.observation_size,
+        "actions": environment.action_size,
+    }
+
+
+def _checkpoint(trainer: Trainer, folder: Path, log: list[Iteration]) -> None:
+    frame = _frame(log)
+    with atomic(folder / LOG) as path:
+        frame.to_parquet(path)
+    columns = {f"log.{name}": frame[name].to_numpy() for name in Iteration._fields}
+    write_arrays(folder / CHECKPOINT, {**trainer.get_state(), **columns}, _identity(trainer))
+
+
+def _resume(trainer: Trainer, folder: Path) -> list[Iteration]:
+    """Put the trainer where its checkpoint is, if there is one; return the log so far."""
+    path = folder / CHECKPOINT
+    if not path.is_file():
+        return []
+    arrays, header = read_arrays(path)
+    own = _identity(trainer)
+    own["settings"] = _as_json(own["settings"])
+    different = [key for key in own if header.get(key) != own[key]]
+    if different:
+        raise RunError(
+            f"{path}: belongs to a training with other {', '.join(different)}; choose another "
+            "folder, or remove it"
+        )
+    columns = {name: arrays.pop(f"log.{name}").tolist() for name in Iteration._fields}
+    trainer.set_state(arrays)
+    return [Iteration(*row) for row in zip(*columns.values(), strict=True)]
+
+
+def _as_json(value: Any) -> Any:
+    """Return tuples as lists, as JSON has them."""
+    if isinstance(value, dict):
+        return {k: _as_json(v) for k, v in value.items()}
+    return [_as_json(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def _frame(log: list[Iteration]) -> pd.DataFrame:
+    return pd.DataFrame(log, columns=list(Iteration._fields))
+
+
+def _writer(folder: Path | None, wanted: bool) -> "SummaryWriter | None":
+    if not wanted:
+        return None
+    if folder is None:
+        raise UserError("policy: TensorBoard needs a folder to write to")
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise UserError(
+            "policy: TensorBoard is not installed; pip install tensorboard, or do without: the "
+            f"same figures are in {LOG}"
+        ) from None
+    return SummaryWriter(str(folder))
+
+
+def _write_events(writer: "SummaryWriter", row: Iteration) -> None:
+    for name, value in row._asdict().items():
+        if np.isfinite(value):
+            writer.add_scalar(name, float(value), row.steps)
