@@ -1,0 +1,269 @@
+"""Cutting: from recordings with uneven stamps to windows that a model can predict."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from bo_sysid.arrays import Ctrl
+from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation.starts import smooth
+from bo_sysid.simulation.state import State
+from bo_sysid.simulation.windows import Layout, Windows
+
+WARMSTART = "aux.qacc_warmstart"  # recorded only from simulated plants
+_ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
+_GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
+
+
+def cut(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    horizon: int,
+    stride: int | None = None,
+    timestep: float | None = None,
+    signals: Sequence[str] = (),
+    controlled: Sequence[str] = (),
+) -> Windows:
+    """Cut recordings into windows of `horizon` recorded instants.
+
+    Controls are held between their stamps and averaged over each simulation step; measurements
+    are never moved or invented: predictions will be compared at the recorded instants.
+
+    Args:
+        model: the model that will predict.
+        recordings: what was recorded.
+        horizon: number H of instants after each start.
+        stride: instants from one start to the next; by default `horizon` (disjoint windows).
+        timestep: of the simulation in [s]; by default the model's.
+        signals: further held channels that laws read.
+        controlled: actuators whose control a law computes; they need no recorded control.
+
+    Raises:
+        RecordingError: a joint or an actuator has no channel, or no window fits.
+    """
+    compiled = model.compile()
+    dt = float(timestep or compiled.opt.timestep)
+    layout = Layout.of(model, compiled)
+    pieces = [
+        _cut_one(model, compiled, layout, r, i, horizon, stride or horizon, dt, signals, controlled)
+        for i, r in enumerate(recordings)
+    ]
+    channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
+    steps = max(p.steps for p in pieces)
+    return _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), dt)
+
+
+def _cut_one(
+    model: Model,
+    compiled: mujoco.MjModel,
+    layout: Layout,
+    recording: Recording,
+    number: int,
+    horizon: int,
+    stride: int,
+    dt: float,
+    signals: Sequence[str],
+    controlled: Sequence[str],
+) -> Windows:
+    known = {**layout.qpos, **layout.qvel, **layout.sensor}
+    channels = [n for n in recording.channels if n in known]
+    _require(recording, [n for n in layout.qpos if n not in recording.channels], "joint position")
+    time, table = _merged(recording, channels)
+    first = np.arange(0, len(time) - horizon, stride)
+    complete = np.isfinite(table[:, [channels.index(n) for n in layout.qpos]]).all(axis=1)
+    first = first[complete[first]]
+    if not first.size:
+        raise RecordingError(
+            f"{recording.name}: {len(time)} instants are too few for a window of {horizon}, or no "
+            "instant has every joint position"
+        )
+    first, notes = _without_gaps(recording.name, time, first, horizon)
+    instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
+    step = np.floor(instants / dt + _ON_STEP).astype(int)
+    fraction = instants / dt - step
+    fraction[np.abs(fraction) < _ON_STEP] = 0.0
+    steps = int((step + (fraction > 0)).max())
+    ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
+    start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
+    return Windows(
+        start,
+        ctrl,
+        {n: control_steps(_channel(recording, n), time[first], steps, dt) for n in signals},
+        tuple(channels),
+        table[first[:, None] + np.arange(1, horizon + 1)],
+        step,
+        fraction,
+        time[first],
+        np.full(len(first), number),
+        dt,
+        notes + note,
+    )
+
+
+def _require(recording: Recording, missing: list[str], what: str) -> None:
+    if missing:
+        raise RecordingError(
+            f"{recording.name}: no channel {missing[0]!r}, the {what} that the model needs; "
+            f"{nearest(missing[0], recording.channels)}"
+        )
+
+
+def _channel(recording: Recording, name: str) -> Channel:
+    _require(recording, [name] if name not in recording.channels else [], "input")
+    return recording.channels[name]
+
+
+def _merged(
+    recording: Recording, channels: list[str]
+) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, "T c"]]:
+    """Return the union of the channels' stamps and their samples there, NaN where there is none."""
+    time = np.unique(np.concatenate([recording.channels[n].time for n in channels]))
+    table = np.full((len(time), len(channels)), np.nan)
+    for k, name in enumerate(channels):
+        channel = recording.channels[name]
+        table[np.searchsorted(time, channel.time), k] = channel.values
+    return time, table
+
+
+def _without_gaps(
+    name: str, time: np.ndarray, first: Int[np.ndarray, " W"], horizon: int
+) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
+    length = time[first + horizon] - time[first]
+    whole = length <= _GAP * np.median(length)
+    lost = int((~whole).sum())
+    note = f"{name}: {lost} of {len(first)} windows span a gap in the recording and are left out"
+    return first[whole], (note,) if lost else ()
+
+
+def _controls(
+    model: Model,
+    compiled: mujoco.MjModel,
+    recording: Recording,
+    start: Float[np.ndarray, " W"],
+    steps: int,
+    dt: float,
+    controlled: Sequence[str],
+) -> Ctrl:
+    ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
+    for k, name in enumerate(model.ctrl_channels):
+        deaf = not compiled.actuator_gainprm[k].any()  # a bias alone: its control has no effect
+        if name in recording.channels:
+            ctrl[..., k] = control_steps(recording.channels[name], start, steps, dt)
+        elif not deaf and name.removeprefix("ctrl.") not in controlled:
+            _require(recording, [name], "control")
+    return ctrl
+
+
+def _start(
+    model: Model,
+    compiled: mujoco.MjModel,
+    recording: Recording,
+    time: np.ndarray,
+    table: np.ndarray,
+    channels: list[str],
+    first: Int[np.ndarray, " W"],
+    ctrl: Ctrl,
+) -> tuple[State, tuple[str, ...]]:
+    """Return the recorded states; velocities that were not recorded come from a smoother."""
+    positions = table[:, [channels.index(n) for n in model.qpos_channels]]
+    qpos = positions[first]
+    notes: tuple[str, ...] = ()
+    recorded = [n in channels for n in model.qvel_channels]
+    qvel = np.zeros((len(first), compiled.nv))
+    for k, name in enumerate(model.qvel_channels):
+        if recorded[k]:
+            qvel[:, k] = table[first, channels.index(name)]
+    if not all(recorded) or np.isnan(qvel).any():
+        have = np.isfinite(positions).all(axis=1)
+        rank = np.cumsum(have) - 1
+        fit = smooth(compiled, time[have], positions[have], rank[first])
+        qvel = np.where(np.array(recorded) & np.isfinite(qvel), qvel, fit.velocity)
+        if not any(recorded):  # the smoother's position belongs to the smoother's velocity
+            zero = np.zeros((len(first), compiled.nv))
+            state = State(qpos, zero, np.zeros((len(first), 0)))
+            qpos = state.moved(compiled, np.hstack([fit.offset, zero])).qpos
+        notes = (
+            f"{recording.name}: start velocities are estimated from {fit.samples} samples each",
+        )
+    act = _activations(model, compiled, recording, time[first], ctrl)
+    return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
+
+
+def _activations(
+    model: Model,
+    compiled: mujoco.MjModel,
+    recording: Recording,
+    start: Float[np.ndarray, " W"],
+    ctrl: Ctrl,
+) -> Float[np.ndarray, "W na"]:
+    """Return recorded activations; one that was not recorded is taken as settled at its control."""
+    act = np.zeros((len(start), compiled.na))
+    for k in range(compiled.nu):
+        address, count = int(compiled.actuator_actadr[k]), int(compiled.actuator_actnum[k])
+        if address < 0:
+            continue
+        name = model.ctrl_channels[k].replace("ctrl.", "act.", 1)
+        if count == 1 and name in recording.channels:
+            act[:, address] = recording.channels[name].at(start)
+        elif int(compiled.actuator_dyntype[k]) != int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
+            act[:, address : address + count] = ctrl[:, 0, k][:, None]
+    return act
+
+
+def _warmstart(
+    compiled: mujoco.MjModel, recording: Recording, start: Float[np.ndarray, " W"]
+) -> Float[np.ndarray, "W nv"] | None:
+    names = [f"{WARMSTART}.{k}" for k in range(compiled.nv)]
+    if any(n not in recording.channels for n in names):
+        return None
+    return np.stack([recording.channels[n].at(start) for n in names], axis=1)
+
+
+def _order(layout: Layout) -> Callable[[str], int]:
+    rank = {n: i for i, n in enumerate([*layout.qpos, *layout.qvel, *layout.sensor])}
+    return rank.__getitem__
+
+
+def _widened(windows: Windows, channels: list[str], steps: int) -> Windows:
+    """Return the windows with all channels and a common number of steps (the last one held)."""
+    extra = steps - windows.steps
+    observed = np.full((*windows.observed.shape[:2], len(channels)), np.nan)
+    observed[..., [channels.index(n) for n in windows.channels]] = windows.observed
+    return replace(
+        windows,
+        ctrl=np.pad(windows.ctrl, ((0, 0), (0, extra), (0, 0)), mode="edge"),
+        signals={
+            n: np.pad(s, ((0, 0), (0, extra)), mode="edge") for n, s in windows.signals.items()
+        },
+        observed=observed,
+    )
+
+
+def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> Windows:
+    warm = [p.start.warmstart for p in pieces if p.start.warmstart is not None]
+    start = State(
+        np.concatenate([p.start.qpos for p in pieces]),
+        np.concatenate([p.start.qvel for p in pieces]),
+        np.concatenate([p.start.act for p in pieces]),
+        np.concatenate(warm) if len(warm) == len(pieces) else None,
+    )
+    return Windows(
+        start,
+        np.concatenate([p.ctrl for p in pieces]),
+        {n: np.concatenate([p.signals[n] for p in pieces]) for n in pieces[0].signals},
+        channels,
+        np.concatenate([p.observed for p in pieces]),
+        np.concatenate([p.step for p in pieces]),
+        np.concatenate([p.fraction for p in pieces]),
+        np.concatenate([p.time for p in pieces]),
+        np.concatenate([p.recording for p in pieces]),
+        dt,
+        tuple(n for p in pieces for n in p.notes),
+    )
