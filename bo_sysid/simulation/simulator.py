@@ -79,7 +79,7 @@ class MujocoSimulator:
 
     def compile(self, point: Float[np.ndarray, " d"]) -> mujoco.MjModel:
         """Return the compiled model with the parameters at `point`."""
-        edits: list[Edit] = parameter_edits(self.model, self.parameters, point)
+        edits: Sequence[Edit] = parameter_edits(self.model, self.parameters, point)
         return self.model.compile(edits, timestep=self.timestep)
 
     def predictions(
