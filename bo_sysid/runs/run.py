@@ -1,17 +1,10 @@
-"""Run folders: everything that a command produced, written atomically, resumable.
-
-A file is either there as a whole or not at all: it is written beside its place, flushed to the
-disk, and moved there. A command that is killed at any moment goes on from what is there.
-"""
+"""A run folder, which a killed command goes on with."""
 
 import contextlib
 import hashlib
 import json
-import math
-import os
 import platform
 import shutil
-import sys
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from importlib import metadata
@@ -23,6 +16,9 @@ import yaml
 
 from bo_sysid import __version__
 from bo_sysid.errors import RunError, UserError
+from bo_sysid.runs.files import UNFINISHED, atomic, inside, plain, read_frame, read_json, written
+from bo_sysid.runs.lock import NAME as LOCK
+from bo_sysid.runs.lock import locked
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +33,6 @@ Status = Literal["running", "finished", "interrupted", "failed"]
 
 _RECORD = "run.json"
 _STUDY = "study.yaml"
-_LOCK = ".lock"
 
 
 class Run:
@@ -77,7 +72,7 @@ class Run:
         folder = Path(folder)
         created = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _locked(folder)
+        lock = locked(folder)
         try:
             record = _existing(folder, study, command)
             _remove_leftovers(folder)
@@ -102,7 +97,7 @@ class Run:
         Raises:
             RunError: `name` leads out of the run folder.
         """
-        return _inside(self.folder, name)
+        return inside(self.folder, name)
 
     def has(self, name: str) -> bool:
         """Return whether a file has been written."""
@@ -174,7 +169,7 @@ class Run:
 
     def _remove_if_bare(self) -> None:
         """Remove the folder where the input was wrong before anything was computed."""
-        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, _LOCK}:
+        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, LOCK}:
             shutil.rmtree(self.folder)
 
 
@@ -196,66 +191,6 @@ def read_record(folder: str | Path) -> dict[str, Any]:
             "use another --out"
         )
     return record
-
-
-def read_json(folder: str | Path, name: str) -> Any:
-    """Read a JSON file of a run folder.
-
-    Raises:
-        RunError: it is missing or damaged.
-    """
-    path = _written(Path(folder), name)
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise RunError(f"{path}: damaged, not JSON ({error})") from None
-
-
-def read_frame(folder: str | Path, name: str) -> "pd.DataFrame":
-    """Read a Parquet file of a run folder.
-
-    Raises:
-        RunError: it is missing or damaged.
-    """
-    import pandas as pd
-
-    path = _written(Path(folder), name)
-    try:
-        return pd.read_parquet(path)
-    except (ValueError, OSError) as error:
-        raise RunError(f"{path}: damaged, not Parquet ({error})") from None
-
-
-@contextlib.contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to, and move it there when the block has ended well."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".tmp-{os.getpid()}-{path.name}")
-    try:
-        yield beside
-        with open(beside, "rb+") as file:
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-        _sync_folder(path.parent)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def plain(value: Any, key: str = "value") -> Any:
-    """Return `value` with NumPy's types as Python's, for JSON.
-
-    Raises:
-        ValueError: a number is NaN or infinite; the message names its key.
-    """
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v, f"{key}.{i}") for i, v in enumerate(value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{key} is {value}; JSON has no such number")
-    return value
 
 
 def versions() -> dict[str, str]:
@@ -291,14 +226,14 @@ def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dic
 
 def _existing(folder: Path, study: Mapping[str, Any], command: str) -> dict[str, Any] | None:
     """Return the record of the run in `folder`, None where the folder is empty."""
-    inside = {p.name for p in folder.iterdir() if not p.name.startswith(".tmp-")} - {_LOCK, _STUDY}
-    if not inside:
+    found = {p.name for p in folder.iterdir() if not p.name.startswith(UNFINISHED)}
+    if not found - {LOCK, _STUDY}:
         return None
     record = read_record(folder)
     way_out = "use another --out, or remove the folder"
     if record["command"] != command:
         raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
-    there = yaml.safe_load(_written(folder, _STUDY).read_text(encoding="utf-8"))
+    there = yaml.safe_load(written(folder, _STUDY).read_text(encoding="utf-8"))
     differ = differences(there, plain(study))
     if differ:
         listed = "".join(f"\n  {d}" for d in differ[:10])
@@ -306,68 +241,10 @@ def _existing(folder: Path, study: Mapping[str, Any], command: str) -> dict[str,
     return record
 
 
-def _locked(folder: Path) -> IO[str]:
-    """Take the lock of a folder; the system lets go of it when this process ends, however."""
-    lock = open(folder / _LOCK, "a+", encoding="utf-8")  # noqa: SIM115 - held as long as the run
-    try:
-        _lock_file(lock)
-    except OSError:
-        lock.seek(0)
-        holder = lock.read().strip() or "another process"
-        lock.close()
-        raise RunError(
-            f"{folder}: {holder} is writing to this run; wait for it, or use another --out"
-        ) from None
-    lock.truncate(0)
-    lock.write(f"process {os.getpid()} on {platform.node()}")
-    lock.flush()
-    return lock
-
-
-if sys.platform == "win32":
-
-    def _lock_file(lock: IO[str]) -> None:
-        import msvcrt
-
-        lock.seek(0)
-        msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
-
-else:
-
-    def _lock_file(lock: IO[str]) -> None:
-        import fcntl
-
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 def _remove_leftovers(folder: Path) -> None:
     """Remove what a killed process was writing."""
-    for path in folder.rglob(".tmp-*"):
+    for path in folder.rglob(f"{UNFINISHED}*"):
         path.unlink(missing_ok=True)
-
-
-def _inside(folder: Path, name: str) -> Path:
-    path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise RunError(f"{name!r} leads out of the run folder {folder}")
-    return path
-
-
-def _written(folder: Path, name: str) -> Path:
-    path = _inside(folder, name)
-    if not path.is_file():
-        raise RunError(f"{path}: missing; the run is unfinished or damaged")
-    return path
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk, where the system can."""
-    with contextlib.suppress(OSError):
-        fd = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)
 
 
 def _now() -> str:

@@ -1,0 +1,111 @@
+"""Files of run folders: each is there as a whole or not at all."""
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bo_sysid.errors import RunError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNFINISHED = ".tmp-"
+"""How the name of a file begins while it is being written."""
+
+
+@contextlib.contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a path beside `path` to write to, and move it there when the block has ended well."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f"{UNFINISHED}{os.getpid()}-{path.name}")
+    try:
+        yield beside
+        with open(beside, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(beside, path)
+        _sync_folder(path.parent)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def plain(value: Any, key: str = "value") -> Any:
+    """Return `value` with NumPy's types as Python's, for JSON.
+
+    Raises:
+        ValueError: a number is NaN or infinite; the message names its key.
+    """
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v, f"{key}.{i}") for i, v in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{key} is {value}; JSON has no such number")
+    return value
+
+
+def read_json(folder: str | Path, name: str) -> Any:
+    """Read a JSON file of a run folder.
+
+    Raises:
+        RunError: it is missing or damaged.
+    """
+    path = written(Path(folder), name)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise RunError(f"{path}: damaged, not JSON ({error})") from None
+
+
+def read_frame(folder: str | Path, name: str) -> "pd.DataFrame":
+    """Read a Parquet file of a run folder.
+
+    Raises:
+        RunError: it is missing or damaged.
+    """
+    import pandas as pd
+
+    path = written(Path(folder), name)
+    try:
+        return pd.read_parquet(path)
+    except (ValueError, OSError) as error:
+        raise RunError(f"{path}: damaged, not Parquet ({error})") from None
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return where a file of a run folder is.
+
+    Raises:
+        RunError: `name` leads out of the folder.
+    """
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise RunError(f"{name!r} leads out of the run folder {folder}")
+    return path
+
+
+def written(folder: Path, name: str) -> Path:
+    """Return where a file of a run folder is, which must be there.
+
+    Raises:
+        RunError: it is missing.
+    """
+    path = inside(folder, name)
+    if not path.is_file():
+        raise RunError(f"{path}: missing; the run is unfinished or damaged")
+    return path
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush a folder's entries to the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)

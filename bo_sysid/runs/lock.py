@@ -1,0 +1,45 @@
+"""One process writes to a run folder at a time."""
+
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import IO
+
+from bo_sysid.errors import RunError
+
+NAME = ".lock"
+
+
+def locked(folder: Path) -> IO[str]:
+    """Take the lock of a folder; the system lets go of it when this process ends, however."""
+    lock = open(folder / NAME, "a+", encoding="utf-8")  # noqa: SIM115 - held as long as the run
+    try:
+        _lock_file(lock)
+    except OSError:
+        lock.seek(0)
+        holder = lock.read().strip() or "another process"
+        lock.close()
+        raise RunError(
+            f"{folder}: {holder} is writing to this run; wait for it, or use another --out"
+        ) from None
+    lock.truncate(0)
+    lock.write(f"process {os.getpid()} on {platform.node()}")
+    lock.flush()
+    return lock
+
+
+if sys.platform == "win32":
+
+    def _lock_file(lock: IO[str]) -> None:
+        import msvcrt
+
+        lock.seek(0)
+        msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+
+    def _lock_file(lock: IO[str]) -> None:
+        import fcntl
+
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
