@@ -85,6 +85,15 @@ def test_help_names_every_verb(say: Say) -> None:
         (["check", "amr.yaml"], "amr.yaml: no such file; did you mean 'arm.yaml'"),
         (["check", "arm.yaml", "--set", "serach.budget=3"], "unknown key; did you mean 'search'"),
         (["check", "arm.yaml", "--set", "recordings={dataset: empz}"], "unknown dataset 'empz'; d"),
+        (["check", "arm.yaml", "--set", "search.acquisition=grredy"], "acquisition 'grredy'; did"),
+        (
+            ["check", "arm.yaml", "--set", "diagnosis.exclude=[dry]"],
+            "unknown effect .dry.; valid: ",
+        ),
+        (
+            ["check", "arm.yaml", "--set", "parameters.0.address=geom[rd].mass"],
+            "did you mean 'rod'",
+        ),
         (["check", "arm.yaml", "--set", "model=pendulm.xml"], "did you mean 'pendulum.xml'"),
         (["check", "arm.yaml", "--set", "actuators={motr: {law: a.py:b}}"], "--trust-code"),
         (["check", "arm.yaml", "--set", "budget"], "must be key=value"),

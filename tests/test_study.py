@@ -224,6 +224,20 @@ def test_parameters_follow_the_model(folder: Path) -> None:
     assert damping.name == "joint[*].damping"
 
 
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [
+        ("joint[elbw].damping", r"parameters\.0\.address: .*did you mean 'elbow'"),
+        ("joint[elbow].dmping", r"parameters\.0\.address: .*did you mean 'damping'"),
+        ("elbow", r"parameters\.0\.address: "),
+    ],
+)
+def test_an_address_that_is_not_there_is_refused(folder: Path, address: str, expected: str) -> None:
+    study = minimal(folder, parameters=[{"address": address, "low": 0, "high": 1}])
+    with pytest.raises(StudyError, match=expected):
+        study.parameter_set(load_model(study))
+
+
 def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
     entry = {"address": "joint[elbow].damping", "low": 0, "high": 1}
     study = minimal(folder, parameters=[entry, entry])

@@ -8,10 +8,15 @@ if TYPE_CHECKING:
 
 def registered() -> dict[str, list[str]]:
     """Return all that is registered, by the argument of `bo_sysid.study.schema`."""
+    from bo_sysid.acquisition import acquisition_names
     from bo_sysid.effects import CATALOGUE
     from bo_sysid.recording.datasets import DATASETS
 
-    return {"datasets": sorted(DATASETS), "effects": sorted(CATALOGUE)}
+    return {
+        "acquisitions": list(acquisition_names()),
+        "datasets": sorted(DATASETS),
+        "effects": sorted(CATALOGUE),
+    }
 
 
 def check_names(study: "Study") -> None:
@@ -20,6 +25,9 @@ def check_names(study: "Study") -> None:
     Raises:
         StudyError: a name is not registered.
     """
+    from bo_sysid.acquisition import acquisition_names
+
+    study.check_names(acquisitions=acquisition_names())
     if study.recordings.dataset is not None:
         from bo_sysid.recording.datasets import DATASETS
 

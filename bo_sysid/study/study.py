@@ -3,13 +3,14 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BeforeValidator, PrivateAttr, ValidationError
 
-from bo_sysid.errors import StudyError, nearest
+from bo_sysid.errors import ModelError, StudyError, nearest
+from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
 from bo_sysid.study.messages import study_error
@@ -175,15 +176,17 @@ class Study(Section):
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
-            ModelError: an address matches nothing in the model.
-            StudyError: two parameters have one name.
+            StudyError: an address is none or matches nothing, or two parameters have one name.
         """
         from bo_sysid.mjcf import Address
         from bo_sysid.parameters import Parameter
 
         found: dict[str, Parameter] = {}
         for i, entry in enumerate(self.parameters):
-            matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
+            try:
+                matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
+            except ModelError as error:
+                raise self.error(("parameters", i, "address"), str(error)) from None
             name = entry.name or ", ".join(entry.address)
             groups = {name: tuple(matched)}
             if entry.each:
@@ -258,45 +261,14 @@ class Study(Section):
             "plant": plants,
         }
         valid = {kind: set(names) for kind, names in registered.items() if names is not None}
-        for kind, key, name in self._names():
+        for kind, key, name in named.names(self):
             if kind in valid and name not in valid[kind]:
                 raise self.error(key, f"unknown {kind} {name!r}; {nearest(name, valid[kind])}")
-
-    def _names(self) -> Iterator[tuple[str, KeyPath, str]]:
-        """Yield kind, key and value of every name that a registry knows."""
-        yield "acquisition", ("search", "acquisition"), self.search.acquisition
-        yield "choice", ("learn", "choose"), self.learn.choose
-        yield "stop rule", ("learn", "stop"), self.learn.stop
-        for i, arm in enumerate(self.compare.arms):
-            at = ("compare", "arms", i)
-            yield "acquisition", (*at, "acquisition"), arm.acquisition
-            yield "choice", (*at, "choose"), arm.choose
-            yield "stop rule", (*at, "stop"), arm.stop
-        if self.diagnosis.effects != "all":
-            for i, name in enumerate(self.diagnosis.effects):
-                yield "effect", ("diagnosis", "effects", i), name
-        for i, name in enumerate(self.diagnosis.exclude):
-            yield "effect", ("diagnosis", "exclude", i), name
-        for i, effect in enumerate(self.plant.effects if self.plant else ()):
-            yield "effect", ("plant", "effects", i, "effect"), effect.effect
-        if self.recordings.dataset is not None:
-            yield "dataset", ("recordings", "dataset"), self.recordings.dataset
-        for section in ("model", "task"):
-            suite = getattr(getattr(self, section), "dm_control", None)
-            if suite is not None:
-                yield "plant", (section, "dm_control"), f"{suite.domain}-{suite.task}"
 
     @property
     def code(self) -> dict[str, KeyPath]:
         """The Python files that the study names, each with the key that names it."""
-        found: dict[str, KeyPath] = {}
-        for name, actuator in self.actuators.items():
-            found[actuator.law.rpartition(":")[0]] = ("actuators", name, "law")
-        for i, file in enumerate(self.diagnosis.effect_files):
-            found[file] = ("diagnosis", "effect_files", i)
-        if self.task is not None and self.task.file is not None:
-            found[self.task.file] = ("task", "file")
-        return found
+        return dict(named.code(self))
 
     def _check_code(self, trusted: bool) -> None:
         for file, key in self.code.items():
