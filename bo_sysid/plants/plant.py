@@ -8,16 +8,17 @@ import numpy as np
 
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.plants.environment import BatchEnvironment, episode_returns, physics_steps
+from bo_sysid.plants.environment import episode_returns, physics_steps
+from bo_sysid.plants.load import Task, compiled, make_environment
+from bo_sysid.plants.machine import Machine, VectorMachine
 from bo_sysid.plants.measuring import KINDS, Measuring
+from bo_sysid.plants.python_task import PythonMachine, PythonTask
 from bo_sysid.plants.tasks.bare import Bare
-from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.plants.tasks.base import Start
 from bo_sysid.recording.value import Recording
 
 # Returns `n x a` actions in [-1, 1] for `n x o` observations.
 Act = Callable[[np.ndarray], np.ndarray]
-
-_TRACED = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
 
 
 class PlantError(UserError):
@@ -82,7 +83,7 @@ class Plant:
         model: Model,
         edits: Sequence[Edit] = (),
         *,
-        task: VectorTask | None = None,
+        task: Task | None = None,
         name: str = "plant",
         timestep: float | None = None,
         control_timestep: float | None = None,
@@ -94,11 +95,11 @@ class Plant:
         if budget is not None and budget < 1:
             raise PlantError(f"{name}: budget is {budget}; at least 1 trajectory is needed")
         self.name, self.budget = name, budget
-        self._model: mujoco.MjModel = model.compile(edits, timestep=timestep)
         self._sample = float(model.compile().opt.timestep)
         self.task = task if task is not None else Bare(control_timestep or self._sample)
+        self._model = compiled(model, self.task, edits, timestep=timestep)
         self._measuring = Measuring(model, self._model, measured, noise, seed)
-        self._environment = BatchEnvironment(self.task, self._model, 1, seed=seed)
+        self._machine = _machine(self.task, self._model, seed)
         self._trajectories: list[Trajectory] = []
         self._evaluations = 0
 
@@ -154,18 +155,18 @@ class Plant:
             )
         stride = physics_steps(sample or self._sample, self._model)
         control, steps = self._control(source, steps)
-        environment, sims = self._environment, self._environment.sims
-        observation = environment.reset() if start is None else environment.begin([start])
-        rows = [{f: sims.field(f)[:, None].copy() for f in ("time", *_TRACED)}]
-        reward, done = 0.0, 0
-        while done < steps and not sims.diverged()[0]:
-            sims.ctrl[:] = control(done, observation)
-            rows[-1]["ctrl"][:, -1] = sims.ctrl  # applied from the last row's time on
-            rows.append(sims.trace(environment.substeps, _TRACED))
-            reward += float(self.task.reward(sims)[0])
-            observation = self.task.observe(sims)
+        machine = self._machine
+        observation = machine.begin(start)
+        rows = [machine.present()]
+        reward, done, diverged, ended = 0.0, 0, False, False
+        while done < steps and not (diverged or ended):
+            applied = machine.apply(control(done, observation))
+            rows[-1]["ctrl"][-1] = applied.rows["ctrl"][0]  # applied from the last row's time on
+            rows.append(applied.rows)
+            _, observation, given, ended, diverged = applied
+            reward += given
             done += 1
-        columns = {f: np.concatenate([r[f][0] for r in rows]) for f in rows[0]}
+        columns = {f: np.concatenate([r[f] for r in rows]) for f in rows[0]}
         return self._tell(columns, stride, done, reward, warmstart=warmstart)
 
     def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> np.ndarray:
@@ -179,8 +180,7 @@ class Plant:
         if not self.task.rewarded:
             raise PlantError(f"{self.name}: a plant without a task has no reward to evaluate")
         self._evaluations += episodes
-        environment = BatchEnvironment(self.task, self._model, episodes, seed=seed)
-        return episode_returns(environment, act)
+        return episode_returns(make_environment(self.task, self._model, episodes, seed=seed), act)
 
     def _control(
         self, source: np.ndarray | Act, steps: int | None
@@ -189,8 +189,8 @@ class Plant:
         if callable(source):
             if steps is None and not self.task.rewarded:
                 raise PlantError(f"{self.name}: without a task, say for how many steps")
-            act, controls = source, self._environment.controls
-            most = self._environment.episode_steps
+            act, controls = source, self._machine.controls
+            most = self._machine.episode_steps
             return (lambda _, observation: controls(act(observation))), self._count(steps, most)
         rows = np.asarray(source, float)
         if rows.ndim != 2 or rows.shape[1] != self._model.nu or not len(rows):
@@ -234,3 +234,9 @@ class Plant:
         if fault or recording is None:
             raise PlantError(fault or f"{name}: shorter than two recorded instants", recording)
         return recording
+
+
+def _machine(task: Task, model: mujoco.MjModel, seed: int) -> Machine:
+    if isinstance(task, PythonTask):
+        return PythonMachine(task, model, seed)
+    return VectorMachine(task, model, seed)

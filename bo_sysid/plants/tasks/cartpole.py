@@ -1,6 +1,5 @@
 """dm_control's cart-pole: swing up, or balance."""
 
-
 import mujoco
 import numpy as np
 

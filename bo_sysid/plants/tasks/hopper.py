@@ -1,6 +1,5 @@
 """dm_control's planar hopper: stand, or hop forward."""
 
-
 import mujoco
 import numpy as np
 

@@ -1,6 +1,5 @@
 """dm_control's pendulum: swing up with little torque and stay."""
 
-
 import mujoco
 import numpy as np
 

@@ -1,6 +1,5 @@
 """dm_control's planar walker: stand, walk, run."""
 
-
 import mujoco
 import numpy as np
 

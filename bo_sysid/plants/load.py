@@ -1,0 +1,51 @@
+"""Tasks by name, and environments of any kind of task."""
+
+from collections.abc import Sequence
+
+import mujoco
+
+from bo_sysid.errors import UserError
+from bo_sysid.mjcf import Edit, Model
+from bo_sysid.plants.environment import BatchEnvironment, Environment
+from bo_sysid.plants.python_task import PythonEnvironment, PythonTask, suite_task
+from bo_sysid.plants.tasks import find_task, registered
+from bo_sysid.plants.tasks.base import VectorTask
+
+Task = VectorTask | PythonTask
+
+
+def load_task(domain: str, name: str) -> Task:
+    """Return a task of dm_control: vectorised where it is known, else with a `notice`.
+
+    Raises:
+        StudyError: there is no such task.
+    """
+    return find_task(domain, name) if (domain, name) in registered() else suite_task(domain, name)
+
+
+def compiled(
+    model: Model, task: Task, edits: Sequence[Edit] = (), *, timestep: float | None = None
+) -> mujoco.MjModel:
+    """Compile a model for a task; one in Python may refer to lights and materials."""
+    return model.compile(edits, timestep=timestep, visuals=isinstance(task, PythonTask))
+
+
+def make_environment(
+    task: Task,
+    model: mujoco.MjModel | Sequence[mujoco.MjModel],
+    n: int,
+    *,
+    seed: int = 0,
+    threads: int = 1,
+    stagger: bool = False,
+) -> Environment:
+    """Return an environment of `n` simulations of a task; see `BatchEnvironment`.
+
+    Raises:
+        UserError: a task in Python is given several models.
+    """
+    if isinstance(task, PythonTask):
+        if not isinstance(model, mujoco.MjModel):
+            raise UserError(f"task {task.name}: a task in Python takes one model, not several")
+        return PythonEnvironment(task, model, n, seed=seed, stagger=stagger)
+    return BatchEnvironment(task, model, n, seed=seed, threads=threads, stagger=stagger)

@@ -1,0 +1,91 @@
+"""What a plant moves: one simulated machine, however it is simulated."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import mujoco
+import numpy as np
+
+from bo_sysid.plants.environment import BatchEnvironment
+from bo_sysid.plants.tasks.base import Start, VectorTask
+
+TRACED = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
+
+
+class Applied(NamedTuple):
+    """What one control step led to.
+
+    Attributes:
+        rows: `k x ...` "time" and the fields of `TRACED` after each of the k physics steps.
+        observation: `1 x o`.
+        reward: of the step.
+        ended: the task ended the episode for good.
+        diverged: the state stopped being finite; the last rows may repeat or restart.
+    """
+
+    rows: dict[str, np.ndarray]
+    observation: np.ndarray
+    reward: float
+    ended: bool
+    diverged: bool
+
+
+@runtime_checkable
+class Machine(Protocol):
+    """One machine that is moved step by step."""
+
+    episode_steps: int
+
+    def begin(self, start: Start | None) -> np.ndarray:
+        """Begin an episode, drawn by the task or as given; return the `1 x o` observation."""
+        ...
+
+    def controls(self, actions: np.ndarray) -> np.ndarray:
+        """Return the controls of `1 x a` actions in [-1, 1]."""
+        ...
+
+    def present(self) -> dict[str, np.ndarray]:
+        """Return `1 x ...` "time" and the fields of `TRACED` now."""
+        ...
+
+    def apply(self, controls: np.ndarray) -> Applied:
+        """Hold controls for one control step."""
+        ...
+
+
+class VectorMachine:
+    """A vectorised task with one simulation.
+
+    Args:
+        task: the task.
+        model: what is simulated.
+        seed: of the starts.
+    """
+
+    def __init__(self, task: VectorTask, model: mujoco.MjModel, seed: int) -> None:
+        self._environment = BatchEnvironment(task, model, 1, seed=seed)
+        self.episode_steps = self._environment.episode_steps
+
+    def begin(self, start: Start | None) -> np.ndarray:
+        """Begin an episode, drawn by the task or as given."""
+        return self._environment.reset() if start is None else self._environment.begin([start])
+
+    def controls(self, actions: np.ndarray) -> np.ndarray:
+        """Return the controls of `1 x a` actions in [-1, 1]."""
+        return self._environment.controls(actions)
+
+    def present(self) -> dict[str, np.ndarray]:
+        """Return what `apply` traces, now."""
+        return {f: self._environment.sims.field(f).copy() for f in ("time", *TRACED)}
+
+    def apply(self, controls: np.ndarray) -> Applied:
+        """Hold controls for one control step."""
+        environment, sims = self._environment, self._environment.sims
+        sims.ctrl[:] = controls
+        rows = sims.trace(environment.substeps, TRACED)
+        return Applied(
+            {field: values[0] for field, values in rows.items()},
+            environment.task.observe(sims),
+            float(environment.task.reward(sims)[0]),
+            bool(environment.task.terminated(sims)[0]),
+            bool(sims.diverged()[0]),
+        )

@@ -1,0 +1,271 @@
+"""Tasks of dm_control that are not vectorised, run through their own Python API: slower.
+
+A task of the suite keeps its own physics class and timing; a task class in a user's file gets
+dm_control's plain physics, and may say `control_timestep` and `time_limit` in [s].
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import StudyError, UserError, nearest
+from bo_sysid.plants.environment import Step, physics_steps
+from bo_sysid.plants.machine import TRACED, Applied
+from bo_sysid.plants.tasks.base import Start
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+@dataclass(frozen=True)
+class PythonTask:
+    """A dm_control `Task` that computes one episode at a time.
+
+    Attributes:
+        name: for messages.
+        make: returns a fresh task, given the seed of its random state.
+        physics: the physics class that it needs.
+        control_timestep: time between two actions in [s].
+        time_limit: length of an episode in [s].
+    """
+
+    name: str
+    make: Callable[[int], Any]
+    physics: Any
+    control_timestep: float
+    time_limit: float
+    rewarded: bool = True
+
+    @property
+    def notice(self) -> str:
+        """What a person should know about its speed."""
+        return (
+            f"task {self.name} is not vectorised: it runs in Python, one episode after the other, "
+            "ten to a hundred times slower"
+        )
+
+
+def suite_task(domain: str, name: str) -> PythonTask:
+    """Return any task of the dm_control suite.
+
+    Raises:
+        StudyError: the suite has no such task.
+    """
+    from dm_control import suite
+
+    known = [f"{d} {t}" for d, t in suite.ALL_TASKS]
+    if f"{domain} {name}" not in known:
+        raise StudyError(
+            f"task: no '{domain} {name}' in dm_control's suite; "
+            f"{nearest(f'{domain} {name}', known)}"
+        )
+    environment = suite.load(domain, name)
+    step = environment.control_timestep()
+
+    def make(seed: int) -> Any:
+        return suite.load(domain, name, task_kwargs={"random": seed}).task
+
+    limit = float(environment._step_limit) * step
+    return PythonTask(f"{domain} {name}", make, type(environment.physics), step, limit)
+
+
+def class_task(cls: Any, model: mujoco.MjModel) -> PythonTask:
+    """Return the task of a user's class.
+
+    Args:
+        cls: a dm_control `Task`, made without arguments or with the seed as `random`.
+        model: its model, whose time step is the control step unless the class says otherwise.
+
+    Raises:
+        StudyError: the class lacks a method of a dm_control `Task`.
+    """
+    from dm_control.mujoco import Physics
+
+    missing = [
+        m
+        for m in (
+            "initialize_episode",
+            "get_observation",
+            "get_reward",
+            "before_step",
+            "action_spec",
+        )
+        if not callable(getattr(cls, m, None))
+    ]
+    if missing:
+        raise StudyError(
+            f"task: class {cls.__name__} is no dm_control Task: it has no {', '.join(missing)}"
+        )
+    step = float(getattr(cls, "control_timestep", model.opt.timestep))
+    limit = float(getattr(cls, "time_limit", 1000 * step))
+
+    def make(seed: int) -> Any:
+        try:
+            return cls(random=seed)
+        except TypeError:
+            return cls()
+
+    return PythonTask(cls.__name__, make, Physics, step, limit)
+
+
+class PythonMachine:
+    """One machine under a `PythonTask`.
+
+    Args:
+        task: the task.
+        model: what is simulated, with the visuals that the task may refer to.
+        seed: of the starts: that of episode k is drawn with (seed, index, k), where the task has
+            the random state of dm_control's suite.
+        index: of this machine among several.
+    """
+
+    def __init__(self, task: PythonTask, model: mujoco.MjModel, seed: int, index: int = 0) -> None:
+        from dm_control.mujoco import wrapper
+
+        self.physics = task.physics.from_model(wrapper.MjModel(model))
+        self.task = task.make(seed)
+        self._substeps = physics_steps(task.control_timestep, model)
+        self.episode_steps = round(task.time_limit / task.control_timestep)
+        self._seed, self._index, self.episodes = seed, index, 0
+        self._name = task.name
+        spec = self.task.action_spec(self.physics)
+        self.action_size = int(np.prod(spec.shape))
+        self._low = np.broadcast_to(spec.minimum, spec.shape).astype(float).ravel()
+        self._high = np.broadcast_to(spec.maximum, spec.shape).astype(float).ravel()
+
+    def begin(self, start: Start | None = None) -> np.ndarray:
+        """Begin an episode, drawn by the task or from the given positions and velocities."""
+        if hasattr(self.task, "_random"):
+            sequence = np.random.SeedSequence((self._seed, self._index, self.episodes))
+            self.task._random = np.random.RandomState(sequence.generate_state(4))
+        self.episodes += 1
+        with self.physics.reset_context():
+            self.task.initialize_episode(self.physics)
+        if start is not None:
+            with self.physics.reset_context():
+                self.physics.data.qpos[:] = start.qpos
+                self.physics.data.qvel[:] = 0.0 if start.qvel is None else start.qvel
+        return self.observe()
+
+    def observe(self) -> np.ndarray:
+        """Return the `1 x o` observation, all entries in a row."""
+        entries = self.task.get_observation(self.physics)
+        if hasattr(entries, "values"):
+            entries = np.concatenate([np.ravel(v) for v in entries.values()])
+        return np.asarray(entries, float).reshape(1, -1)
+
+    def controls(self, actions: np.ndarray) -> np.ndarray:
+        """Return the task's actions, `1 x a`, for actions in [-1, 1].
+
+        Raises:
+            UserError: the task's actions are not bounded.
+        """
+        if not (np.abs([self._low, self._high]) < 1e9).all():
+            raise UserError(f"task {self._name}: its actions have no bounds to learn within")
+        half = (self._high - self._low) / 2
+        return np.asarray((self._low + self._high) / 2 + half * np.clip(actions, -1, 1))
+
+    def present(self) -> dict[str, np.ndarray]:
+        """Return "time" and the traced fields now, `1 x ...`."""
+        data = self.physics.data
+        return {f: np.array(getattr(data, f))[None] for f in ("time", *TRACED)}
+
+    def apply(self, controls: np.ndarray) -> Applied:
+        """Hold controls for one control step."""
+        from dm_control.rl.control import PhysicsError
+
+        self.task.before_step(np.ravel(controls), self.physics)
+        rows, diverged = [], False
+        try:
+            for _ in range(self._substeps):
+                self.physics.step(1)
+                rows.append(self.present())
+        except PhysicsError:
+            diverged = True
+            rows.append(self.present())
+        self.task.after_step(self.physics)
+        return Applied(
+            {field: np.concatenate([r[field] for r in rows]) for field in rows[0]},
+            self.observe(),
+            0.0 if diverged else float(self.task.get_reward(self.physics)),
+            self.task.get_termination(self.physics) == 0.0,
+            diverged,
+        )
+
+
+class PythonEnvironment:
+    """Episodes of a `PythonTask`, one after the other; the interface of `BatchEnvironment`.
+
+    What a task remembers in attributes of its own between steps is not part of `get_state`.
+
+    Args:
+        task: the task.
+        model: of all machines, with visuals.
+        n: number of machines.
+        seed: of the starts.
+        stagger: spread the first episodes' ends evenly over an episode.
+    """
+
+    def __init__(
+        self,
+        task: PythonTask,
+        model: mujoco.MjModel,
+        n: int,
+        *,
+        seed: int = 0,
+        stagger: bool = False,
+    ) -> None:
+        if n < 1:
+            raise UserError(f"environment: n is {n}; at least 1 simulation is needed")
+        self.n = n
+        self._stagger = stagger
+        self._machines = [PythonMachine(task, model, seed, i) for i in range(n)]
+        first = self._machines[0]
+        self.episode_steps, self.action_size = first.episode_steps, first.action_size
+        self.observation_size = first.begin().shape[1]
+        first.episodes = 0
+        self._steps = np.zeros(n, np.int64)
+
+    def reset(self) -> np.ndarray:
+        """Begin new episodes in all machines; return the `n x o` observations."""
+        self._steps[:] = 0
+        if self._stagger:
+            self._steps[:] = np.arange(self.n) * self.episode_steps // self.n
+        return np.concatenate([machine.begin() for machine in self._machines])
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Apply `n x a` actions in [-1, 1] for one control step; episodes that end begin anew."""
+        told = [m.apply(m.controls(a)) for m, a in zip(self._machines, actions, strict=True)]
+        self._steps += 1
+        final = np.concatenate([t.observation for t in told])
+        terminated = np.array([t.ended or t.diverged for t in told])
+        truncated = (self._steps >= self.episode_steps) & ~terminated
+        observation = final
+        if (terminated | truncated).any():
+            observation = final.copy()
+            for i in np.flatnonzero(terminated | truncated):
+                observation[i] = self._machines[i].begin()[0]
+                self._steps[i] = 0
+        reward = np.array([t.reward for t in told])
+        return Step(observation, reward, terminated, truncated, final)
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return the physics, the step counts and the numbers of episodes."""
+        return {
+            "state": np.stack([m.physics.get_state(_STATE) for m in self._machines]),
+            "steps": self._steps.copy(),
+            "episodes": np.array([m.episodes for m in self._machines]),
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> np.ndarray:
+        """Go on from `get_state`'s result; return the `n x o` observations."""
+        self._steps[:] = state["steps"]
+        rows = zip(self._machines, state["state"], state["episodes"], strict=True)
+        for machine, physics, episodes in rows:
+            machine.episodes = int(episodes) - 1
+            machine.begin()  # what the task draws for this episode, such as a target
+            machine.physics.set_state(physics, _STATE)
+            machine.physics.forward()
+        return np.concatenate([machine.observe() for machine in self._machines])

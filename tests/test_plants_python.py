@@ -1,0 +1,149 @@
+"""Tasks in Python: dm_control's own answers, and the same recordings as vectorised ones."""
+
+import mujoco
+import numpy as np
+import pytest
+from dm_control import suite
+from dm_control.suite import base
+
+from bo_sysid.errors import StudyError, UserError
+from bo_sysid.mjcf import Model
+from bo_sysid.plants.environment import BatchEnvironment, episode_returns
+from bo_sysid.plants.load import compiled, load_task, make_environment
+from bo_sysid.plants.plant import Plant, PlantError
+from bo_sysid.plants.python_task import PythonEnvironment, PythonTask, class_task, suite_task
+from bo_sysid.plants.tasks import Start, VectorTask, find_task
+
+
+def roll(environment, steps, seed=0):
+    rng = np.random.default_rng(seed)
+    shape = (steps, environment.n, environment.action_size)
+    return [environment.step(a) for a in rng.uniform(-1, 1, shape)]
+
+
+class Reach(base.Task):
+    """What a user might write: hold the reacher's tip still at a drawn place."""
+
+    control_timestep = 0.04
+    time_limit = 0.4
+
+    def initialize_episode(self, physics):
+        self.goal = self.random.uniform(-0.1, 0.1, 2)
+        super().initialize_episode(physics)
+
+    def get_observation(self, physics):
+        return {"tip": physics.named.data.geom_xpos["finger", :2] - self.goal}
+
+    def get_reward(self, physics):
+        return -float(np.linalg.norm(physics.named.data.geom_xpos["finger", :2] - self.goal))
+
+    def get_termination(self, physics):
+        return 0.0 if abs(physics.data.qvel[0]) > 8 else None
+
+
+def test_a_task_that_is_not_vectorised_is_dm_controls_own():
+    task = load_task("finger", "spin")
+    assert isinstance(task, PythonTask)
+    assert "not vectorised" in task.notice
+    model = compiled(Model.from_dm_control("finger", "spin"), task)
+    ours = make_environment(task, model, 2, seed=3)
+    other = suite.load("finger", "spin", task_kwargs={"random": 0})
+    first = ours.reset()
+    assert np.abs(first[0] - first[1]).max() > 0.01
+    state = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+    other.reset()
+    other.physics.set_state(ours._machines[0].physics.get_state(state), state)
+    other.physics.forward()
+    assert ours.episode_steps == 1000
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        action = rng.uniform(-1, 1, ours.action_size)
+        theirs = other.step(action)
+        step = ours.step(np.stack([action, -action]))
+        flat = np.concatenate([np.ravel(v) for v in theirs.observation.values()])
+        np.testing.assert_allclose(step.final[0], flat, rtol=0, atol=1e-12)
+        assert step.reward[0] == theirs.reward
+
+
+def test_a_vectorised_task_and_its_python_form_agree():
+    model = Model.from_dm_control("hopper", "stand")
+    fast, slow = find_task("hopper", "stand"), suite_task("hopper", "stand")
+    assert isinstance(load_task("hopper", "stand"), VectorTask)
+    assert (slow.control_timestep, slow.time_limit) == (fast.control_timestep, fast.time_limit)
+    start = Start(np.array([0.0, -0.1, 0.0, 0.0, -0.7, 1.4, -0.7]))
+    controls = np.random.default_rng(0).uniform(-1, 1, (40, 4))
+    first, second = (Plant(model, task=t) for t in (fast, slow))
+    a, b = (p.record(controls, start=start, warmstart=True) for p in (first, second))
+    assert a.channels.keys() == b.channels.keys()
+    for name, channel in a.channels.items():
+        np.testing.assert_array_equal(channel.values, b.channels[name].values)
+    assert first.trajectories[0].reward > 5
+    assert first.trajectories[0].reward == pytest.approx(second.trajectories[0].reward, abs=1e-12)
+
+
+def test_a_users_class_is_a_task():
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(Reach, model.compile())
+    ours = make_environment(task, compiled(model, task), 3, seed=1, stagger=True)
+    assert (ours.episode_steps, ours.observation_size, ours.action_size) == (10, 2, 2)
+    ours.reset()
+    steps = roll(ours, 10)
+    assert [np.flatnonzero(s.truncated).tolist() for s in steps[:7]] == [
+        [], [], [], [2], [], [], [1]
+    ]  # fmt: skip
+    returns = episode_returns(make_environment(task, compiled(model, task), 3), lambda o: 0 * o)
+    assert (returns < 0).all()
+    plant = Plant(model, task=task)
+    recording = plant.record(lambda o: np.ones((1, 2)))
+    assert recording.channels["qpos.wrist"].time[-1] == pytest.approx(0.4)
+    assert plant.evaluate(lambda o: 0 * o, 2).shape == (2,)
+
+
+def test_a_termination_ends_trajectory_and_episode():
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(Reach, model.compile())
+    plant = Plant(model, task=task)
+    fast = Start(np.zeros(2), np.array([20.0, 0.0]))
+    assert len(plant.record(np.ones((10, 2)), start=fast).channels["qpos.wrist"].time) == 3
+    environment = make_environment(task, compiled(model, task), 1)
+    environment.reset()
+    environment._machines[0].physics.data.qvel[0] = 20
+    step = environment.step(np.ones((1, 2)))
+    assert step.terminated[0]
+    assert np.abs(step.observation - step.final).max() > 0
+
+
+def test_an_interrupted_environment_goes_on():
+    task = suite_task("reacher", "easy")
+    model = compiled(Model.from_dm_control("reacher", "easy"), task)
+    whole = PythonEnvironment(task, model, 2, seed=5)
+    whole.reset()
+    roll(whole, 30)
+    state = whole.get_state()
+    expected = roll(whole, 30, seed=1)[-1]
+    resumed = PythonEnvironment(task, model, 2, seed=5)
+    resumed.set_state(state)
+    np.testing.assert_array_equal(roll(resumed, 30, seed=1)[-1].observation, expected.observation)
+
+
+def test_wrong_tasks_name_the_rule():
+    with pytest.raises(StudyError, match="did you mean 'finger spin'"):
+        load_task("finger", "spinn")
+    model = Model.from_dm_control("reacher", "easy").compile()
+    with pytest.raises(StudyError, match="class dict is no dm_control Task: it has no initialize"):
+        class_task(dict, model)
+    with pytest.raises(UserError, match="takes one model, not several"):
+        make_environment(suite_task("finger", "spin"), [model], 1)
+    with pytest.raises(PlantError, match=r"controls \(3, 1\) must be S x 2"):
+        Plant(Model.from_dm_control("reacher", "easy"), task=class_task(Reach, model)).record(
+            np.zeros((3, 1))
+        )
+
+
+@pytest.mark.parametrize("kind", [BatchEnvironment, PythonEnvironment])
+def test_at_least_one_simulation(kind):
+    task = (
+        find_task("reacher", "easy") if kind is BatchEnvironment else suite_task("finger", "spin")
+    )
+    with pytest.raises(UserError, match="n is 0"):
+        kind(task, Model.from_dm_control("reacher", "easy").compile(), 0)
