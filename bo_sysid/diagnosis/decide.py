@@ -69,12 +69,12 @@ def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
     D = fit.cv - best.cv
     spread = float(D.var(ddof=1)) * len(D)
     usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
-    return -0.5 * float(D.sum()) / max(1.0, kappa * np.sqrt(max(spread / usual, 1.0))) + prior.log(fit)
+    return -0.5 * float(D.sum()) / max(1.0, kappa * np.sqrt(max(spread / usual, 1.0))) + prior.log(
+        fit
+    )
 
 
-def _equivalent(
-    fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int
-) -> bool:
+def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int) -> bool:
     if not fit.members or _names(best) <= _names(fit):
         return False
     apart = project(Q, fit.residual - best.residual)

@@ -67,6 +67,7 @@ class Linear:
         E: `W x K x n x nu` per unit of control.
         ctrl: `W x S x nu` controls of the hypothesis.
         points: the states at which it was linearised.
+        J: `W x R x 2 nv` response to the start, in sigma.
         Q: `W x R x 2 nv` orthonormal basis of the response to the start.
         start_gain: `W x 2 nv x R` least-squares change of start per residual.
     """
@@ -83,6 +84,7 @@ class Linear:
     E: Float[np.ndarray, "W K n nu"]
     ctrl: Float[np.ndarray, "W S nu"]
     points: "Points"
+    J: Float[np.ndarray, "W R k"]
     Q: Float[np.ndarray, "W R k"]
     start_gain: Float[np.ndarray, "W k R"]
 
@@ -275,13 +277,14 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     empty = np.zeros((W, problem.count, 0))
     linear = Linear(
         problem, hypothesis, start, trajectory, tuple(parts), macro, hold, A, B, E, ctrl, points,
-        empty, empty.transpose(0, 2, 1),
+        empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
     identity = np.broadcast_to(np.eye(n, 2 * model.nv), (W, n, 2 * model.nv)).copy()
     J = linear._shown(linear._propagate(None, identity))
-    Q, R = np.linalg.qr(np.clip(np.nan_to_num(J), -1e12, 1e12))
+    J = np.clip(np.nan_to_num(J), -1e12, 1e12)
+    Q, R = np.linalg.qr(J)
     gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
-    return replace(linear, Q=Q, start_gain=gain)
+    return replace(linear, J=J, Q=Q, start_gain=gain)
 
 
 def _points(

@@ -13,7 +13,8 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Engine, ForceLaw, State, Trajectory
-from bo_sysid.simulation.windows import Layout, Windows, cut, predicted
+from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.windows import Layout, Windows, predicted
 
 BLOCKS = 20
 FINER = 4  # the discretisation is judged against a time step this many times smaller

@@ -78,14 +78,33 @@ class _Space:
 
 
 def settle(
-    problem: Problem, frame: Linear, hypothesis: Hypothesis, start: State, steps: int = 2
+    problem: Problem,
+    frame: Linear,
+    hypothesis: Hypothesis,
+    start: State,
+    steps: int = 2,
+    shares: Sequence[float] = (1.0,),
 ) -> tuple[State, Float[np.ndarray, "W R"]]:
-    """Move the starts to where the residual is least, window by window."""
+    """Move the starts to where the residual is least, window by window.
+
+    Args:
+        problem: the windows.
+        frame: gives the response to the start.
+        hypothesis: what is simulated.
+        start: first starts.
+        steps: most steps.
+        shares: of a step, tried in this order where the one before does not help a window.
+    """
     r = problem.residual(hypothesis, start)
     for _ in range(steps):
-        moved, rn, better = _moved(problem, frame, hypothesis, start, r, r)
-        start, r = moved, rn
-        if not better.any():
+        toward, done = r, np.zeros(len(r), bool)
+        for share in shares:
+            share_of = np.where(done, 0.0, share)[:, None] * toward
+            start, r, better = _moved(problem, frame, hypothesis, start, r, share_of)
+            done |= better
+            if done.all():
+                break
+        if not done.any():
             break
     return start, r
 

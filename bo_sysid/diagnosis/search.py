@@ -15,11 +15,10 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
-from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.rules import CLEAN, MARGIN, SHARE, Prior, clean, ranked, required
-from bo_sysid.diagnosis.subsets import Gram, Scored, Unit, clashes, gram, groups, search
-from bo_sysid.diagnosis.windowing import Prepared, correction_at
+from bo_sysid.diagnosis.subsets import Gram, Scored, clashes, gram, groups, search
+from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.simulation import State
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
@@ -91,7 +90,7 @@ class Search:
         if known is not None and not again:
             return known
         effort = effort or Effort(rival=self.least)
-        groups_of = labels or (None,) * len(members)
+        groups_of = regrouped(members, labels or (None,) * len(members), self.candidates)
         first = [x] + ([] if again else self._other_starts(members, x))
         found = known
         for k, begin in enumerate(first):
@@ -312,29 +311,11 @@ def explore(search: Search, rounds: int = 5) -> Fit:
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
     """Begin on other windows with the best sets found so far."""
-    best = search.best
-    new = Search.on(prepared, search.candidates, search.most, best.hypothesis)
-    if best.members:
-        h = new.fit(best.members, best.x, labels=best.groups, guess=best.hypothesis)
-        new = recorrected(new, h)
-        del new.fits[h.key]
+    new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
     for f in ranked(search.fits.values(), search.prior)[:count]:
         if f.members:
             new.fit(f.members, f.x, labels=f.groups, guess=f.hypothesis)
     return new
-
-
-def recorrected(search: Search, leader: Fit) -> Search:
-    """Return the search with the correction for the time step taken at the leading hypothesis."""
-    p = search.prepared
-    if p.problem.correction is None:
-        return search
-    frame = linearise(p.problem, leader.hypothesis, leader.start)
-    correction = correction_at(p.problem, frame, leader.hypothesis, leader.start)
-    problem: Problem = replace(p.problem, correction=correction)
-    prepared = replace(p, problem=problem, linear=replace(p.linear, problem=problem))
-    search.prepared, search.frame = prepared, replace(search.frame, problem=problem)
-    return search
 
 
 def stripped(search: Search) -> None:
@@ -380,7 +361,6 @@ def eliminate(search: Search, steps: int = 14) -> None:
             members, x, labels = _subset(f, rest)
             if set_key(members) in search.fits:
                 continue
-            labels = regrouped(members, labels, search.candidates)
             search.fit(members, x, labels=labels, start=f.start, effort=_FINAL)
             break
         else:
@@ -424,15 +404,3 @@ def _alone(scored: Sequence[Scored]) -> list[Scored]:
 
 def _with_group(scored: Sequence[Scored]) -> list[Scored]:
     return [s for s in scored if any(u.group is not None for u in s.units)]
-
-
-__all__ = [
-    "Search",
-    "Unit",
-    "carried",
-    "eliminate",
-    "explore",
-    "recorrected",
-    "stripped",
-    "units_of",
-]

@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.refit import settle
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
+_SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
 
@@ -27,8 +28,8 @@ class Prepared:
 
     Attributes:
         problem: with its correction.
-        start: starts fitted to the nominal model.
-        linear: the nominal model linearised there.
+        start: starts fitted to the hypothesis at which it was prepared.
+        linear: that hypothesis linearised there.
         correction_rms: size of the correction in sigma.
         dropped: windows left out because the time step decides what happens in them.
     """
@@ -40,20 +41,20 @@ class Prepared:
     dropped: int
 
 
-def prepare(problem: Problem) -> Prepared:
-    """Fit the starts of the nominal model and add the correction for the time step."""
-    nominal = nothing(problem)
+def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
+    """Fit the starts of a hypothesis, by default of nothing, and add the correction there."""
+    at = at or nothing(problem)
     start = problem.windows.start
     for _ in range(_ROUNDS):
-        linear = linearise(problem, nominal, start)
-        start, _ = settle(problem, linear, nominal, start, 1)
-    linear = linearise(problem, nominal, start)
-    correction = correction_at(problem, linear, nominal, start)
+        linear = linearise(problem, at, start)
+        start, _ = settle(problem, linear, at, start, 1, _SHARES)
+    linear = linearise(problem, at, start)
+    correction = correction_at(problem, linear, at, start)
     size = np.sqrt((correction**2).mean(axis=1))
     keep = size < _CHAOTIC * np.median(size) + 0.5
     if not keep.all():
         problem, start, correction = problem.rows(keep), start.rows(keep), correction[keep]
-        linear = linearise(problem, nominal, start)
+        linear = linearise(problem, at, start)
     rms = float(np.sqrt((correction**2).sum() / problem.dof))
     if rms > _NEGLIGIBLE:
         problem = replace(problem, correction=correction)

@@ -1,0 +1,154 @@
+"""The answer of a diagnosis: frozen and hashed before the hold-out is read."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pandas as pd
+
+from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.findings import Finding, findings, named
+from bo_sysid.effects import CATALOGUE, Machine
+from bo_sysid.runs import plain
+
+Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
+
+_ALTERNATIVES = 5
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What the findings leave unexplained.
+
+    Attributes:
+        share: of what the nominal model left unexplained.
+        kind: kind of site where it sits, None where nothing is flagged.
+        site: name of the site.
+        depends_on: what it depends on: position, speed, control, load, history, time, other_joint.
+    """
+
+    share: float = 0.0
+    kind: str | None = None
+    site: str | None = None
+    depends_on: tuple[str, ...] = ()
+
+    @property
+    def flagged(self) -> bool:
+        """Whether something stays unexplained that a law could explain."""
+        return self.kind is not None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis says, from the training recordings alone.
+
+    Attributes:
+        verdict: in one word.
+        findings: what is missing.
+        alternatives: other sets and their probabilities.
+        located: sites with the share of the mismatch that they explain.
+        unexplained: what no known effect explains.
+        next_experiment: what to record next, None where nothing is to be separated.
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    alternatives: tuple[Mapping[str, Any], ...]
+    located: tuple[Mapping[str, Any], ...]
+    unexplained: Unexplained
+    next_experiment: Mapping[str, Any] | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the answer as `diagnosis.json` has it, without the hold-out."""
+        return {
+            "verdict": self.verdict,
+            "findings": [f.as_json() for f in self.findings],
+            "alternatives": [dict(a) for a in self.alternatives],
+            "located": [dict(s) for s in self.located],
+            "unexplained": {
+                "share": self.unexplained.share,
+                "kind": self.unexplained.kind,
+                "site": self.unexplained.site,
+                "depends_on": list(self.unexplained.depends_on),
+            },
+            "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
+            "model": "model_repaired.xml",
+            "study": "study_repaired.yaml",
+        }
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the answer as canonical JSON."""
+        canonical = json.dumps(plain(self.as_json()), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The findings, one row each."""
+        rows = [
+            {
+                "effect": f.effect,
+                "kind": f.kind,
+                "site": f.site,
+                "value": f.quantity.value,
+                "low": f.quantity.interval[0],
+                "high": f.quantity.interval[1],
+                "unit": f.quantity.unit,
+                "before": f.before,
+                "after": f.after,
+                "group": f.group,
+                "probability": f.probability,
+            }
+            for f in self.findings
+        ]
+        columns = ["effect", "kind", "site", "value", "low", "high", "unit", "before", "after"]
+        return pd.DataFrame(rows, columns=[*columns, "group", "probability"])
+
+
+def make_answer(decision: Decision, machine: Machine, unexplained: Unexplained) -> Answer:
+    """Freeze a decision into an answer."""
+    best = decision.best
+    k = decision.fits.index(best)
+    found = findings(best, machine, float(decision.probability[k]), decision.equivalents[:3])
+    alternatives = [
+        {"findings": list(named(f, machine)), "probability": float(p)}
+        for f, p in zip(decision.fits, decision.probability, strict=True)
+        if f is not best
+    ]
+    return Answer(
+        verdict(found, unexplained),
+        found,
+        tuple(alternatives[:_ALTERNATIVES]),
+        _located(decision, unexplained),
+        unexplained,
+        None,
+    )
+
+
+def verdict(found: Sequence[Finding], unexplained: Unexplained) -> Verdict:
+    """Return the verdict: what is missing outweighs what is only measured wrongly."""
+    families = {CATALOGUE[f.effect].family for f in found}
+    if unexplained.flagged:
+        return "unknown-physics"
+    if "physics" in families:
+        return "missing-physics"
+    if "sensing" in families:
+        return "sensing"
+    return "numerics" if families else "nothing-missing"
+
+
+def _located(decision: Decision, unexplained: Unexplained) -> tuple[Mapping[str, Any], ...]:
+    """Return each site with its part of the unique sizes, squared."""
+    best, share = decision.best, unexplained.share
+    total = sum(u**2 for u in best.unique)
+    sites: dict[tuple[str, str], float] = {}
+    for c, u in zip(best.members, best.unique, strict=True):
+        key = (c.site.kind, c.site.name)
+        sites[key] = sites.get(key, 0.0) + (1.0 - share) * u**2 / max(total, 1e-300)
+    if unexplained.kind is not None and unexplained.site is not None:
+        key = (unexplained.kind, unexplained.site)
+        sites[key] = sites.get(key, 0.0) + share
+    ordered = sorted(sites.items(), key=lambda item: -item[1])
+    return tuple({"kind": k, "site": s, "share": float(v)} for (k, s), v in ordered)

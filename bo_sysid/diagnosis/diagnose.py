@@ -1,0 +1,165 @@
+"""The diagnosis: where a simulation differs from recordings, which physics it lacks, the repair."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from bo_sysid.diagnosis.answer import Answer, Unexplained, make_answer
+from bo_sysid.diagnosis.holdout import Holdout, judge
+from bo_sysid.diagnosis.hypothesis import candidates, parameter_candidates
+from bo_sysid.diagnosis.locate import Evidence, Located, locate
+from bo_sysid.diagnosis.repaired import MODEL, STUDY, beside, study_text, write_model
+from bo_sysid.diagnosis.scales import channel_noise
+from bo_sysid.effects import chosen, load_effects, survey
+from bo_sysid.execution import Progress, Report, silent, threads
+from bo_sysid.recording import Recording
+from bo_sysid.runs import Run, plain
+from bo_sysid.simulation import Engine
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_holdout, load_model, load_train
+
+_WINDOW = 0.3  # [s]
+_STAGES = 6
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a diagnosis found.
+
+    Attributes:
+        name: of the study.
+        answer: findings and verdict, from the training recordings alone.
+        holdout: errors on the recordings that were set aside.
+        sha256: hash of the answer, taken before the hold-out was read.
+        located: the decision behind the answer.
+        evidence: what it was made from.
+        notes: what was done to the data, and what the repaired model cannot say.
+    """
+
+    name: str
+    answer: Answer
+    holdout: Holdout
+    sha256: str
+    located: Located
+    evidence: Evidence
+    notes: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in one word."""
+        return self.answer.verdict
+
+    @property
+    def findings(self) -> pd.DataFrame:
+        """The findings, one row each."""
+        return self.answer.table
+
+    @property
+    def errors(self) -> pd.DataFrame:
+        """Held-out errors, one row for each measure, horizon and model."""
+        return self.holdout.table
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The answer in words."""
+        said = [f.sentence for f in self.answer.findings]
+        if not said:
+            said = ["Nothing that these recordings could show is missing from the model."]
+        return (*said, *self.holdout.sentences)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of `diagnosis.json`."""
+        content = self.answer.as_json()
+        ordered: dict[str, Any] = {}
+        for key, value in content.items():
+            ordered[key] = value
+            if key == "located":
+                ordered["holdout"] = self.holdout.as_json()
+        return {**ordered, "sha256": self.sha256}
+
+
+def diagnose(
+    study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
+) -> Diagnosis:
+    """Find out which physics the model of a study lacks, and prove it on recordings set aside.
+
+    Args:
+        study: names the model and the recordings.
+        run: folder for `diagnosis.json`, the repaired model and the repaired study.
+        progress: told after every stage.
+        strict: refuse messy recordings.
+
+    Raises:
+        UserError: the study, its model or its recordings are wrong.
+    """
+    evidence = gather(study, load_train(study, strict=strict))
+    tell = _Teller(progress)
+    located = locate(evidence, tell)
+    answer = make_answer(located.decision, evidence.machine, Unexplained())
+    frozen = answer.sha256  # before the hold-out is read
+    notes = _repair(study, run, evidence, located, answer)
+    holdout = judge(evidence, located, load_holdout(study, strict=strict))
+    result = Diagnosis(
+        study.name,
+        answer,
+        holdout,
+        frozen,
+        located,
+        evidence,
+        (*(n for r in evidence.recordings for n in r.notes), *notes),
+    )
+    if run is not None:
+        run.write_json("diagnosis.json", result.as_json())
+        run.write_frame("holdout.parquet", result.errors)
+    tell(result.verdict)
+    return result
+
+
+def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
+    """Return what a diagnosis is made from: scales, noise, candidates."""
+    model = load_model(study)
+    for file in study.diagnosis.effect_files:
+        load_effects(study.file(file, ("diagnosis", "effect_files")))
+    machine = survey(model.compile(), recordings)
+    effects = chosen(study.diagnosis.effects, study.diagnosis.exclude)
+    return Evidence(
+        model,
+        machine,
+        recordings,
+        channel_noise(study, recordings, machine),
+        parameter_candidates(model, study.parameter_set(model)),
+        candidates(effects, machine),
+        study.diagnosis.most,
+        _WINDOW,
+        Engine(threads()),
+    )
+
+
+class _Teller:
+    """Counts the stages of a diagnosis for its progress."""
+
+    def __init__(self, report: Report) -> None:
+        self._report, self._done = report, 0
+
+    def __call__(self, text: str) -> None:
+        self._done += 1
+        self._report(Progress(self._done, max(_STAGES, self._done), text))
+
+
+def _repair(
+    study: Study, run: Run | None, evidence: Evidence, located: Located, answer: Answer
+) -> tuple[str, ...]:
+    if run is None:
+        return ()
+    best = located.decision.best
+    correction = located.prepared.correction_rms
+    path = Path(run.path(MODEL))
+    parts = write_model(evidence.model, evidence.machine, best.hypothesis, correction, path)
+    run.write_text(STUDY, study_text(study, answer.findings, run.folder))
+    run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
+    return tuple(f"{MODEL} cannot hold {what}" for what in beside(parts))
+
+
+__all__ = ["Diagnosis", "diagnose", "gather"]

@@ -1,0 +1,219 @@
+"""Findings: what a fit says in numbers and in words."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.effects import Machine, unit_at
+
+_QUANTILE = 1.96
+_RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
+_TIME = 0.3e-3  # [s] the same for times
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its 95 % interval."""
+
+    value: float
+    unit: str
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect at a site.
+
+    Attributes:
+        effect: id.
+        kind: kind of site.
+        site: name of the site.
+        quantity: the change that is added to the nominal model.
+        before: the quantity in the nominal model.
+        after: the quantity in the repaired model.
+        details: further components by name.
+        group: id of the effect that was found on several sites at once, None otherwise.
+        probability: of the set that the finding belongs to.
+        equivalents: other sets that the recordings do not tell from this one.
+        sentence: to be read aloud.
+        x: the magnitudes, as the effect takes them.
+    """
+
+    effect: str
+    kind: str
+    site: str
+    quantity: Quantity
+    before: float
+    after: float
+    details: Mapping[str, Quantity]
+    group: str | None
+    probability: float
+    equivalents: tuple[tuple[Mapping[str, object], ...], ...]
+    sentence: str
+    x: tuple[float, ...]
+
+    def as_json(self) -> dict[str, object]:
+        """Return the finding as `diagnosis.json` has it."""
+        return {
+            "effect": self.effect,
+            "kind": self.kind,
+            "site": self.site,
+            "value": self.quantity.value,
+            "unit": self.quantity.unit,
+            "interval": list(self.quantity.interval),
+            "before": self.before,
+            "after": self.after,
+            "details": {
+                n: {"value": q.value, "unit": q.unit, "interval": list(q.interval)}
+                for n, q in self.details.items()
+            },
+            "group": self.group,
+            "probability": self.probability,
+            "equivalents": [list(e) for e in self.equivalents],
+            "sentence": self.sentence,
+        }
+
+
+def findings(
+    fit: Fit, machine: Machine, probability: float, equivalents: Sequence[Fit]
+) -> tuple[Finding, ...]:
+    """Return the findings of a fit."""
+    found, first = [], 0
+    others = tuple(named(e, machine) for e in equivalents)
+    for candidate, x, label in zip(fit.members, fit.x, fit.groups, strict=True):
+        own = slice(first, first + candidate.size)
+        first += candidate.size
+        quantity = _value(candidate, x, fit.covariance[own, own], machine)
+        before = candidate.effect.nominal(candidate.site, machine)
+        found.append(
+            Finding(
+                candidate.effect.id,
+                candidate.site.kind,
+                candidate.site.name,
+                quantity,
+                before,
+                before + quantity.value,
+                _details(candidate, x, fit.covariance[own, own], machine),
+                _group_words(label, candidate, fit),
+                probability,
+                others,
+                sentence(candidate, quantity, before),
+                tuple(float(v) for v in candidate.full(x)),
+            )
+        )
+    return tuple(found)
+
+
+def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
+    """Return the set of a fit as {effect, kind, site, value} each."""
+    return tuple(
+        {
+            "effect": c.effect.id,
+            "kind": c.site.kind,
+            "site": c.site.name,
+            "value": c.effect.value(c.full(x)),
+        }
+        for c, x in zip(fit.members, fit.x, strict=True)
+    )
+
+
+def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
+    """Return a finding in words: what, where, how much, how sure."""
+    site, amount = spoken(candidate.site.name), _amount(quantity)
+    if before and candidate.effect.kind == "joint":
+        now = _amount(
+            Quantity(
+                before + quantity.value,
+                quantity.unit,
+                (before + quantity.interval[0], before + quantity.interval[1]),
+            )
+        )
+        text = f"{candidate.effect.noun} at {site} is {now}, not {before:.4g} as in the model."
+    else:
+        text = candidate.effect.sentence.format(site=site, value=amount, interval="")
+    return text[0].upper() + text[1:]
+
+
+def spoken(site: str) -> str:
+    """Return the name of a site as it is said: "the elbow"."""
+    return f"the {site.replace('_', ' ')}" if not site.lower().startswith("the ") else site
+
+
+def _amount(quantity: Quantity) -> str:
+    """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
+    half = 0.5 * (quantity.interval[1] - quantity.interval[0])
+    if half <= 0 or not np.isfinite(half):
+        return f"{quantity.value:.4g} {quantity.unit}".strip()
+    exponent = int(np.floor(np.log10(half)))
+    digits = max(-exponent + (1 if half / 10.0**exponent < 2 else 0), 0)
+    unit = "" if quantity.unit == "relative" else f" {quantity.unit}"
+    if quantity.unit == "relative":
+        digits = max(digits - 2, 0)
+        return f"{100 * quantity.value:+.{digits}f} ± {100 * half:.{digits}f} %"
+    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{unit}"
+
+
+def _value(
+    c: Candidate, x: np.ndarray, covariance: Float[np.ndarray, "l l"], machine: Machine
+) -> Quantity:
+    gradient = np.zeros(c.size)
+    if c.effect.vector > 1:
+        norm = max(float(np.linalg.norm(x[: c.effect.vector])), 1e-300)
+        gradient[: c.effect.vector] = x[: c.effect.vector] / norm
+    else:
+        gradient[0] = 1.0
+    unit = unit_at(c.effect.unit, c.site, machine)
+    return _quantity(c.effect.value(x), float(gradient @ covariance @ gradient), unit)
+
+
+def _quantity(value: float, variance: float, unit: str) -> Quantity:
+    floor = _TIME if unit == "s" else 0.0
+    half = _QUANTILE * float(np.sqrt(max(variance, 0.0) + (_RELATIVE * value) ** 2 + floor**2))
+    return Quantity(float(value), unit, (float(value) - half, float(value) + half))
+
+
+def _details(
+    c: Candidate, x: np.ndarray, covariance: Float[np.ndarray, "l l"], machine: Machine
+) -> dict[str, Quantity]:
+    out: dict[str, Quantity] = {}
+    full = c.full(x)
+    shown = 0 if c.effect.vector > 1 else 1
+    for i in range(shown, len(full)):
+        component = c.effect.components[i]
+        variance = float(covariance[i, i]) if i < c.size else 0.0
+        unit = unit_at(component.unit, c.site, machine)
+        out[component.name] = _quantity(float(full[i]), variance, unit)
+    if c.effect.details is not None:
+        derived = c.effect.details(full, machine, c.site)
+        for name, (value, unit) in derived.items():
+            variance = _propagated(c, x, covariance, machine, name)
+            out[name] = _quantity(value, variance, unit_at(unit, c.site, machine))
+    return out
+
+
+def _propagated(
+    c: Candidate, x: np.ndarray, covariance: np.ndarray, machine: Machine, name: str
+) -> float:
+    """Return the variance of a derived quantity, to first order."""
+    assert c.effect.details is not None  # noqa: S101
+    at = c.effect.details(c.full(x), machine, c.site)[name][0]
+    gradient = np.zeros(c.size)
+    for i in range(c.size):
+        h = max(1e-3 * abs(x[i]), 1e-3 * abs(c.probe[i]))
+        moved = x.copy()
+        moved[i] += h
+        derived = c.effect.details(c.full(moved), machine, c.site)
+        gradient[i] = (derived[name][0] - at) / h if name in derived else 0.0
+    return float(gradient @ covariance @ gradient)
+
+
+def _group_words(label: str | None, candidate: Candidate, fit: Fit) -> str | None:
+    if label is None:
+        return None
+    count = sum(g == label for g in fit.groups)
+    plural = {"joint": "joints", "actuator": "actuators", "body": "bodies"}
+    return f"{candidate.effect.noun} on {count} {plural.get(candidate.site.kind, 'sites')}"

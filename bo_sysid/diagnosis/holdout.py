@@ -1,0 +1,189 @@
+"""The proof on recordings that were never used."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, fitted, forecast, forecast_problem
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.locate import Evidence, Located
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import Recording
+
+_FREE = (1.0, 5.0)  # [s] length of a free run
+_FREE_SHARE = 0.1  # of the hold-out's length
+
+
+@dataclass(frozen=True)
+class Holdout:
+    """Errors on the hold-out.
+
+    Attributes:
+        table: columns measure, horizon_s, model, error, floor, unit; one row each.
+        free_runs: free-run error by channel for each model.
+        note: why there is none, where there is none.
+    """
+
+    table: pd.DataFrame
+    free_runs: Mapping[str, Mapping[str, float]]
+    note: str = ""
+
+    def error(self, measure: str, horizon: float, model: str) -> float | None:
+        """Return one error, None where it was not computed."""
+        t = self.table
+        rows = t[(t.measure == measure) & (t.horizon_s == horizon) & (t.model == model)]
+        return None if rows.empty else float(rows.error.iloc[0])
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The proof in words."""
+        before = self.error("forecast", AHEAD, "refitted")
+        after = self.error("forecast", AHEAD, "repaired")
+        floor = self.error("forecast", AHEAD, "noise_floor")
+        if before is None or after is None or floor is None:
+            return (self.note,) if self.note else ()
+        confirmed = after < 0.98 * before
+        verb = "falls" if confirmed else "goes"
+        text = (
+            f"Forecast error on the unseen recording {verb} from {before:.3g} to {after:.3g} "
+            f"sensor sigmas; the noise floor is {floor:.3g}."
+        )
+        return (text,)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the part of `diagnosis.json` about the hold-out."""
+        if self.table.empty:
+            return {"forecast": {}, "fit": {}, "free_run": {}}
+        out: dict[str, Any] = {}
+        for measure, unit in (("forecast", "sensor sigma"), ("fit", "sensor sigma")):
+            rows = self.table[self.table.measure == measure]
+            horizon = float(rows.horizon_s.min())
+            errors = rows[rows.horizon_s == horizon].set_index("model").error
+            names = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
+            values = {n: _number(errors.get(n)) for n in names}
+            out[measure] = {"unit": unit, "horizon_s": horizon, **values}
+        free = self.table[self.table.measure == "free_run"]
+        if len(free):
+            errors = free.set_index("model").error
+            out["free_run"] = {
+                "horizon_s": float(free.horizon_s.iloc[0]),
+                "unit": str(free.unit.iloc[0]),
+                **{n: _number(errors.get(n)) for n in ("nominal", "refitted", "repaired")},
+                "channels": {m: dict(c) for m, c in self.free_runs.items()},
+            }
+        else:
+            out["free_run"] = {}
+        return out
+
+
+def judge(evidence: Evidence, located: Located, recordings: Sequence[Recording]) -> Holdout:
+    """Return the errors of nominal, refitted and repaired model on the hold-out."""
+    models = {
+        "nominal": Hypothesis(),
+        "refitted": located.decision.nominal.hypothesis,
+        "repaired": located.decision.best.hypothesis,
+    }
+    rows: list[dict[str, Any]] = []
+    free_runs: dict[str, Mapping[str, float]] = {}
+    length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
+    free = float(np.clip(_FREE_SHARE * length, *_FREE))
+    try:
+        for ahead in (AHEAD, LONGER):
+            rows += _forecasts(evidence, located, recordings, models, ahead)
+        rows += _fits(evidence, located, recordings, models)
+    except RecordingError as error:
+        return Holdout(_table([]), {}, f"The hold-out is too short to judge: {error}.")
+    if length > PAST + free:
+        rows += _free_runs(evidence, located, recordings, models, free, free_runs)
+    return Holdout(_table(rows), free_runs)
+
+
+def _table(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=["measure", "horizon_s", "model", "error", "unit"])
+
+
+def _forecasts(
+    evidence: Evidence,
+    located: Located,
+    recordings: Sequence[Recording],
+    models: Mapping[str, Hypothesis],
+    ahead: float,
+) -> list[dict[str, Any]]:
+    problem, past = _cut(evidence, located, recordings, PAST, ahead)
+    rows, floor = [], 1.0
+    for name, hypothesis in models.items():
+        errors = forecast(problem, past, hypothesis)
+        floor = errors.floor
+        rows.append(_row("forecast", ahead, name, errors.ahead))
+    rows.append(_row("forecast", ahead, "noise_floor", floor))
+    return rows
+
+
+def _fits(
+    evidence: Evidence,
+    located: Located,
+    recordings: Sequence[Recording],
+    models: Mapping[str, Hypothesis],
+) -> list[dict[str, Any]]:
+    from bo_sysid.diagnosis.problem import pose
+
+    horizon = max(round(LONGER / evidence.machine.sampling), 4)
+    problem = pose(
+        evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
+        timestep=located.prepared.problem.windows.timestep, engine=evidence.engine,
+    )  # fmt: skip
+    rows = [_row("fit", LONGER, n, fitted(problem, h).ahead) for n, h in models.items()]
+    return [*rows, _row("fit", LONGER, "noise_floor", 1.0)]
+
+
+def _free_runs(
+    evidence: Evidence,
+    located: Located,
+    recordings: Sequence[Recording],
+    models: Mapping[str, Hypothesis],
+    free: float,
+    channels: dict[str, Mapping[str, float]],
+) -> list[dict[str, Any]]:
+    try:
+        problem, past = _cut(evidence, located, recordings, PAST, free)
+    except RecordingError:
+        return []
+    rows = []
+    for name, hypothesis in models.items():
+        errors = forecast(problem, past, hypothesis)
+        channels[name] = errors.channel
+        hinge = all(
+            j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
+        )
+        error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
+        rows.append({**_row("free_run", free, name, error), "unit": "rad" if hinge else "SI"})
+    return rows
+
+
+def _cut(
+    evidence: Evidence, located: Located, recordings: Sequence[Recording], past: float, ahead: float
+) -> Any:
+    return forecast_problem(
+        evidence.model,
+        evidence.machine,
+        recordings,
+        evidence.sigma,
+        past=past,
+        ahead=ahead,
+        timestep=located.prepared.problem.windows.timestep,
+        engine=evidence.engine,
+    )
+
+
+def _row(measure: str, horizon: float, model: str, error: float) -> dict[str, Any]:
+    return {
+        "measure": measure, "horizon_s": horizon, "model": model, "error": error,
+        "unit": "sensor sigma",
+    }  # fmt: skip
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

@@ -1,0 +1,175 @@
+"""From recordings to the decision: windows that grow, the search, the final fits on all windows."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_sysid.diagnosis.decide import Decision, decide
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.problem import Problem, pose
+from bo_sysid.diagnosis.refit import Effort
+from bo_sysid.diagnosis.rules import admissible, ranked
+from bo_sysid.diagnosis.search import (
+    Search,
+    carried,
+    eliminate,
+    explore,
+    stripped,
+)
+from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
+from bo_sysid.effects import Machine
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine
+
+_TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
+_SHORTEST = 1 / 6  # of the full horizon
+_LEAST = 6  # instants in the shortest window
+_GROWTH = 2.2
+_LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
+_WINDOWS = 40  # in the search; all of them in the final fits
+_FINALISTS = 5
+_CARRIED = 4
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a diagnosis is made from.
+
+    Attributes:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: the training recordings.
+        sigma: noise of each observed channel.
+        nuisances: the study's parameters.
+        candidates: what may be missing.
+        most: most effects at once.
+        window: length of a window in [s].
+        engine: simulates.
+    """
+
+    model: Model
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    sigma: dict[str, float]
+    nuisances: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
+    most: int
+    window: float
+    engine: Engine
+
+
+@dataclass(frozen=True)
+class Located:
+    """The decision, with the windows on which it was made.
+
+    Attributes:
+        decision: the posterior over sets.
+        prepared: all training windows.
+        search: the finished search, for what is asked of it later.
+        tried: number of sets fitted through the simulator.
+    """
+
+    decision: Decision
+    prepared: Prepared
+    search: Search
+    tried: int
+
+
+def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) -> Located:
+    """Find the set of effects that explains the training recordings."""
+    horizon = max(round(evidence.window / evidence.machine.sampling), _LEAST)
+    step = evidence.machine.model.opt.timestep
+    prepared, length = _tractable(evidence, horizon, step)
+    if prepared.correction_rms > _LONG_STEP and length == horizon:
+        step = step / 2
+        prepared = prepare(_problem(evidence, horizon, step))
+    search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
+    tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
+    leader = explore(search)
+    while length < horizon:
+        length = horizon if length * 2.6 > horizon else int(length * _GROWTH)
+        search = carried(
+            search, prepare(_problem(evidence, length, step), leader.hypothesis), _CARRIED
+        )
+        leader = explore(search, rounds=3)
+        tell(f"windows of {length} instants: {_said(leader)}")
+    stripped(search)
+    tell(f"final fits: {_said(search.best)}")
+    final = _final(evidence, search, horizon, step)
+    eliminate(final)
+    fits, dof = list(final.fits.values()), final.prepared.problem.dof
+    decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
+    return Located(decision, final.prepared, final, len(search.fits) + len(final.fits))
+
+
+def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:
+    """Shorten the windows until the nominal residual is small enough for linear screening."""
+    least = max(int(horizon * _SHORTEST), _LEAST)
+    length = horizon
+    while True:
+        prepared = prepare(_problem(evidence, length, step))
+        problem = prepared.problem
+        r = problem.residual(nothing(problem), prepared.start)
+        rms = float(np.sqrt((project(prepared.linear.Q, r) ** 2).sum() / problem.dof))
+        if rms < _TRACTABLE or length <= least:
+            return prepared, length
+        factor = max(min((_TRACTABLE / rms) ** 0.4, 0.75), 0.4)
+        length = max(int(length * factor), least)
+
+
+def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
+    whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
+    count = max(int(whole / horizon), 1)
+    stride = 1 if everything else max(round(count / _WINDOWS), 1)
+    return pose(
+        evidence.model,
+        evidence.machine,
+        evidence.recordings,
+        evidence.sigma,
+        evidence.nuisances,
+        horizon=horizon,
+        stride=stride,
+        timestep=step,
+        engine=evidence.engine,
+    )
+
+
+def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
+    """Fit the leading sets again, on all windows, with the correction taken at the leader."""
+    order = ranked(search.fits.values(), search.prior)
+    chosen = _finalists(order, search.nominal)
+    problem = _problem(evidence, horizon, step, everything=True)
+    prepared = prepare(problem, order[0].hypothesis)
+    final = Search.on(prepared, search.candidates, search.most, order[0].hypothesis)
+    if order[0].members:
+        leader = _again(final, order[0], order[0].hypothesis)
+        prepared = prepare(problem, leader.hypothesis)
+        final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
+    for f in chosen:
+        if f.members:
+            _again(final, f, f.hypothesis)
+    return final
+
+
+def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:
+    effort = Effort(iterations=5, gain=1.0, final=True)
+    return search.fit(fit.members, fit.x, labels=fit.groups, guess=guess, again=True, effort=effort)
+
+
+def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
+    chosen = list(order[:_FINALISTS])
+    able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
+    grouped = [f for f in order if any(f.groups)]
+    for f in (*able[:3], *grouped[:1]):
+        if f not in chosen:
+            chosen.append(f)
+    return chosen
+
+
+def _said(fit: Fit) -> str:
+    names = ", ".join(str(c) for c in fit.members) or "nothing missing"
+    return f"{names} ({fit.rms:.3f} sigma)"

@@ -1,0 +1,40 @@
+"""The noise of each observed channel."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_sysid.effects import Machine
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import Recording
+from bo_sysid.recording.noise import noise_sigma
+from bo_sysid.study import Study
+
+_LEAST = 1e-9
+
+
+def channel_noise(
+    study: Study, recordings: Sequence[Recording], machine: Machine
+) -> dict[str, float]:
+    """Return σ of each position channel: what the study says, else from third differences.
+
+    Recorded velocities are not observed: most are differences of the same positions, with noise
+    that is neither white nor independent.
+
+    Raises:
+        RecordingError: no joint's position was recorded, or none moves.
+    """
+    given = study.recordings.noise or {}
+    found: dict[str, float] = {}
+    for name in (n for n in machine.channels if n.startswith("qpos.")):
+        series = [r.channels[name] for r in recordings if name in r.channels]
+        sigma = float(np.median([noise_sigma(c.time, c.values) for c in series]))
+        sigma = float(given.get(name, given.get("qpos", sigma)))
+        moving = max(float(np.ptp(c.values)) for c in series)
+        if moving > 0:
+            found[name] = max(sigma, _LEAST, 1e-6 * moving)
+    if not found:
+        raise RecordingError(
+            "no joint of the model moves in the recordings: there is nothing to diagnose"
+        )
+    return found
