@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def identify_into(run: "Run", study: "Study", *, strict: bool = False) -> None:
-    """Identify into a run folder, with progress.
+    """Identify into a run folder, with progress, and draw what was found.
 
     Raises:
         UserError: the study, its model or its recordings are wrong.
@@ -47,9 +47,14 @@ def identify_into(run: "Run", study: "Study", *, strict: bool = False) -> None:
 
         identify(study, run, progress=progress, strict=strict)
 
+    from bo_sysid.report.write import write_figures
+
+    write_figures(run)
+
 
 def print_run(run: "Run") -> None:
     """Print what a run found, and where it is."""
     from bo_sysid.report.text import run_text
 
     print(run_text(run.folder))
+    print(f"\nFigures: {run.path('figures')}. Model: {run.path('model_identified.xml')}.")
