@@ -1,0 +1,97 @@
+"""Acquisitions over a discrete set: values by row, and the choice of the best row."""
+
+import numpy as np
+import torch
+from botorch.acquisition import AcquisitionFunction
+from botorch.models.model import Model
+from botorch.optim import optimize_acqf_discrete
+from botorch.utils.transforms import t_batch_mode_transform
+from jaxtyping import Int
+from torch import Tensor
+
+from bo_sysid.arrays import Points, Rows
+from bo_sysid.belief.rows import RowIndex
+
+
+class RowAcquisition(AcquisitionFunction):
+    """An acquisition whose values at all rows of B are known when it is built.
+
+    `forward` looks rows up by exact equality, so the points it is given must be rows of the
+    candidates, not the result of a transform. Pending rows have the value -inf.
+    """
+
+    def __init__(self, candidates: Tensor, values: Tensor, model: Model | None = None) -> None:
+        """Keep the table.
+
+        Args:
+            candidates: `N x d`, the set B.
+            values: `N` values of the acquisition.
+            model: the model behind the values, where there is one.
+        """
+        super().__init__(model=model)
+        self.register_buffer("candidates", candidates)
+        self.register_buffer("values", values.to(candidates))
+        self._index = RowIndex.of(candidates.detach().cpu().double().numpy())
+        self.set_X_pending(None)
+
+    def rows(self, X: Tensor) -> Tensor:
+        """Return the rows of B that the points `... x d` are.
+
+        Raises:
+            ValueError: a point is not a row of B.
+        """
+        points = X.detach().cpu().double().numpy().reshape(-1, X.shape[-1])
+        found = self._index.find(points)
+        if (found < 0).any():
+            raise ValueError(
+                f"point {points[found < 0][0].tolist()} is not a candidate; candidates are looked "
+                "up by exact equality and must not pass through a transform"
+            )
+        return torch.as_tensor(found, device=X.device).reshape(X.shape[:-1])
+
+    @t_batch_mode_transform(expected_q=1, assert_output_shape=False)  # type: ignore[untyped-decorator]
+    def forward(self, X: Tensor) -> Tensor:
+        """Return the values of rows of B: `b x 1 x d` → `b`."""
+        values = self.values
+        if self.X_pending is not None:
+            values = values.clone()
+            values[self.rows(self.X_pending)] = -torch.inf
+        found: Tensor = values[self.rows(X).squeeze(-1)]
+        return found
+
+
+def pick(acquisition: AcquisitionFunction, candidates: Points, excluded: Rows) -> int:
+    """Return the row with the largest value among those that are not excluded.
+
+    Args:
+        acquisition: maps `b x 1 x d` to `b`.
+        candidates: `N x d`, the set B.
+        excluded: rows that must not be picked (the evaluated ones); rows equal to them are not
+            picked either.
+
+    Raises:
+        ValueError: every candidate is excluded.
+    """
+    return int(pick_batch(acquisition, candidates, excluded, 1)[0])
+
+
+def pick_batch(
+    acquisition: AcquisitionFunction, candidates: Points, excluded: Rows, q: int
+) -> Int[np.ndarray, " q"]:
+    """Return `q` different rows, each chosen with those before it pending; fewer if B has fewer.
+
+    Raises:
+        ValueError: every candidate is excluded.
+    """
+    candidates = np.asarray(candidates, dtype=float)
+    index = RowIndex.of(candidates)
+    first = index.find(candidates)
+    excluded = np.asarray(excluded, dtype=np.intp)
+    free = np.flatnonzero(~np.isin(first, first[excluded]))
+    free = free[first[free] == free]  # one of several equal rows is enough
+    if not len(free):
+        raise ValueError("every candidate has been evaluated: there is nothing left to pick")
+    chosen, _ = optimize_acqf_discrete(
+        acquisition, q=min(q, len(free)), choices=torch.tensor(candidates[free])
+    )
+    return index.find(chosen.numpy())

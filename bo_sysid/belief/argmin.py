@@ -1,0 +1,105 @@
+"""The belief: the probability of each candidate to be the arg-min of Δ over B."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bo_sysid.arrays import Points, Probabilities
+from bo_sysid.belief.joint import contest
+from bo_sysid.belief.rows import RowIndex
+from bo_sysid.belief.surrogate import Surrogate
+
+CELLS = 8_000_000  # samples x candidates drawn at a time
+
+
+@dataclass(frozen=True)
+class ArgminBelief:
+    """P(β), the probability that β is the arg-min of Δ over B on the recordings.
+
+    It is not the uncertainty about the machine: see `bo_sysid.belief.bootstrap`.
+
+    Attributes:
+        probabilities: `N`, sums to 1.
+        estimator: how it was computed.
+        mass_lost: bound on the probability of the candidates that were left out of the sampling.
+    """
+
+    probabilities: Probabilities
+    estimator: str
+    mass_lost: float
+
+    @property
+    def entropy(self) -> float:
+        """`−Σ P log P` in nats."""
+        p = self.probabilities[self.probabilities > 0]
+        return float(-(p * np.log(p)).sum())
+
+    @property
+    def best(self) -> int:
+        """The row with the largest probability."""
+        return int(self.probabilities.argmax())
+
+
+def argmin_probability(
+    surrogate: Surrogate, candidates: Points, *, samples: int = 4096, seed: int = 0
+) -> ArgminBelief:
+    """Return the probability of each candidate to be the arg-min of Δ.
+
+    Joint posterior samples of log Δ over B are drawn from every member of the ensemble in
+    proportion to its weight, and the arg-mins are counted. Candidates that were evaluated without
+    noise keep the value that was computed. Equal rows share their probability.
+
+    Args:
+        surrogate: of log Δ.
+        candidates: `N x d`, in the units of the surrogate's points.
+        samples: number of joint samples.
+        seed: of the samples.
+    """
+    index = RowIndex.of(candidates)
+    first = index.find(candidates)
+    unique, where = np.unique(first, return_inverse=True)
+    probabilities, lost, exact = _distinct(surrogate, candidates[unique], samples, seed)
+    shared = probabilities / np.bincount(where)
+    return ArgminBelief(shared[where], "exact" if exact else "low-rank", lost)
+
+
+def evaluated_rows(
+    surrogate: Surrogate, candidates: Points
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return the rows of `candidates` whose Δ is known, and their standardised log Δ."""
+    if surrogate.variance is not None:
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
+    rows = RowIndex.of(candidates).find(surrogate.points)
+    rows, place = np.unique(rows, return_index=True)
+    keep = rows >= 0
+    return rows[keep], surrogate.standardise(surrogate.log_deviations)[place[keep]]
+
+
+def allot(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:
+    """Return how many of `samples` each member gets, in proportion to its weight."""
+    edges = np.round(np.cumsum(weights) / weights.sum() * samples).astype(int)
+    return np.diff(edges, prepend=0)
+
+
+def _distinct(
+    surrogate: Surrogate, candidates: Points, samples: int, seed: int
+) -> tuple[Probabilities, float, bool]:
+    """Return P over distinct candidates, the bound on the mass lost, and whether P is exact."""
+    x = surrogate.unit(candidates)
+    values = surrogate.standardise(surrogate.log_deviations)
+    known, known_values = evaluated_rows(surrogate, candidates)
+    counts, lost, exact = np.zeros(len(x)), 0.0, True
+    shares = allot(surrogate.weights, samples)
+    for number, (member, share) in enumerate(zip(surrogate.members, shares, strict=True)):
+        rng = np.random.default_rng((seed, number))
+        field = contest(member, x, values, known, known_values, rng)
+        lost += field.lost * share / samples
+        exact &= field.exact
+        step = 2 * max(1, CELLS // max(len(field.rows), 1))
+        for start in range(0, share, step):
+            size = min(step, share - start)
+            noise = rng.standard_normal(((size + 1) // 2, len(field.factor))) @ field.factor
+            counts += field.tally(field.mean + noise, len(x))
+            counts += field.tally(field.mean - noise[: size // 2], len(x))
+    return counts / counts.sum(), lost, exact

@@ -1,0 +1,198 @@
+"""P_boot: the arg-min of Δ over bootstraps of the recordings, the uncertainty about the machine.
+
+Δ is a mean over blocks of the recordings. Resampling the blocks gives another Δ at every evaluated
+candidate at once; the posterior mean is linear in log Δ, so all bootstraps are conditioned on
+together, and to each one joint posterior sample adds what the surrogate does not know between the
+evaluated candidates. Where there are several sessions they are resampled first, then the blocks
+within each: what differs between sessions is not visible within one.
+
+From n units n − 1 are drawn: then the variance of the resampled mean is unbiased (with n it is
+(n − 1)/n of the right one, half of it for two sessions).
+
+References:
+    Künsch (1989), The jackknife and the bootstrap for general stationary observations.
+    Rao & Wu (1988), Resampling inference with complex survey data.
+"""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import ndtr
+
+from bo_sysid.arrays import Points, Probabilities, Rows
+from bo_sysid.belief.argmin import ArgminBelief, allot
+from bo_sysid.belief.gp import Conditional
+from bo_sysid.belief.joint import CHUNK, MASS, covariance_factor
+from bo_sysid.belief.surrogate import Surrogate, log_deviation
+
+SURELY = 5.0  # standard deviations above its mean that the minimum of log Δ does not exceed
+
+
+def bootstrap_argmin(
+    surrogate: Surrogate,
+    candidates: Points,
+    rows: Rows,
+    contributions: Float[np.ndarray, "n blocks"],
+    weights: Float[np.ndarray, " blocks"],
+    *,
+    samples: int = 2048,
+    seed: int = 0,
+    groups: Int[np.ndarray, " blocks"] | None = None,
+) -> ArgminBelief:
+    """Return the probability of each candidate to be the arg-min of Δ on other recordings.
+
+    Args:
+        surrogate: of log Δ; its n points are the evaluated candidates.
+        candidates: `N x d`, the set B.
+        rows: the row of B of each of the surrogate's points, -1 where it is not in B.
+        contributions: mean deviation of each evaluated candidate on each block, so that
+            `Δ = contributions @ weights / weights.sum()`.
+        weights: number of transitions in each block.
+        samples: number of bootstraps.
+        seed: of bootstraps and samples.
+        groups: session of each block; None where all are of one session.
+
+    Raises:
+        ValueError: shapes do not agree, or there are fewer than two blocks.
+    """
+    rows = np.asarray(rows, dtype=np.intp)
+    contributions = np.asarray(contributions, dtype=float)
+    _check(surrogate, candidates, rows, contributions, weights)
+    rng = np.random.default_rng(seed)
+    groups = np.zeros(len(weights), dtype=int) if groups is None else np.asarray(groups)
+    drawn = resample(groups, samples, rng) * weights
+    deviations = contributions @ drawn.T / drawn.sum(axis=1)
+    values = surrogate.standardise(log_deviation(deviations))
+    x = surrogate.unit(candidates)
+    in_set = np.flatnonzero(rows >= 0) if surrogate.variance is None else np.zeros(0, dtype=int)
+    counts, lost = np.zeros(len(x)), 0.0
+    edges = np.cumsum(np.append(0, allot(surrogate.weights, samples)))
+    for member, start, stop in zip(surrogate.members, edges[:-1], edges[1:], strict=True):
+        if stop > start:
+            mine = values[:, start:stop]
+            winners, dropped = _minima(member, x, mine, mine[in_set], rows[in_set], rng)
+            counts += np.bincount(winners, minlength=len(x))
+            lost += dropped * (stop - start) / samples
+    return ArgminBelief(counts / samples, "bootstrap", lost)
+
+
+def resample(
+    groups: Int[np.ndarray, " blocks"], samples: int, rng: np.random.Generator
+) -> Int[np.ndarray, "samples blocks"]:
+    """Return how often each block is drawn in each bootstrap.
+
+    One session: all blocks but one are drawn with replacement. Several: all sessions but one are
+    drawn with replacement, and as many blocks within each as it has.
+    """
+    sessions, session = np.unique(groups, return_inverse=True)
+    blocks = len(groups)
+    if len(sessions) == 1:
+        return rng.multinomial(blocks - 1, np.full(blocks, 1 / blocks), size=samples)
+    chosen = rng.multinomial(
+        len(sessions) - 1, np.full(len(sessions), 1 / len(sessions)), size=samples
+    )
+    drawn = np.zeros((samples, blocks), dtype=int)
+    for s in range(len(sessions)):
+        mine = np.flatnonzero(session == s)
+        drawn[:, mine] = rng.multinomial(
+            chosen[:, s] * len(mine), np.full(len(mine), 1 / len(mine))
+        )
+    return drawn
+
+
+def credible_interval(
+    points: Points, probabilities: Probabilities, level: float = 0.95
+) -> Float[np.ndarray, "2 d"]:
+    """Return the central interval of each parameter that holds at least `level` of P.
+
+    Args:
+        points: `N x d` candidates.
+        probabilities: `N`, sums to 1.
+        level: between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"level {level} must be between 0 and 1")
+    tail = 0.5 * (1.0 - level)
+    bounds = np.empty((2, points.shape[1]))
+    for k, column in enumerate(np.asarray(points, dtype=float).T):
+        order = np.argsort(column)
+        mass = np.cumsum(probabilities[order])
+        # half a rounding error of the sum must not move a quantile to the next candidate
+        at = np.searchsorted(mass, np.array([tail, 1.0 - tail]) * mass[-1] - 1e-12)
+        bounds[:, k] = column[order[at]]
+    return bounds
+
+
+def _minima(
+    member: Conditional,
+    x: Points,
+    values: Float[np.ndarray, "n b"],
+    known_values: Float[np.ndarray, "k b"],
+    known_rows: Int[np.ndarray, " k"],
+    rng: np.random.Generator,
+) -> tuple[Int[np.ndarray, " b"], float]:
+    """Return the arg-min of one joint sample for each bootstrap, and a bound on the mass lost."""
+    residual = member.residual(values)
+    open_rows, lost = _open_rows(member, x, residual, known_values, known_rows)
+    V = member.whitened(x[open_rows])
+    factor = covariance_factor(member, x[open_rows], member.variance(V), rng)
+    draws = rng.standard_normal((values.shape[1], len(factor))) @ factor
+    draws += member.mean + residual.T @ V
+    everything = np.concatenate([draws, known_values.T], axis=1)
+    labels = np.concatenate([open_rows, known_rows])
+    return labels[everything.argmin(axis=1)], lost
+
+
+def _open_rows(
+    member: Conditional,
+    x: Points,
+    residual: Float[np.ndarray, "n b"],
+    known_values: Float[np.ndarray, "k b"],
+    known_rows: Int[np.ndarray, " k"],
+) -> tuple[Int[np.ndarray, " s"], float]:
+    """Return the uncertain rows that may be an arg-min, and a bound on the mass of the others.
+
+    In each bootstrap a candidate is the arg-min only if it is below the best evaluated candidate or,
+    where none is known in this set, below a level that the minimum almost surely does not exceed.
+    """
+    uncertain = np.setdiff1d(np.arange(len(x)), known_rows)
+    blocks = [uncertain[i : i + CHUNK] for i in range(0, len(uncertain), CHUNK)]
+
+    def moments(
+        block: Int[np.ndarray, " m"],
+    ) -> tuple[Float[np.ndarray, "m b"], Float[np.ndarray, "m 1"]]:
+        V = member.whitened(x[block])
+        std = np.sqrt(np.maximum(member.variance(V), 1e-300))
+        return member.mean + V.T @ residual, std[:, None]
+
+    if len(known_rows):
+        level = known_values.min(axis=0)
+    else:
+        upper = [(mean + SURELY * std).min(axis=0) for mean, std in map(moments, blocks)]
+        level = np.min(upper, axis=0)
+    bound = np.empty(0)
+    for mean, std in map(moments, blocks):
+        bound = np.append(bound, ndtr((level - mean) / std).mean(axis=1))
+    order = np.argsort(bound, kind="stable")
+    mass = np.cumsum(bound[order])
+    first = int(np.searchsorted(mass, MASS, side="right"))
+    return uncertain[np.sort(order[first:])], float(mass[first - 1]) if first else 0.0
+
+
+def _check(
+    surrogate: Surrogate,
+    candidates: Points,
+    rows: Rows,
+    contributions: Float[np.ndarray, "n blocks"],
+    weights: Float[np.ndarray, " blocks"],
+) -> None:
+    n = len(surrogate.points)
+    if rows.shape != (n,) or contributions.shape != (n, len(weights)):
+        raise ValueError(
+            f"{n} evaluated points need {n} rows and contributions of shape {n} x "
+            f"{len(weights)} blocks; got {rows.shape} and {contributions.shape}"
+        )
+    if len(weights) < 2:
+        raise ValueError("one block cannot be resampled; cut the recordings into two or more")
+    inside = rows >= 0
+    if not np.array_equal(candidates[rows[inside]], surrogate.points[inside]):
+        raise ValueError("rows must be those of the surrogate's points, in their order")

@@ -1,0 +1,92 @@
+"""When the search over B stops, as functions of its history."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from bo_sysid.arrays import Rows
+from bo_sysid.belief.argmin import ArgminBelief
+
+
+class StopReason(Enum):
+    """Why a search stopped, with what it means; the value is written into the run."""
+
+    ENTROPY = "entropy"
+    BUDGET = "budget"
+    CONVERGED = "converged"
+
+    @property
+    def sentence(self) -> str:
+        """What happened and what to do about it."""
+        return {
+            StopReason.ENTROPY: "The entropy of the belief did not change any more; "
+            "lower stop.entropy or raise stop.last to go on.",
+            StopReason.BUDGET: "The budget of evaluations was reached; "
+            "raise search.budget to go on.",
+            StopReason.CONVERGED: "All probability is on candidates that were evaluated.",
+        }[self]
+
+
+@dataclass(frozen=True)
+class StopRule:
+    """The three conditions under which the search ends.
+
+    Attributes:
+        budget: number of evaluations, the initial ones included.
+        entropy: threshold in nats; None switches the entropy condition off.
+        last: number of picks over which the entropy is watched.
+        mass: probability that may remain on candidates that were not evaluated when the search
+            counts as converged.
+    """
+
+    budget: int = 60
+    entropy: float | None = 0.01
+    last: int = 5
+    mass: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.budget < 1 or self.last < 1:
+            raise ValueError(f"budget {self.budget} and last {self.last} must be at least 1")
+        if self.entropy is not None and self.entropy < 0:
+            raise ValueError(f"entropy {self.entropy} must not be negative")
+        if not 0 <= self.mass < 1:
+            raise ValueError(f"mass {self.mass} must be in [0, 1)")
+
+    def __call__(
+        self, entropies: Sequence[float], belief: ArgminBelief, evaluated: Rows
+    ) -> StopReason | None:
+        """Return the reason to stop, or None to go on.
+
+        Args:
+            entropies: of the belief after the initial evaluations and after each pick since.
+            belief: the present one.
+            evaluated: rows that have been evaluated.
+        """
+        if has_converged(belief, evaluated, self.mass):
+            return StopReason.CONVERGED
+        if len(evaluated) >= self.budget:
+            return StopReason.BUDGET
+        if self.entropy is not None and entropy_settled(entropies, self.entropy, self.last):
+            return StopReason.ENTROPY
+        return None
+
+
+def has_converged(belief: ArgminBelief, evaluated: Rows, mass: float = 0.0) -> bool:
+    """Return whether at most `mass` of the probability is on candidates not evaluated."""
+    unseen = np.ones(len(belief.probabilities), dtype=bool)
+    unseen[np.asarray(evaluated, dtype=np.intp)] = False
+    return bool(belief.probabilities[unseen].sum() <= mass)
+
+
+def entropy_settled(entropies: Sequence[float], threshold: float, last: int) -> bool:
+    """Return whether the entropy stayed within `threshold` nats over the last `last` picks.
+
+    A rising entropy is news as well (a second valley was found), so the spread of the window is
+    watched, not only its fall.
+    """
+    if len(entropies) <= last:
+        return False
+    window = np.asarray(entropies[-last - 1 :])
+    return bool(window.max() - window.min() < threshold)

@@ -1,0 +1,191 @@
+"""The Gaussian-process surrogate of log Δ over B, averaged over its hyperparameters."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.arrays import Deviations, Points
+from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Evidence, Kernel
+from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
+
+if TYPE_CHECKING:
+    from botorch.models import SingleTaskGP
+
+KERNELS: tuple[Kernel, ...] = ("matern", "rbf")
+NOISE = 1e-6  # variance of log Δ on fixed data: rounding, not noise
+ZERO = 1e-3  # Δ = 0 is taken as this share of the smallest positive Δ, to have a logarithm
+LENGTHSCALE_MEDIAN = 0.7  # of the prior, in units of the box, times √d
+LENGTHSCALE_STD = 0.8
+OUTPUTSCALE_MEDIAN = 1.0
+OUTPUTSCALE_STD = 1.0
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """An ensemble of Gaussian processes on log Δ.
+
+    Every member is conditioned on the same evaluations; they differ in kernel, length scales,
+    output scale and constant mean, which were drawn from their posterior.
+
+    Attributes:
+        points: `n x d` evaluated parameter vectors.
+        log_deviations: `n` logarithms of their Δ.
+        variance: `n` variances of `log_deviations`, or None: Δ on fixed data is not noisy.
+        bounds: `2 x d` lower and upper bounds of B.
+        noise: `n` variances of the standardised values, as the members use them.
+        shift: mean of `log_deviations`.
+        scale: standard deviation of `log_deviations`.
+        members: the Gaussian processes, over the unit cube, of standardised values.
+        weights: `M` probabilities of the members.
+    """
+
+    points: Float[np.ndarray, "n d"]
+    log_deviations: Deviations
+    variance: Deviations | None
+    bounds: Float[np.ndarray, "2 d"]
+    noise: Deviations
+    shift: float
+    scale: float
+    members: tuple[Conditional, ...]
+    weights: Float[np.ndarray, " M"]
+
+    def unit(self, points: Points) -> Points:
+        """Return `points` in the unit cube."""
+        low, high = self.bounds
+        return np.asarray((points - low) / (high - low))
+
+    def standardise(self, log_deviations: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
+        """Return log Δ in the units of the members."""
+        return (log_deviations - self.shift) / self.scale
+
+    def moments(self, points: Points) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+        """Return mean and variance of log Δ at `points`, averaged over the ensemble."""
+        x = self.unit(points)
+        values = self.standardise(self.log_deviations)
+        means, variances = [], []
+        for member in self.members:
+            V = member.whitened(x)
+            means.append(member.mean + member.residual(values) @ V)
+            variances.append(member.variance(V))
+        mean = self.weights @ np.array(means)
+        spread = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        return self.shift + self.scale * mean, self.scale**2 * spread
+
+    @cached_property
+    def models(self) -> "tuple[SingleTaskGP, ...]":
+        """The members as BoTorch models of log Δ over B's own units, in float64."""
+        from bo_sysid.belief.models import as_single_task_gp
+
+        return tuple(as_single_task_gp(self, member) for member in self.members)
+
+
+def log_deviation(deviations: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
+    """Return log Δ, where Δ = 0 counts as `ZERO` times the smallest positive Δ.
+
+    Raises:
+        ValueError: a deviation is negative, infinite or not a number.
+    """
+    values = np.asarray(deviations, dtype=float)
+    wrong = np.argwhere(~np.isfinite(values) | (values < 0))
+    if len(wrong):
+        raise ValueError(
+            f"deviation {values[tuple(wrong[0])]} of evaluation {wrong[0][0]} is not a finite "
+            "number >= 0; "
+            "a simulation that diverged must carry its penalty"
+        )
+    positive = values[values > 0]
+    floor = ZERO * positive.min() if len(positive) else 1.0
+    return np.asarray(np.log(np.maximum(values, max(floor, np.finfo(float).tiny))))
+
+
+def fit_surrogate(
+    points: Float[np.ndarray, "n d"],
+    deviations: Float[np.ndarray, "..."],
+    bounds: Float[np.ndarray, "2 d"],
+    *,
+    variance: Float[np.ndarray, "..."] | None = None,
+    members: int = 16,
+    seed: int = 0,
+) -> Surrogate:
+    """Fit Gaussian processes to log Δ and average over their hyperparameters.
+
+    Args:
+        points: evaluated parameter vectors, in their own units.
+        deviations: their Δ, `n` values that are not negative.
+        bounds: lower and upper bounds of B.
+        variance: of log Δ at each point, where Δ is an estimate; None where it is not noisy.
+        members: size of the ensemble.
+        seed: of the sample of hyperparameters.
+
+    Raises:
+        ValueError: shapes do not agree, a value is not finite, or bounds have no extent.
+    """
+    points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
+    _check(points, deviations, bounds, variance)
+    y = log_deviation(deviations)
+    spread = float(y.std(ddof=1)) if len(y) > 1 else 1.0
+    shift, scale = float(y.mean()), spread if spread > 1e-8 else 1.0
+    x = (points - bounds[0]) / (bounds[1] - bounds[0])
+    raw = np.zeros_like(y) if variance is None else np.asarray(variance, dtype=float)
+    noise = np.maximum(raw, NOISE * max(1.0, scale**2)) / scale**2
+    z = (y - shift) / scale
+    squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
+    prior = default_prior(x.shape[1])
+    evidences = [Evidence(kernel, squared, z, noise) for kernel in KERNELS]
+    draws, weights = sample_hyperparameters(evidences, prior, members=members, seed=seed)
+    rng = np.random.default_rng((seed, 1))
+    ensemble = []
+    for draw in draws:
+        evidence = next(e for e in evidences if e.kernel == draw.kernel)
+        ensemble.append(condition(evidence, draw.theta, x, rng))
+    return Surrogate(points, y, variance, bounds, noise, shift, scale, tuple(ensemble), weights)
+
+
+def default_prior(d: int) -> Prior:
+    """Return the prior of `θ = (log ℓ₁ … log ℓ_d, log s²)` over the unit cube in d dimensions."""
+    lengthscale = np.full(d, np.log(LENGTHSCALE_MEDIAN * np.sqrt(d)))
+    return Prior(
+        mean=np.append(lengthscale, np.log(OUTPUTSCALE_MEDIAN)),
+        std=np.append(np.full(d, LENGTHSCALE_STD), OUTPUTSCALE_STD),
+    )
+
+
+def condition(
+    evidence: Evidence,
+    theta: Float[np.ndarray, " p"],
+    x: Float[np.ndarray, "n d"],
+    rng: np.random.Generator,
+) -> Conditional:
+    """Return the Gaussian process of one θ, its constant drawn from the constant's posterior."""
+    lengthscales, outputscale = np.exp(theta[:-1]), float(np.exp(theta[-1]))
+    plain = Conditional(evidence.kernel, lengthscales, outputscale, 0.0, x, np.eye(len(x)))
+    chol = np.linalg.cholesky(plain.covariance(x, x) + np.diag(evidence.noise))
+    whitened = np.linalg.solve(chol, np.stack([np.ones(len(x)), evidence.values], axis=1))
+    precision = float(whitened[:, 0] @ whitened[:, 0]) + 1.0 / MEAN_VARIANCE
+    centre = float(whitened[:, 0] @ whitened[:, 1]) / precision
+    mean = centre + float(rng.standard_normal()) / np.sqrt(precision)
+    return Conditional(evidence.kernel, lengthscales, outputscale, mean, x, chol)
+
+
+def _check(
+    points: Float[np.ndarray, "n d"],
+    deviations: Float[np.ndarray, "..."],
+    bounds: Float[np.ndarray, "2 d"],
+    variance: Float[np.ndarray, "..."] | None,
+) -> None:
+    if points.ndim != 2 or not len(points) or np.shape(deviations) != (len(points),):
+        raise ValueError(
+            f"{np.shape(deviations)} deviations do not belong to points {points.shape}: "
+            "n points need n deviations, n at least 1"
+        )
+    if not np.isfinite(points).all():
+        raise ValueError("evaluated points must be finite")
+    if bounds.shape != (2, points.shape[1]) or not (bounds[1] > bounds[0]).all():
+        raise ValueError(f"bounds {bounds.tolist()} must be a lower row below an upper row")
+    if variance is not None and not (
+        np.shape(variance) == (len(points),) and bool((np.asarray(variance) >= 0).all())
+    ):
+        raise ValueError("variance must give one number >= 0 for each point")
