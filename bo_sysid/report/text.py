@@ -39,8 +39,8 @@ def identification_text(summary: Mapping[str, Any]) -> str:
     parameters = pd.DataFrame(summary["parameters"])
     shown = [c for c in ("name", "unit", "nominal", "value", "low95", "high95") if c in parameters]
     parts = [
-        f"{summary['name']}: stopped after {summary['evaluations']} of {summary['candidates']} "
-        f"candidates, {summary['stopped']}",
+        f"{summary['name']}: {summary['evaluations']} of {summary['candidates']} candidates were "
+        f"tried. {summary['stopped']}",
         "",
         table(parameters[shown]),
     ]
