@@ -23,7 +23,8 @@ PAST = 0.2  # [s] before a window from which its start is estimated
 AHEAD = 0.08  # [s] forecast for the headline
 LONGER = 0.3  # [s] forecast beside it
 _ROUNDS = 5
-_SHARES = (1.0, 0.3, 0.09, 0.027)
+_SHARES = (1.0, 0.3, 0.06)
+_SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _FINE = 0.5  # share of the finer step above which forecasts use it
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
 _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
@@ -138,7 +139,10 @@ def _estimated(
         assert gain is not None  # noqa: S101
         g = np.einsum("wri,wr->wi", J, r) - away / spread**2
         step = np.einsum("wij,wj->wi", gain, g)
-        done = np.zeros(len(start), bool)
+        done = np.einsum("wi,wi->w", g, step) < _SETTLED
+        if done.all():
+            break
+        moved_any = False
         for share in _SHARES:
             try_away = np.where(done[:, None], away, away + share * step)
             moved = anchor.moved(model, try_away)
@@ -148,10 +152,10 @@ def _estimated(
             pick = better[:, None]
             away, r = np.where(pick, try_away, away), np.where(pick, rn, r)
             start, cost = _picked(better, moved, start), np.where(better, new, cost)
-            done |= better
+            done, moved_any = done | better, moved_any or bool(better.any())
             if done.all():
                 break
-        if not done.any():
+        if not moved_any:
             break
     return start, cost
 

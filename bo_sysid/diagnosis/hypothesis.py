@@ -103,6 +103,8 @@ def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, 
     """Return every effect at every site where it applies, once for each point of its grid."""
     found = []
     for effect in effects:
+        if effect.hidden or effect.family == "learned":
+            continue  # another state than the recordings'; fitted to what stays unexplained
         for site in applicable(effect, machine):
             extent = effect.extent(site, machine)
             assert extent is not None  # noqa: S101 - applicable
@@ -142,7 +144,12 @@ def edits_and_parts(
     """Return the edits of a hypothesis; the list of parts is filled when they are applied."""
     parts: list[Part] = []
 
-    def edit_of(candidate: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
-        return lambda spec: parts.extend(candidate.parts(spec, x, machine))
+    def edit_of(number: int, candidate: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
+        def edit(spec: mujoco.MjSpec) -> None:
+            if number == 0:
+                parts.clear()  # a model with settotalmass may be edited twice
+            parts.extend(candidate.parts(spec, x, machine))
 
-    return [edit_of(c, x) for c, x in hypothesis.terms], parts
+        return edit
+
+    return [edit_of(i, c, x) for i, (c, x) in enumerate(hypothesis.terms)], parts

@@ -30,7 +30,7 @@ _SHORTEST = 1 / 6  # of the full horizon
 _LEAST = 6  # instants in the shortest window
 _GROWTH = 2.2
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
-_WINDOWS = 40  # in the search; all of them in the final fits
+_WINDOWS = 24  # in the search; all of them in the final fits
 _FINALISTS = 5
 _CARRIED = 4
 

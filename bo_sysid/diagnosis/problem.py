@@ -152,7 +152,7 @@ def pose(
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
     """
-    windows = cut(model, recordings, horizon=horizon, timestep=timestep)
+    windows = cut(model, recordings, horizon=horizon, timestep=timestep, signals=machine.inputs)
     windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale

@@ -1,0 +1,320 @@
+"""Machines and drawn cases for the benchmark of the diagnosis.
+
+A plant is the nominal model with effects in it, stepped eight times finer; friction may be
+LuGre instead of Coulomb. Sizes are drawn log-uniformly by what they do to the predictions: the
+projected rms difference over windows of 0.3 s, in units of the sensor noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, candidates
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.problem import pose
+from bo_sysid.diagnosis.windowing import nothing, prepare
+from bo_sysid.effects import CATALOGUE, Filter, Machine, Reading, Site, survey
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation import Engine
+
+MODELS = Path(__file__).parents[1] / "studies" / "diagnosis"
+FINER = 8
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A machine with the way it is driven.
+
+    Attributes:
+        file: its model.
+        drive: amplitude of each control, or of each goal where a loop is closed around motors.
+        gains: proportional and derivative gain of that loop, None for open loop.
+        fastest: highest frequency of the excitation in [Hz].
+        middle: centre of the goals.
+    """
+
+    file: str
+    drive: tuple[float, ...]
+    gains: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    fastest: float = 1.5
+    middle: tuple[float, ...] = ()
+
+
+_SIX = (0.5, 0.4, 0.5, 0.7, 0.6, 0.8)
+_POSE = (0.0, 0.4, 0.6, 0.0, 0.5, 0.0)
+RIGS = {
+    "two_link_arm": Rig("two_link_arm.xml", (1.5, 0.4)),
+    "cart_pole": Rig("cart_pole.xml", (0.8,)),
+    "rotary_pendulum": Rig("rotary_pendulum.xml", (0.25,)),
+    "six_motors": Rig(
+        "six_joint_arm_motors.xml",
+        _SIX,
+        ((120.0, 400.0, 200.0, 60.0, 40.0, 12.0), (7.0, 24.0, 12.0, 3.6, 2.4, 0.7)),
+        1.0,
+        _POSE,
+    ),
+    "six_servos": Rig("six_joint_arm_servos.xml", _SIX, None, 1.0, _POSE),
+}
+
+
+@dataclass(frozen=True)
+class Planted:
+    """An effect that a plant has: id, site, magnitudes."""
+
+    effect: str
+    kind: str
+    site: str
+    x: tuple[float, ...]
+    size: float = 0.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A drawn case.
+
+    Attributes:
+        rig: name of the machine.
+        truth: what the plant has beyond the model.
+        train: recordings to diagnose.
+        holdout: a recording set aside.
+        sigma: noise of the positions.
+    """
+
+    rig: str
+    truth: tuple[Planted, ...]
+    train: tuple[Recording, ...]
+    holdout: tuple[Recording, ...]
+    sigma: float
+    notes: dict[str, object] = field(default_factory=dict)
+
+
+def load(rig: str) -> Model:
+    return Model.from_file(MODELS / RIGS[rig].file)
+
+
+def excitation(rng: np.random.Generator, rig: Rig, time: np.ndarray) -> np.ndarray:
+    """Return a sum of six sines for each input, `T x nu`."""
+    out = np.zeros((len(time), len(rig.drive)))
+    for a, amplitude in enumerate(rig.drive):
+        for _ in range(6):
+            frequency, phase = rng.uniform(0.1, rig.fastest), rng.uniform(0, 2 * np.pi)
+            out[:, a] += rng.normal() * np.cos(2 * np.pi * frequency * time + phase)
+        out[:, a] *= amplitude / 3
+    return out
+
+
+def simulate(
+    model: Model,
+    rig: Rig,
+    machine: Machine | None,
+    truth: Sequence[Planted],
+    *,
+    seed: int,
+    duration: float,
+    sigma: float,
+    sampling: float = 0.002,
+    lugre: bool = False,
+) -> Recording:
+    """Return a recording of noisy joint positions and of the controls that were commanded."""
+    rng = np.random.default_rng(seed)
+    parts: list[object] = []
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        for p in truth:
+            assert machine is not None
+            if lugre and p.effect == "dry_friction":
+                _lugre(spec, p.site, p.x[0])
+                continue
+            effect = CATALOGUE[p.effect]
+            parts.extend(effect.parts(spec, Site(p.kind, p.site), np.array(p.x), machine))
+
+    compiled = model.compile([edit], timestep=sampling / FINER)
+    data = mujoco.MjData(compiled)
+    time = np.arange(0, duration, sampling)
+    goal = excitation(rng, rig, time)
+    if rig.middle:
+        goal += np.array(rig.middle)
+        data.qpos[: len(rig.middle)] = goal[0]
+    commanded, position = _run(model, compiled, data, rig, time, goal, parts, rng, sigma)
+    shown = _shown(model, time, position, parts) + sigma * rng.normal(size=position[::FINER].shape)
+    return Recording.from_arrays(
+        time,
+        name=f"recording {seed}",
+        qpos={n: shown[:, i] for i, n in enumerate(model.joints)},
+        ctrl={n: commanded[:, i] for i, n in enumerate(model.actuators)},
+    )
+
+
+def _run(model, compiled, data, rig, time, goal, parts, rng, sigma):
+    """Step the plant; filters act on the command at the plant's own step."""
+    steps, fine = len(time), compiled.opt.timestep
+    filters = [p for p in parts if isinstance(p, Filter)]
+    offsets = {p.channel: p.offset for p in parts if isinstance(p, Reading)}
+    laws = [p for p in parts if hasattr(p, "law")]
+    position = np.zeros((steps * FINER, compiled.nq))
+    commanded = np.zeros((steps, len(model.actuators)))
+    applied = None
+    if rig.gains is None:
+        commanded = goal
+        applied = _filtered(model, time, goal, filters, fine)
+    else:
+        kp, kd = (np.array(g) for g in rig.gains)
+        gear = compiled.actuator_gear[: len(model.actuators), 0]
+        past = _Causal(model, filters, time[1] - time[0])
+        zero = np.array([offsets.get(f"qpos.{n}", 0.0) for n in model.joints])
+    for k in range(steps):
+        if applied is None:
+            seen = data.qpos + zero + sigma * rng.normal(size=compiled.nq)
+            u = (kp * (goal[k] - seen) - kd * data.qvel) / gear
+            commanded[k] = u
+        for i in range(FINER):
+            position[k * FINER + i] = data.qpos
+            now = applied[k * FINER + i] if applied is not None else past(commanded, k, i)
+            data.ctrl[: len(now)] = now
+            data.qfrc_applied[:] = 0
+            for law in laws:
+                j = model.joints.index(law.joint)
+                data.qfrc_applied[j] += _law_value(law, model, data)
+            mujoco.mj_step(compiled, data)
+    return commanded, position
+
+
+class _View:
+    def __init__(self, model: Model, data: mujoco.MjData) -> None:
+        self.qpos = {n: data.qpos[i : i + 1] for i, n in enumerate(model.joints)}
+        self.qvel = {n: data.qvel[i : i + 1] for i, n in enumerate(model.joints)}
+
+
+def _law_value(law, model, data) -> float:
+    return float(law.law(_View(model, data))[0])
+
+
+def _filtered(model, time, goal, filters, fine) -> np.ndarray:
+    grid = np.arange(len(time) * FINER) * fine
+    out = np.zeros((len(grid), goal.shape[1]))
+    for a, name in enumerate(model.actuators):
+        channel = Channel(time, goal[:, a], hold="zero")
+        for f in filters:
+            if f.actuator == name:
+                channel = f.change(channel, fine)
+        out[:, a] = channel.at(grid + 1e-9)
+    return out
+
+
+class _Causal:
+    """Applies filters to a command that is only known up to now."""
+
+    def __init__(self, model: Model, filters: Sequence[Filter], sampling: float) -> None:
+        self.model, self.filters, self.sampling = model, filters, sampling
+        self.span = 200
+
+    def __call__(self, commanded: np.ndarray, k: int, i: int) -> np.ndarray:
+        now = commanded[k].copy()
+        first = max(k - self.span, 0)
+        for f in self.filters:
+            a = self.model.actuators.index(f.actuator)
+            time = np.arange(first, k + 2) * self.sampling
+            values = np.append(commanded[first : k + 1, a], commanded[k, a])
+            changed = f.change(Channel(time, values, hold="zero"), self.sampling / FINER)
+            now[a] = changed.at(np.array([(k + i / FINER) * self.sampling + 1e-9]))[0]
+        return now
+
+
+def _shown(model, time, position, parts) -> np.ndarray:
+    grid = np.arange(len(position)) * (time[1] - time[0]) / FINER
+    out = position[::FINER].copy()
+    for r in parts:
+        if isinstance(r, Reading):
+            i = model.joints.index(r.channel.removeprefix("qpos."))
+            late = np.interp(time - r.delay, grid, position[:, i])
+            out[:, i] = (1 + r.scale) * late + r.offset
+    return out
+
+
+def _lugre(spec: mujoco.MjSpec, joint: str, level: float) -> None:
+    """Friction as a bristle: the same Coulomb level, presliding instead of a step."""
+    motor = spec.add_actuator(
+        name=f"{joint}_lugre", trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint,
+        dyntype=mujoco.mjtDyn.mjDYN_DCMOTOR, gaintype=mujoco.mjtGain.mjGAIN_DCMOTOR,
+        biastype=mujoco.mjtBias.mjBIAS_DCMOTOR,
+    )  # fmt: skip
+    motor.ctrlspec, motor.actearly, motor.actdim = 16, True, 1
+    motor.gainprm[:2] = (1.0, 1e-6)
+    dynamics = np.zeros(10)
+    dynamics[5:7] = (level / 2e-4, 0.2 * np.sqrt(level / 2e-4) * 0.05)
+    motor.dynprm = dynamics
+    motor.biasprm[3:6] = (level, level, 0.05)
+
+
+def sized(
+    model: Model, machine: Machine, nominal: Recording, sigma: float, c: Candidate, target: float
+) -> np.ndarray | None:
+    """Return the magnitudes at which an effect moves the predictions by `target` sigma, or None."""
+    channels = {n: sigma for n in nominal.channels if n.startswith("qpos.")}
+    problem = pose(
+        model, machine, [nominal], channels, (), horizon=150, stride=3, engine=Engine(1)
+    )
+    prepared = prepare(problem)
+    base = problem.residual(nothing(problem), prepared.start)
+
+    def moved(x: np.ndarray) -> float:
+        r = problem.residual(Hypothesis((c,), (x,)), prepared.start)
+        d = project(prepared.linear.Q, r - base)
+        return float(np.sqrt((d**2).sum() / problem.dof))
+
+    x = c.point[: c.size].copy()
+    for _ in range(8):
+        size = moved(x)
+        if not np.isfinite(size) or size <= 0:
+            x = 2 * x
+            continue
+        factor = np.clip(target / size, 0.2, 5.0)
+        x = x * (np.sqrt(factor) if c.effect.threshold else factor)
+        if abs(factor - 1) < 0.05:
+            break
+    inside = (x >= c.low).all() and (x <= c.high).all()
+    return x if inside and abs(np.log(max(moved(x), 1e-9) / target)) < 0.3 else None
+
+
+def draw(
+    rng: np.random.Generator,
+    rig: str,
+    ids: Sequence[str],
+    count: int,
+    *,
+    low: float = 1.0,
+    high: float = 30.0,
+    duration: float = 20.0,
+    lugre: bool = False,
+) -> Case:
+    """Draw a case with `count` effects of the given ids, at sites where they apply."""
+    model, sigma = load(rig), 10 ** rng.uniform(np.log10(3e-4), -3)
+    setting = RIGS[rig]
+    seed = int(rng.integers(2**31))
+    nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
+    machine = survey(model.compile(), [nominal])
+    found: list[Planted] = []
+    pool = candidates([CATALOGUE[i] for i in ids], machine)
+    while len(found) < count:
+        effect = ids[int(rng.integers(len(ids)))]
+        options = [c for c in pool if c.effect.id == effect]
+        if not options or any(p.effect == effect for p in found):
+            if not options:
+                ids = [i for i in ids if i != effect]
+            continue
+        c = options[int(rng.integers(len(options)))]
+        target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        x = sized(model, machine, nominal, sigma, c, target)
+        if x is not None:
+            found.append(Planted(effect, c.site.kind, c.site.name, tuple(c.full(x)), target))
+    train, holdout = (
+        simulate(
+            model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre
+        )
+        for k, d in ((1, duration), (2, 8.0))
+    )
+    return Case(rig, tuple(found), (train,), (holdout,), sigma)
