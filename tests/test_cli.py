@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -246,11 +245,11 @@ def test_record_makes_recordings_and_a_study_on_them(folder: Path, say: Say) -> 
 
 
 QUICK = """
-import sys
+import sys, time
 from bo_sysid.cli import main
 code = main(sys.argv[1:])
 heavy = {"torch", "botorch", "gpytorch", "dm_control", "matplotlib", "numpy"} & set(sys.modules)
-print(code, *sorted(heavy), file=sys.stderr)
+print(time.process_time(), code, *sorted(heavy), file=sys.stderr)
 """
 
 
@@ -260,20 +259,16 @@ print(code, *sorted(heavy), file=sys.stderr)
         (["--help"], 0, set(), 0.3),
         (["identify", "--help"], 0, set(), 0.3),
         (["identify", "arm.yaml", "--set", "search.budgett=3"], 2, set(), 1.0),
-        (["identify", "arm.yaml", "--set", "recordings.train=nothing.csv"], 2, {"numpy"}, 2.0),
-        (["check", "arm.yaml"], 0, {"numpy"}, 2.0),
-        (["schema"], 0, {"numpy"}, 2.0),
+        (["identify", "arm.yaml", "--set", "recordings.train=nothing.csv"], 2, {"numpy"}, 1.5),
+        (["check", "arm.yaml"], 0, {"numpy"}, 1.5),
+        (["schema"], 0, {"numpy"}, 1.5),
     ],
 )
 def test_answers_at_once_without_torch(
     folder: Path, arguments: list[str], code: int, loaded: set[str], within: float
 ) -> None:
     command = [sys.executable, "-c", QUICK, *arguments]
-    for _ in range(3):  # other processes may take the cores for a moment
-        began = time.perf_counter()
-        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
-        taken = time.perf_counter() - began
-        if taken < within:
-            break
-    assert done.stderr.splitlines()[-1].split() == [str(code), *sorted(loaded)]
-    assert taken < within
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    taken, *said = done.stderr.splitlines()[-1].split()
+    assert said == [str(code), *sorted(loaded)]
+    assert float(taken) < within  # of the processor, which others may keep busy

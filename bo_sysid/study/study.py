@@ -302,4 +302,4 @@ def _near(path: Path) -> str:
     folder = next((p for p in path.parents if p.is_dir()), Path())
     files = [p.name for p in folder.iterdir()] if folder == path.parent else []
     missing = path.relative_to(folder).parts[0]
-    return f"{folder} holds: {nearest(missing, files)}" if files else f"no {missing} in {folder}"
+    return f"in {folder}: {nearest(missing, files)}" if files else f"no {missing} in {folder}"
