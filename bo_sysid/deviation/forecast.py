@@ -11,6 +11,12 @@ from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.simulation import Windows
 
 
+def prediction_error(deviation: Deviation, point: Float[np.ndarray, " d"]) -> pd.DataFrame:
+    """Return the residual of predictions from the measured starts, one row a channel."""
+    residual, good = _residual(deviation, point, deviation.windows)
+    return _table(deviation.windows, residual[good], good)
+
+
 def fit_error(deviation: Deviation, point: Float[np.ndarray, " d"]) -> pd.DataFrame:
     """Return the residual with starts fitted inside the windows, one row a channel.
 

@@ -1,0 +1,179 @@
+"""Identification: the inner loop, from a study to the parameters that fit and their belief."""
+
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.arrays import Point, Probabilities
+from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
+from bo_sysid.belief.stopping import StopRule
+from bo_sysid.deviation import Evaluation
+from bo_sysid.execution import Progress, Report, silent, threads
+from bo_sysid.identify.errors import compared, traces
+from bo_sysid.identify.journal import Journal
+from bo_sysid.identify.problem import Problem, described, make_problem
+from bo_sysid.identify.refine import zoomed
+from bo_sysid.identify.result import Identification
+from bo_sysid.identify.search import History, Outcome, Rules, search
+from bo_sysid.mjcf import parameter_edits
+from bo_sysid.parameters import CandidateSet
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_holdout
+
+
+def identify(
+    study: Study,
+    run: Run | None = None,
+    *,
+    progress: Report = silent,
+    strict: bool = False,
+) -> Identification:
+    """Find the candidate that predicts the recordings best, and how sure one can be.
+
+    Ask, simulate, tell: a Gaussian process over log Δ gives the probability P of each candidate to
+    be the arg-min, the acquisition picks the next one to simulate, until a stop rule holds. The
+    hold-out is read once, after the answer is written.
+
+    Args:
+        study: what is asked.
+        run: folder that keeps every evaluation and the results; an interrupted run of the same
+            study is gone on with.
+        progress: told after every evaluation.
+        strict: refuse messy recordings.
+
+    Raises:
+        UserError: the study, its model or its recordings are wrong.
+    """
+    problem = make_problem(study, threads=threads(), strict=strict)
+    journal = Journal(run, problem.fingerprint)
+    candidates, outcome = _searched(problem, journal, progress)
+    best = candidates.points[outcome.history.rows[outcome.history.evaluation.deviation.argmin()]]
+    bootstrap = _bootstrap(problem, candidates, outcome)
+    parameters = _parameters(problem, candidates, best, bootstrap)
+    if run is not None:
+        _write_answer(run, problem, best, candidates, outcome.belief.probabilities, bootstrap)
+    holdout = load_holdout(study, strict=strict)  # read once, after the answer is written
+    errors = compared(problem, best, {"train": problem.recordings, "holdout": holdout})
+    shown = traces(problem, best, holdout)
+    result = Identification(
+        name=study.name,
+        best=best,
+        parameters=parameters,
+        candidates=candidates,
+        probabilities=outcome.belief.probabilities,
+        bootstrap=bootstrap,
+        evaluations=journal.frame.drop(columns="contributions"),
+        errors=errors,
+        traces=shown,
+        reason=outcome.reason.sentence,
+        notes=_notes(problem),
+    )
+    if run is not None:
+        run.write_frame("traces.parquet", shown)
+        run.write_json("identification.json", result.summary())
+    return result
+
+
+def _write_answer(
+    run: Run,
+    problem: Problem,
+    best: Point,
+    candidates: CandidateSet,
+    probabilities: Probabilities,
+    bootstrap: Probabilities,
+) -> None:
+    edits = parameter_edits(problem.model, problem.parameters, best)
+    problem.model.export(run.path("model_identified.xml"), edits)
+    belief = candidates.frame().assign(P=probabilities, P_boot=bootstrap)
+    run.write_frame("belief.parquet", belief)
+
+
+def _searched(problem: Problem, journal: Journal, progress: Report) -> tuple[CandidateSet, Outcome]:
+    """Search B and, where the study says so, finer sets around the mass of P."""
+    settings = problem.study.search
+    candidates, spent = problem.candidates, 0
+    history = journal.history(0, len(problem.deviation.blocks.weight))
+    for level in count():
+        rules = Rules(
+            settings.acquisition,
+            StopRule(settings.budget - spent, settings.stop.entropy, settings.stop.last),
+            settings.seed + level,
+        )
+        tell = _Teller(journal, progress, level, candidates, spent, settings.budget)
+        evaluate = partial(_evaluate, problem, candidates)
+        outcome = search(candidates, evaluate, rules, history, tell)
+        finer = None
+        if settings.refine:
+            mass = outcome.belief.probabilities
+            finer = zoomed(candidates, outcome.history, mass, settings.seed + level)
+        if finer is None or spent + len(outcome.history) >= settings.budget:
+            break
+        spent += len(outcome.history) - len(finer[1])
+        candidates, known = finer
+        stored = journal.history(level + 1, len(problem.deviation.blocks.weight))
+        history = stored if len(stored) else known
+    return candidates, outcome
+
+
+def _evaluate(problem: Problem, candidates: CandidateSet, row: int) -> Evaluation:
+    return problem.deviation(candidates.points[[row]])
+
+
+@dataclass(frozen=True)
+class _Teller:
+    """Keeps and reports the history of one level of the search."""
+
+    journal: Journal
+    progress: Report
+    level: int
+    candidates: CandidateSet
+    spent: int
+    budget: int
+
+    def __call__(self, history: History) -> None:
+        self.journal.write(self.level, self.candidates, history)
+        lowest = history.evaluation.deviation.min()
+        done = self.spent + len(history)
+        self.progress(Progress(done, self.budget, f"lowest deviation {lowest:.4g}"))
+
+
+def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> Probabilities:
+    blocks, history = problem.deviation.blocks, outcome.history
+    return bootstrap_argmin(
+        outcome.surrogate,
+        candidates.points,
+        history.rows,
+        history.evaluation.contributions,
+        blocks.weight,
+        groups=blocks.session,
+        seed=problem.study.search.seed,
+    ).probabilities
+
+
+def _parameters(
+    problem: Problem, candidates: CandidateSet, best: Point, bootstrap: Probabilities
+) -> pd.DataFrame:
+    """Return one row a parameter: its value, its interval and whether it lies on a bound."""
+    low95, high95 = credible_interval(candidates.points, bootstrap, 0.95)
+    bounds = problem.candidates.bounds
+    frame = described(problem.model, problem.parameters)
+    return frame[["name", "unit", "addresses", "apply", "nominal"]].assign(
+        value=best,
+        low95=low95,
+        high95=high95,
+        at_bound=np.isclose(best, bounds[0]) | np.isclose(best, bounds[1]),
+    )
+
+
+def _notes(problem: Problem) -> tuple[str, ...]:
+    notes = [n for r in problem.recordings for n in r.notes] + list(problem.deviation.windows.notes)
+    whitening = problem.deviation.whitening.frame()
+    notes += [
+        f"{r.channel} is compared in units of {r.scale:.4g} ({r.source})"
+        for r in whitening.itertuples()
+    ]
+    return tuple(dict.fromkeys(notes))

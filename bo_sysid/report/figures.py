@@ -1,0 +1,119 @@
+"""Figures of a run, as Matplotlib objects; they show what was stored and compute nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, which colour-blind people can tell apart
+RECORDED, NOMINAL, IDENTIFIED, SECOND = "#000000", "#D55E00", "#0072B2", "#E69F00"
+_WIDTH = 7.2  # inches
+_CHANNELS = 6
+_SHOWN = 3_000
+
+
+def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
+    """Return the marginals of P and P_boot, one panel a parameter.
+
+    Args:
+        belief: one row a candidate: the parameters, P and P_boot.
+        parameters: name, unit, nominal, value, low95 and high95 of each parameter.
+    """
+    count = len(parameters)
+    figure = Figure(figsize=(_WIDTH, 2.3 * count), layout="constrained")
+    axes = figure.subplots(count, 1, squeeze=False)[:, 0]
+    for axis, row in zip(axes, parameters.itertuples(), strict=True):
+        edges = _edges(belief[row.name].to_numpy())
+        middle, width = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+        for column, colour, label in (
+            ("P_boot", SECOND, "P_boot: what the recordings say about the machine"),
+            ("P", IDENTIFIED, "P: where the minimum lies on these recordings"),
+        ):
+            mass = np.histogram(belief[row.name], edges, weights=belief[column])[0]
+            height = 0.9 * width if column == "P_boot" else 0.5 * width
+            axis.bar(middle, mass, width=height, color=colour, alpha=0.85, label=label)
+        axis.axvspan(row.low95, row.high95, color=SECOND, alpha=0.15, label="95 % interval")
+        axis.axvline(row.value, color=IDENTIFIED, label="identified")
+        if edges[0] <= row.nominal <= edges[-1]:
+            axis.axvline(row.nominal, color=NOMINAL, linestyle="--", label="nominal")
+        axis.set_xlabel(_label(str(row.name), str(row.unit)))
+        axis.set_ylabel("probability")
+    axes[0].legend(fontsize="x-small", loc="upper right")
+    return figure
+
+
+def progress(evaluations: pd.DataFrame) -> Figure:
+    """Return deviation and entropy of P over the evaluations."""
+    figure = Figure(figsize=(_WIDTH, 4.2), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    number = np.arange(1, len(evaluations) + 1)
+    deviation = evaluations["deviation"].to_numpy()
+    top.semilogy(number, deviation, "o", color=SECOND, markersize=3, label="evaluated")
+    lowest = np.minimum.accumulate(deviation)
+    top.step(number, lowest, where="post", color=IDENTIFIED, label="lowest so far")
+    top.set_ylabel("deviation [scaled]")
+    top.legend(fontsize="small")
+    bottom.plot(number, evaluations["entropy"], ".-", color=IDENTIFIED)
+    bottom.set_ylabel("entropy of P [nats]")
+    bottom.set_xlabel("evaluation")
+    return figure
+
+
+def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Figure:
+    """Return recorded, nominal and identified over time, and the residuals below.
+
+    Args:
+        traces: time, window, channel, recorded, nominal, identified.
+        title: of the figure.
+    """
+    names = list(dict.fromkeys(traces["channel"]))[:_CHANNELS]
+    figure = Figure(figsize=(_WIDTH, 2.8 * len(names)), layout="constrained")
+    axes = figure.subplots(2 * len(names), 1, squeeze=False, sharex=True)[:, 0]
+    for k, name in enumerate(names):
+        part = traces[traces["channel"] == name].sort_values("time").iloc[:_SHOWN]
+        part = _broken(part)
+        axis, below = axes[2 * k], axes[2 * k + 1]
+        time = part["time"]
+        axis.plot(time, part["recorded"], color=RECORDED, linewidth=1.6, label="recorded")
+        for column, colour in (("nominal", NOMINAL), ("identified", IDENTIFIED)):
+            axis.plot(time, part[column], color=colour, linewidth=0.9, label=column)
+            below.plot(time, part["recorded"] - part[column], color=colour, linewidth=0.9)
+        axis.set_ylabel(name)
+        below.set_ylabel("residual")
+        below.axhline(0, color=RECORDED, linewidth=0.5)
+    axes[0].set_title(title)
+    axes[0].legend(fontsize="small", ncols=3, loc="upper right")
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure; the ending says as what (png, pdf, svg)."""
+    figure.savefig(path, dpi=140)
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _edges(values: np.ndarray, most: int = 41) -> np.ndarray:
+    """Return bin edges: between the levels of a grid, or even where there are many values."""
+    levels = np.unique(values)
+    if 2 <= len(levels) <= most:
+        between = (levels[:-1] + levels[1:]) / 2
+        ends = levels[0] - (between[0] - levels[0]), levels[-1] + (levels[-1] - between[-1])
+        return np.concatenate([[ends[0]], between, [ends[1]]])
+    return np.linspace(levels[0], levels[-1] + 1e-12, 31)
+
+
+def _broken(part: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows with a gap after each window, so that lines do not join two starts."""
+    if part["window"].nunique() == len(part):
+        return part
+    ends = (
+        part.groupby("window", sort=False)
+        .tail(1)
+        .assign(recorded=np.nan, nominal=np.nan, identified=np.nan)
+    )
+    return pd.concat([part, ends]).sort_values(["window", "time"], kind="stable")
