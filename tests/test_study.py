@@ -14,7 +14,11 @@ from bo_sysid.study.base import Section
 from bo_sysid.study.inputs import load_function, load_holdout, load_model, load_train
 from bo_sysid.study.sections import Clock, Column
 
-STUDIES = sorted((Path(__file__).parents[1] / "studies").rglob("*.yaml"))
+STUDIES = [
+    path
+    for path in sorted((Path(__file__).parents[1] / "studies").rglob("*.yaml"))
+    if "concealed" not in path.parts  # suites and their machines, which are no studies
+]
 ARM = """
 <mujoco>
   <worldbody>
