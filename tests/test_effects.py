@@ -1,7 +1,6 @@
-"""Every effect of the catalogue inherits these tests; then single effects against their physics."""
+"""Effects against their formulas at one instant; the registry."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,15 +13,14 @@ from bo_sysid.effects import (
     Force,
     Machine,
     Site,
-    applicable,
     chosen,
     load_effects,
     survey,
-    unit_at,
 )
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation.lockstep import LawInputs
 
 ARM = """<mujoco><compiler angle="degree"/><option timestep="0.002"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 1 0" springref="10" stiffness=".5" damping=".1"/>
@@ -61,76 +59,11 @@ def compiled(
     return model, parts[0]
 
 
-def acceleration(model: mujoco.MjModel) -> np.ndarray:
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:], data.ctrl[:] = QPOS, QVEL, CTRL
-    mujoco.mj_forward(model, data)
-    return data.qacc.copy()
-
-
 def force(model: mujoco.MjModel) -> np.ndarray:
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:], data.ctrl[:] = QPOS, QVEL, CTRL
     mujoco.mj_forward(model, data)
     return data.qfrc_passive + data.qfrc_actuator + data.qfrc_constraint
-
-
-def points(effect: Effect, site: Site, machine: Machine) -> list[np.ndarray]:
-    extent = effect.extent(site, machine)
-    return [np.array(p) for p in (extent.grid or (extent.probe,))]
-
-
-@pytest.mark.parametrize("effect", CATALOGUE.values(), ids=lambda e: e.id)
-class TestConformance:
-    def test_magnitude_zero_changes_nothing(self, effect, arm, machine) -> None:
-        nominal = acceleration(arm.compile())
-        for site in applicable(effect, machine):
-            for x in points(effect, site, machine):
-                zero = np.where(np.arange(len(x)) < effect.linear, 0.0, x)
-                model, parts = compiled(arm, machine, effect, site, zero)
-                assert parts == ()
-                np.testing.assert_array_equal(acceleration(model), nominal)
-
-    def test_a_probe_changes_something_and_keeps_the_coordinates(
-        self, effect, arm, machine
-    ) -> None:
-        nominal = arm.compile()
-        for site in applicable(effect, machine):
-            model, parts = compiled(arm, machine, effect, site, points(effect, site, machine)[-1])
-            assert (model.nq, model.nv, model.nu) == (nominal.nq, nominal.nv, nominal.nu)
-            edited = arm.compile([lambda s: None]), model
-            assert parts or _differ(*edited)
-
-    def test_applying_twice_gives_the_same(self, effect, arm, machine) -> None:
-        for site in applicable(effect, machine):
-            x = points(effect, site, machine)[0]
-            one, two = (acceleration(compiled(arm, machine, effect, site, x)[0]) for _ in "ab")
-            np.testing.assert_array_equal(one, two)
-
-    def test_bounds_and_words(self, effect, machine) -> None:
-        assert "{value}" in effect.sentence
-        assert effect.kind == "world" or "{site}" in effect.sentence
-        assert effect.evidence
-        assert effect.separation
-        assert effect.noun
-        assert 0 <= effect.shapes < len(effect.components)
-        assert effect.nested is None or effect.nested in CATALOGUE
-        for site in applicable(effect, machine):
-            extent = effect.extent(site, machine)
-            assert len(extent.probe) == len(effect.components)
-            for x in points(effect, site, machine):
-                assert (x >= extent.low).all() and (x <= extent.high).all(), (site, x)
-            assert unit_at(effect.unit, site, machine)
-
-    def test_it_applies_somewhere_on_a_usual_machine(self, effect, machine) -> None:
-        assert applicable(effect, machine)
-
-
-def _differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
-    buffers = [np.zeros(mujoco.mj_sizeModel(m), np.uint8) for m in (one, two)]
-    for model, buffer in zip((one, two), buffers, strict=True):
-        mujoco.mj_saveModel(model, None, buffer)
-    return len(buffers[0]) != len(buffers[1]) or bool((buffers[0] != buffers[1]).any())
 
 
 def at(arm, machine, id: str, kind: str, site: str, x) -> tuple[mujoco.MjModel, tuple]:
@@ -196,7 +129,8 @@ def test_stribeck_friction_falls_from_static_to_coulomb(arm, machine) -> None:
     assert model.joint("elbow").frictionloss[0] == pytest.approx(0.3)
 
     speed = np.array([-10.0, 0.0, 0.05, 10.0])
-    felt = law.law(SimpleNamespace(qvel={"elbow": speed})) - 0.3 * np.sign(speed)
+    motion = LawInputs(speed, {}, {"elbow": speed}, {}, {}, 0.002)
+    felt = law.law(motion) - 0.3 * np.sign(speed)
     np.testing.assert_allclose(felt, [0.1, 0.0, -(0.1 + 0.2 * np.exp(-1)), -0.1])
 
 

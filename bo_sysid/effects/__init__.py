@@ -2,9 +2,12 @@
 
 from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
     actuation,
+    contact,
     environment,
     friction,
     inertia,
+    learned,
+    numerics,
     sensing,
     transmission,
 )
@@ -14,6 +17,7 @@ from bo_sysid.effects.contract import (
     Extent,
     Filter,
     Force,
+    Hidden,
     Motion,
     Part,
     Reading,
@@ -30,6 +34,7 @@ __all__ = [
     "Extent",
     "Filter",
     "Force",
+    "Hidden",
     "Machine",
     "Motion",
     "Part",

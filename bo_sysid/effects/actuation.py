@@ -1,17 +1,31 @@
 """Actuators that are weaker, slower or later than the model's, and servos tuned otherwise."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
-from scipy.signal import lfilter
 
-from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Site
-from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.effects.actuators import with_own_bias
+from bo_sysid.effects.contract import (
+    Component,
+    Extent,
+    Filter,
+    Force,
+    Magnitudes,
+    Motion,
+    Part,
+    Signal,
+    Site,
+)
+from bo_sysid.effects.filters import cut_out, delayed, lagged, limited
+from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.recording import Channel
 
 _LAGS = (0.004, 0.03)
 _DELAYS = (0.004, 0.02)
-_FASTEST = 1e-5  # [s] a lag below acts as none
+_RAMPS = (0.004, 0.015, 0.06)  # [s] that the largest change of a control may take
+_SAG = 0.005  # of a supply's voltage: less is no sag
+_INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
 
 
 def _at(site: Site, machine: Machine) -> ActuatorScale:
@@ -24,8 +38,13 @@ def _moves(site: Site, machine: Machine) -> bool:
     return a.joint in machine.joints and a.ctrl_max > 0
 
 
+def _plain(site: Site, machine: Machine) -> bool:
+    """Whether it moves its joint by a force affine in control, length and velocity."""
+    return _moves(site, machine) and _at(site, machine).plain
+
+
 def _gain_extent(site: Site, machine: Machine) -> Extent | None:
-    return Extent((0.02,), (-0.95,), (3.0,)) if _moves(site, machine) else None
+    return Extent((0.02,), (-0.95,), (3.0,)) if _plain(site, machine) else None
 
 
 @effect(
@@ -35,13 +54,14 @@ def _gain_extent(site: Site, machine: Machine) -> Extent | None:
     extent=_gain_extent,
     noun="the torque per command",
     sentence="The torque of {site} per command differs from the model's by {value}.",
+    form="gain and bias",
     evidence="one common scale of everything that the actuator does",
     separation="a known load or gravity torque",
     grouped=True,
 )
 def actuator_gain(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Scale the actuator's force; of a position servo gain and bias together."""
-    a = spec.actuator(site.name)
+    a = with_own_bias(spec, site.name, machine)
     a.gainprm[0] = a.gainprm[0] * (1.0 + x[0])
     a.biasprm[:3] = np.asarray(a.biasprm[:3]) * (1.0 + x[0])
 
@@ -52,7 +72,7 @@ def _kp(site: Site, machine: Machine) -> float:
 
 def _kp_extent(site: Site, machine: Machine) -> Extent | None:
     a = _at(site, machine)
-    if not (a.servo and _moves(site, machine)):
+    if not (a.servo and _plain(site, machine)):
         return None
     return Extent((0.02 * a.gain,), (-0.9 * a.gain,), (3 * a.gain,))
 
@@ -65,12 +85,13 @@ def _kp_extent(site: Site, machine: Machine) -> Extent | None:
     nominal=_kp,
     noun="proportional gain",
     sentence="The proportional gain of the servo {site} differs from the model's by {value}.",
+    form="gain and bias",
     evidence="a force in proportion to the servo's position error",
     separation="goals at rest under load",
 )
 def servo_kp(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Change the gain and the position bias of a servo together."""
-    a = spec.actuator(site.name)
+    a = with_own_bias(spec, site.name, machine)
     a.gainprm[0] = a.gainprm[0] + x[0]
     a.biasprm[1] = a.biasprm[1] - x[0]
 
@@ -81,7 +102,7 @@ def _kd(site: Site, machine: Machine) -> float:
 
 def _kd_extent(site: Site, machine: Machine) -> Extent | None:
     a = _at(site, machine)
-    if not (a.servo and _moves(site, machine)):
+    if not (a.servo and _plain(site, machine)):
         return None
     speed = machine.joints[a.joint or ""].speed
     scale = max(-a.bias[2], 0.05 * a.force_std / speed)
@@ -96,12 +117,13 @@ def _kd_extent(site: Site, machine: Machine) -> Extent | None:
     nominal=_kd,
     noun="derivative gain",
     sentence="The derivative gain of the servo {site} differs from the model's by {value}.",
+    form="bias",
     evidence="a force in proportion to velocity while the servo is powered",
     separation="an unpowered run, or another derivative gain",
 )
 def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Change the velocity bias of a servo."""
-    a = spec.actuator(site.name)
+    a = with_own_bias(spec, site.name, machine)
     a.biasprm[2] = a.biasprm[2] - x[0]
 
 
@@ -111,6 +133,20 @@ def _lag_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((_LAGS[0],), (0.0,), (0.5,), tuple((p,) for p in _LAGS))
 
 
+def _lag_filter(site: Site, x: Magnitudes) -> Filter:
+    return Filter(site.name, lambda channel, dt: lagged(channel, float(x[0]), dt))
+
+
+def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
+    """Write the lag as the actuator's activation, where it has none."""
+    a = spec.actuator(site.name)
+    if a.dyntype != mujoco.mjtDyn.mjDYN_NONE:
+        return _lag_filter(site, x)
+    a.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    a.dynprm[0] = float(x[0])
+    return None
+
+
 @effect(
     "actuator_lag",
     kind="actuator",
@@ -118,35 +154,28 @@ def _lag_extent(site: Site, machine: Machine) -> Extent | None:
     extent=_lag_extent,
     noun="a lag",
     sentence="{site} follows its command with a time constant of {value}.",
+    form="filter; filterexact in a file",
     evidence="roll-off of fast commands",
     separation="commands over two decades of frequency",
+    written=_write_lag,
 )
 def actuator_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """First-order lag of the command with time constant x[0]."""
-    return Filter(site.name, lambda channel, dt: _lagged(channel, float(x[0]), dt))
-
-
-def _lagged(channel: Channel, lag: float, dt: float) -> Channel:
-    """Return the lagged channel on a grid of the time step, each value the mean over its step.
-
-    For an input held at u during a step of length h the state f' = (u - f)/τ has the mean
-    u + (f₀ - u)·(τ/h)·(1 - exp(-h/τ)).
-    """
-    if lag <= _FASTEST:
-        return channel
-    time = np.arange(channel.time[0], channel.time[-1] + 0.5 * dt, dt)
-    u = channel.at(time + 1e-6 * dt)
-    gain = -np.expm1(-dt / lag)
-    end = lfilter([gain], [1.0, gain - 1.0], u, zi=(1.0 - gain) * u[:1])[0]
-    begin = np.concatenate([u[:1], end[:-1]])
-    mean = u + (begin - u) * (lag / dt) * gain
-    return Channel(time, mean, channel.unit, channel.source, channel.hold)
+    return _lag_filter(site, x)
 
 
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:
     if not _moves(site, machine):
         return None
     return Extent((_DELAYS[0],), (0.0,), (0.1,), tuple((p,) for p in _DELAYS))
+
+
+def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Write the delay as the actuator's own, interpolated between steps."""
+    a = spec.actuator(site.name)
+    a.delay = a.delay + float(x[0])
+    a.nsample = int(np.ceil(a.delay / spec.option.timestep)) + 1
+    a.interp = _INTERPOLATED
 
 
 @effect(
@@ -156,16 +185,14 @@ def _delay_extent(site: Site, machine: Machine) -> Extent | None:
     extent=_delay_extent,
     noun="a delay",
     sentence="{site} acts on its command {value} later than the model says.",
+    form="filter; delay in a file",
     evidence="a shift in time that is the same at every frequency",
     separation="commands over two decades of frequency; a sensor with another clock",
+    written=_write_delay,
 )
 def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The command arrives x[0] later."""
-    late = max(float(x[0]), 0.0)
-    return Filter(
-        site.name,
-        lambda c, dt: Channel(c.time + late, c.values, c.unit, c.source, c.hold),
-    )
+    return Filter(site.name, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
 
 
 def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
@@ -182,17 +209,13 @@ def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
     extent=_deadzone_extent,
     noun="a dead zone",
     sentence="{site} does not act on commands below {value}.",
+    form="filter",
     evidence="small commands do nothing, large ones lack a constant",
     separation="reversals while moving; an unpowered run",
 )
 def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """Commands within ±x[0] do nothing; beyond, x[0] is lost."""
-    half = float(x[0])
-    return Filter(site.name, lambda c, dt: _valued(c, c.values - np.clip(c.values, -half, half)))
-
-
-def _valued(channel: Channel, values: np.ndarray) -> Channel:
-    return Channel(channel.time, values, channel.unit, channel.source, channel.hold)
+    return Filter(site.name, lambda channel, dt: cut_out(channel, float(x[0])))
 
 
 def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
@@ -214,6 +237,7 @@ def _saturation_level(x: Magnitudes, machine: Machine, site: Site) -> dict[str, 
     extent=_saturation_extent,
     noun="a torque limit",
     sentence="{site} saturates: it lacks {value} of the largest torque commanded.",
+    form="forcerange",
     evidence="large commands do no more than smaller ones",
     separation="steps of several sizes",
     threshold=True,
@@ -225,3 +249,131 @@ def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine:
     most = max(scale.force_max - float(x[0]), 1e-9) / abs(scale.gear)
     a.forcerange = [-most, most]
     a.forcelimited = True
+
+
+def _fastest(site: Site, machine: Machine) -> float:
+    """Return the rate at which the largest recorded change of the control takes one step."""
+    return _at(site, machine).jumps[0] / float(machine.model.opt.timestep)
+
+
+def _rate_extent(site: Site, machine: Machine) -> Extent | None:
+    jumps = _at(site, machine).jumps
+    if not (_moves(site, machine) and jumps):
+        return None
+    most = _fastest(site, machine)
+    rates = {j / machine.sampling for j in jumps[1:]} | {jumps[0] / t for t in _RAMPS}
+    lost = sorted(most - r for r in rates if r < 0.98 * most)
+    if not lost:
+        return None
+    return Extent((lost[0],), (0.0,), (most * (1 - 1e-6),), tuple((x,) for x in lost))
+
+
+def _rate(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
+    return {"largest rate": (_fastest(site, machine) - float(x[0]), "control units/s")}
+
+
+@effect(
+    "command_rate",
+    kind="actuator",
+    components=(Component("rate lost", "control units/s"),),
+    extent=_rate_extent,
+    noun="a limit of the command's rate",
+    sentence="{site} follows its command too slowly: it lacks {value} of the largest rate.",
+    form="filter",
+    evidence="large changes of the command arrive as ramps, small ones at once",
+    separation="steps of several sizes",
+    details=_rate,
+)
+def command_rate(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """The command changes no faster than the largest recorded rate less x[0]."""
+    rate = max(_fastest(site, machine) - float(x[0]), 1e-9)
+    return Filter(site.name, lambda channel, dt: limited(channel, rate, dt))
+
+
+def _back_emf(site: Site, machine: Machine) -> float:
+    a = _at(site, machine)
+    return -a.bias[2] * a.gear**2
+
+
+def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
+    a = _at(site, machine)
+    if a.servo or not _plain(site, machine):
+        return None
+    scale = a.force_std / machine.joints[a.joint or ""].speed
+    nominal = _back_emf(site, machine)
+    return Extent((0.05 * scale,), (min(-nominal, 0.0) - 1e-12,), (10 * scale,))
+
+
+@effect(
+    "back_emf",
+    kind="actuator",
+    components=(Component("coefficient", "N m s/rad"),),
+    extent=_back_emf_extent,
+    nominal=_back_emf,
+    noun="back-EMF",
+    sentence="{site} loses torque with speed, by {value}, which the model lacks.",
+    form="bias",
+    evidence="a force in proportion to velocity while the motor is powered",
+    separation="an unpowered run",
+)
+def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Torque -x[0]·v at the joint, inside the actuator's limits."""
+    a = with_own_bias(spec, site.name, machine)
+    a.biasprm[2] = a.biasprm[2] - float(x[0]) / _at(site, machine).gear ** 2
+
+
+def _supply(site: Site, machine: Machine) -> str | None:
+    """Return the recorded supply voltage of an actuator: its own where there is one."""
+    volts = [n for n, c in machine.scales.items() if n.startswith("aux.") and _sags(c)]
+    own = [n for n in volts if site.name in n]
+    return next(iter(own or volts), None)
+
+
+def _sags(channel: ChannelScale) -> bool:
+    named = channel.unit == "V" or "volt" in channel.name.lower()
+    return named and channel.high > 0 and channel.high - channel.low > _SAG * channel.high
+
+
+def _sag_extent(site: Site, machine: Machine) -> Extent | None:
+    supply = _supply(site, machine)
+    if supply is None or not _plain(site, machine):
+        return None
+    sag = machine.scales[supply].high - machine.scales[supply].low
+    return Extent((0.2 * sag,), (0.0,), (4 * sag,))
+
+
+def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motion], Signal]:
+    a, supply = _at(site, machine), _supply(site, machine) or ""
+    c, joint = machine.scales[supply], a.joint or ""
+
+    def law(m: Motion) -> Signal:
+        sagged = (c.high - m.signals[supply]) / (c.high - c.low)
+        force = a.force(m.ctrl[site.name], m.qpos[joint], m.qvel[joint])
+        return np.asarray(-(x[0] / c.high) * sagged * force)
+
+    return law
+
+
+def _sag_share(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
+    c = machine.scales[_supply(site, machine) or ""]
+    return {"share of the recorded sag": (float(x[0]) / (c.high - c.low), "relative")}
+
+
+@effect(
+    "voltage_sag",
+    kind="actuator",
+    components=(Component("sag", "V"),),
+    extent=_sag_extent,
+    noun="a sagging supply",
+    sentence="{site} loses {value} of its supply at the lowest recorded voltage.",
+    form="force law with an auxiliary channel",
+    evidence="less torque per command while the supply is low",
+    separation="the same motion with a full and an empty battery",
+    details=_sag_share,
+)
+def voltage_sag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """The torque falls with the recorded supply V(t), by the share x[0]/Vmax where V is lowest.
+
+    With x[0] = Vmax - Vmin it is in proportion to V(t).
+    """
+    return Force(_at(site, machine).joint or "", _lost_torque(x, site, machine))

@@ -3,13 +3,13 @@
 An effect is one function ``apply(spec, site, x, machine)`` that edits an `MjSpec` by the
 magnitudes `x` at a site. What MJCF cannot express it returns as parts: a force stepped with the
 simulation (`Force`), a filter over a whole recorded input (`Filter`), or another reading of a
-channel (`Reading`). Magnitude 0 changes nothing. Everything else (its signature in the
-predictions, its fit, its report) follows from the simulator.
+channel (`Reading`). A joint that it adds it names (`Hidden`). Magnitude 0 changes nothing.
+Everything else (its signature in the predictions, its fit, its report) follows from the simulator.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ from bo_sysid.effects.machine import Machine
 from bo_sysid.recording import Channel
 
 SiteKind = Literal["joint", "body", "geom", "actuator", "channel", "world"]
-Family = Literal["physics", "sensing", "numerics"]
+Family = Literal["physics", "sensing", "numerics", "learned"]
 Magnitudes: TypeAlias = Float[np.ndarray, " k"]
 Signal: TypeAlias = Float[np.ndarray, "..."]
 
@@ -35,6 +35,7 @@ class Site:
         return self.name
 
 
+@runtime_checkable
 class Motion(Protocol):
     """What a force law may look at, for many simulations at one instant.
 
@@ -104,7 +105,22 @@ class Reading:
     source: str | None = None
 
 
-Part: TypeAlias = Force | Filter | Reading
+@dataclass(frozen=True)
+class Hidden:
+    """A joint that an effect added: a coordinate beyond the recorded ones, 0 at the start.
+
+    Attributes:
+        joint: its name in the edited model.
+        of: the joint whose axis it shares.
+        shown: how much of it the encoder of `of` shows: 0 on the motor's side, 1 on the link's.
+    """
+
+    joint: str
+    of: str
+    shown: float = 0.0
+
+
+Part: TypeAlias = Force | Filter | Reading | Hidden
 Apply: TypeAlias = Callable[
     [mujoco.MjSpec, Site, Magnitudes, Machine], "Part | tuple[Part, ...] | None"
 ]
@@ -176,6 +192,10 @@ class Effect:
         force: for an effect that is nothing but a force on its joint, that force as a law; its
             signature is then taken from the law, without stepping an edited model.
         details: from magnitudes to derived quantities worth telling, with their units.
+        form: what it is in a model: MJCF attributes, or a force law, a filter, a reading.
+        hidden: whether it adds a joint, whose coordinate no recording shows.
+        written: edits the spec of a model file, where plain MJCF can say what `apply` does with
+            parts; like it, returns the parts that remain.
     """
 
     id: str
@@ -196,6 +216,9 @@ class Effect:
     nested: str | None = None
     force: Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]] | None = None
     details: Callable[[Magnitudes, Machine, Site], Mapping[str, tuple[float, str]]] | None = None
+    form: str = ""
+    hidden: bool = False
+    written: Apply | None = None
 
     @property
     def linear(self) -> int:
@@ -211,9 +234,20 @@ class Effect:
         self, spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
     ) -> tuple[Part, ...]:
         """Edit `spec` by the magnitudes `x` and return what MJCF cannot express."""
+        return self._made(self.apply, spec, site, x, machine)
+
+    def write(
+        self, spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+    ) -> tuple[Part, ...]:
+        """Edit the spec of a model file and return what a plain MJCF file cannot express."""
+        return self._made(self.written or self.apply, spec, site, x, machine)
+
+    def _made(
+        self, apply: Apply, spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+    ) -> tuple[Part, ...]:
         if not np.any(x[: self.linear]):
             return ()
-        made = self.apply(spec, site, x, machine)
+        made = apply(spec, site, x, machine)
         if made is None:
             return ()
         return made if isinstance(made, tuple) else (made,)
@@ -223,6 +257,7 @@ class Effect:
         return float(x[0] if self.vector == 1 else np.linalg.norm(x[: self.vector]))
 
 
+CHANNEL_UNIT = "channel's unit"
 _SLIDE = {
     "N m": "N",
     "N m s/rad": "N s/m",
@@ -238,5 +273,7 @@ _SLIDE = {
 
 def unit_at(unit: str, site: Site, machine: Machine) -> str:
     """Return a unit as it reads at a site: at a slide joint N m becomes N, rad becomes m."""
+    if unit == CHANNEL_UNIT:
+        return machine.scales[site.name].unit
     joint = machine.joint_of(site.kind, site.name)
     return unit if joint is None or joint.hinge else _SLIDE.get(unit, unit)

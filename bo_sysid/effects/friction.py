@@ -1,8 +1,11 @@
 """Friction and damping at joints."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
+from bo_sysid.effects.actuators import passive_motor
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -13,7 +16,7 @@ from bo_sysid.effects.contract import (
     Signal,
     Site,
 )
-from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.machine import JointScale, Machine
 from bo_sysid.effects.registry import effect
 
 # With MuJoCo's default solver settings dry friction creeps under load; with these the speed is
@@ -21,6 +24,9 @@ from bo_sysid.effects.registry import effect
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _FINER = (0.55, 0.75, 1.35, 1.8)
+_PRESLIDING = 1e-4  # [rad] or [m] by which bristles bend before they slip
+_RESOLVED = 0.1  # of the stiffest spring that a step can follow
+_REST = 1e-3  # of a joint's speed: below, it rests
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
 
 
@@ -45,6 +51,7 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     nominal=_frictionloss,
     noun="dry friction",
     sentence="{site} has dry friction of {value} that the model lacks.",
+    form="frictionloss",
     evidence="a step of force where the velocity changes sign",
     separation="reversals at different speeds",
     force=lambda site, x, machine: lambda m: -x[0] * np.sign(m.qvel[site.name]),
@@ -77,6 +84,7 @@ def _viscous_extent(site: Site, machine: Machine) -> Extent:
     nominal=_damping,
     noun="viscous damping",
     sentence="{site} has viscous damping of {value} that the model lacks.",
+    form="damping",
     evidence="a force in proportion to velocity",
     separation="a range of speeds of four to one",
     force=lambda site, x, machine: lambda m: -x[0] * m.qvel[site.name],
@@ -101,6 +109,7 @@ def _quadratic_extent(site: Site, machine: Machine) -> Extent:
     extent=_quadratic_extent,
     noun="quadratic damping",
     sentence="{site} has quadratic damping of {value} that the model lacks.",
+    form="damping, second term",
     evidence="a drag that grows with the square of velocity",
     separation="a range of speeds of four to one",
     force=lambda site, x, machine: lambda m: -x[0] * m.qvel[site.name] * np.abs(m.qvel[site.name]),
@@ -124,6 +133,27 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     )
 
 
+def _lugre(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """LuGre friction [1] with the same steady state, held by bristles of stiffness s0.
+
+    The bristles bend by less than the joint's speed covers in a step, and no stiffer than a step
+    can resolve; they are damped critically against the joint's inertia.
+
+    [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
+        friction", IEEE Transactions on Automatic Control 40(3), 1995.
+    """
+    excess, coulomb, speed = (float(v) for v in x)
+    joint, dt = machine.joints[site.name], spec.option.timestep
+    nominal = _frictionloss(site, machine)
+    low, high = nominal + coulomb, nominal + coulomb + excess
+    stiffness = min(high / _PRESLIDING, _RESOLVED * joint.inertia / dt**2)
+    motor = passive_motor(spec, site.name, "friction")
+    motor.dynprm[5:7] = (stiffness, 2.0 * np.sqrt(stiffness * joint.inertia))
+    motor.biasprm[3:6] = (low, high, speed)
+    motor.actdim = 1
+    spec.joint(site.name).frictionloss = 0.0
+
+
 @effect(
     "stribeck_friction",
     kind="joint",
@@ -134,6 +164,7 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     extent=_stribeck_extent,
     noun="Stribeck friction",
     sentence="{site} has friction that rises by {value} towards standstill.",
+    form="passive dcmotor with lugre",
     evidence="more friction at low speed than at high speed",
     separation="very slow reversals",
     nested="dry_friction",
@@ -142,6 +173,7 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
             -np.sign(m.qvel[site.name]) * (x[1] + x[0] * np.exp(-((m.qvel[site.name] / x[2]) ** 2)))
         )
     ),
+    written=_lugre,
 )  # fmt: skip
 def stribeck_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
@@ -159,3 +191,102 @@ def stribeck_friction(
         return np.asarray(excess * np.sign(v) * -np.expm1(-((v / speed) ** 2)))
 
     return Force(site.name, relief) if excess else None
+
+
+def _moving(v: Signal, joint: JointScale) -> Signal:
+    """Return 1 where a joint moves and 0 where it rests, with a ramp between."""
+    return np.asarray(np.minimum(np.abs(v) / (_REST * joint.speed), 1.0))
+
+
+def _asymmetric_friction_extent(site: Site, machine: Machine) -> Extent:
+    force = machine.joints[site.name].force
+    return Extent((0.05 * force,), (-6 * force,), (6 * force,))
+
+
+def _friction_difference(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
+    joint = machine.joints[site.name]
+    return lambda m: -0.5 * x[0] * _moving(m.qvel[site.name], joint)
+
+
+@effect(
+    "asymmetric_friction",
+    kind="joint",
+    components=(Component("difference", "N m"),),
+    extent=_asymmetric_friction_extent,
+    noun="a difference of friction between the directions",
+    sentence="The dry friction of {site} is {value} larger forwards than backwards.",
+    form="force law",
+    evidence="a constant force that is there only while the joint moves",
+    separation="standstill between slow moves in both directions",
+    force=_friction_difference,
+)
+def asymmetric_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """Friction larger by x[0]/2 forwards and smaller by x[0]/2 backwards: -x[0]/2 in motion."""
+    return Force(site.name, _friction_difference(site, x, machine))
+
+
+def _asymmetric_damping_extent(site: Site, machine: Machine) -> Extent:
+    joint = machine.joints[site.name]
+    scale = joint.force / joint.speed
+    return Extent((0.05 * scale,), (-20 * scale,), (20 * scale,))
+
+
+def _damping_difference(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
+    return lambda m: -0.5 * x[0] * np.abs(m.qvel[site.name])
+
+
+@effect(
+    "asymmetric_damping",
+    kind="joint",
+    components=(Component("difference", "N m s/rad"),),
+    extent=_asymmetric_damping_extent,
+    noun="a difference of damping between the directions",
+    sentence="The damping of {site} is {value} larger forwards than backwards.",
+    form="force law",
+    evidence="a force in proportion to the size of velocity that never changes its sign",
+    separation="the same speeds in both directions",
+    force=_damping_difference,
+)
+def asymmetric_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """Damping larger by x[0]/2 forwards and smaller by x[0]/2 backwards: -x[0]/2·|v|."""
+    return Force(site.name, _damping_difference(site, x, machine))
+
+
+def _load_extent(site: Site, machine: Machine) -> Extent | None:
+    drives = [machine.actuators[a] for a in machine.joints[site.name].actuators]
+    if not any(a.plain and a.ctrl_max > 0 for a in drives):
+        return None
+    return Extent((0.02,), (0.0,), (0.9,))
+
+
+def _load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
+    """Friction of a share of the drive's torque, never more than stops the joint in a step."""
+    joint = machine.joints[site.name]
+    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain]
+
+    def law(m: Motion) -> Signal:
+        q, v = m.qpos[site.name], m.qvel[site.name]
+        load = sum(a.force(m.ctrl[a.name], q, v) for a in drives)
+        stopping = 0.5 * joint.inertia * np.abs(v) / m.timestep
+        return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load), stopping))
+
+    return law
+
+
+@effect(
+    "load_dependent_friction",
+    kind="joint",
+    components=(Component("share", "fraction of the load torque"),),
+    extent=_load_extent,
+    noun="friction that grows with load",
+    sentence="{site} loses {value} of its drive's torque to friction.",
+    form="force law",
+    evidence="dry friction that grows with the torque that the gear carries",
+    separation="the same speed under another load",
+    force=_load_friction,
+)
+def load_dependent_friction(
+    spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+) -> Part:
+    """Friction -x[0]·|τ|·sign(v), τ what the joint's actuators command."""
+    return Force(site.name, _load_friction(site, x, machine))

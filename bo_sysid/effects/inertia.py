@@ -1,12 +1,16 @@
 """Masses and inertias that differ from the model's."""
 
+from collections.abc import Mapping
+
 import mujoco
+import numpy as np
 
 from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf import scale_mass
+from bo_sysid.mjcf import make_explicit, scale_mass
 
+_SMALL = 0.02  # [m] size of a body that its frame sits in
 _POINT = 1e-9  # [m²] inertia of a point load, per kg
 
 
@@ -27,6 +31,7 @@ def _armature_extent(site: Site, machine: Machine) -> Extent:
     nominal=_armature,
     noun="rotor inertia",
     sentence="{site} has rotor inertia of {value} that the model lacks.",
+    form="armature",
     evidence="a force in proportion to acceleration that no posture changes",
     separation="motion of one joint at several postures of the others",
     grouped=True,
@@ -49,6 +54,7 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
     extent=_payload_extent,
     noun="a payload",
     sentence="{site} carries {value} at its end that the model lacks.",
+    form="child body with an inertial",
     evidence="inertia that changes with posture and loads gravity",
     separation="several postures",
 )
@@ -60,6 +66,7 @@ def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
         load = spec.body(site.name).add_body(
             name=name, pos=list(machine.bodies[site.name].tip), explicitinertial=True, mass=0.0
         )
+    load.ipos, load.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # undefined, it would be at pos
     load.mass = load.mass + float(x[0])
     load.inertia = [max(_POINT * load.mass, 1e-12)] * 3
 
@@ -81,9 +88,55 @@ def _link_mass_extent(site: Site, machine: Machine) -> Extent:
     nominal=_link_mass,
     noun="mass",
     sentence="The mass of {site} differs from the model's by {value}.",
+    form="mass and inertia of geoms or inertial",
     evidence="inertia and weight that change together",
     separation="several postures",
 )
 def link_mass(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """A change of a body's mass; its inertia scales along, its centre stays."""
     scale_mass(spec, site.name, 1.0 + float(x[0]) / machine.bodies[site.name].mass)
+
+
+def _shift_extent(site: Site, machine: Machine) -> Extent:
+    size = max(float(np.linalg.norm(machine.bodies[site.name].tip)), _SMALL)
+    return Extent((0.02 * size,) * 3, (-size,) * 3, (size,) * 3)
+
+
+def _shifts(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
+    return {axis: (float(d), "m") for axis, d in zip("xyz", x, strict=True)}
+
+
+@effect(
+    "com_shift",
+    kind="body",
+    components=(Component("x", "m"), Component("y", "m"), Component("z", "m")),
+    vector=3,
+    extent=_shift_extent,
+    noun="a shift of the centre of mass",
+    sentence="The centre of mass of {site} lies {value} away from the model's.",
+    form="inertial",
+    evidence="gravity and inertia of a link that change together with posture",
+    separation="several postures; a known weight",
+    details=_shifts,
+)
+def com_shift(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Shift the centre of mass by x in the body's frame; inertia about the centre stays."""
+    body = make_explicit(spec, site.name)
+    body.ipos = np.asarray(body.ipos) + x
+
+
+@effect(
+    "link_inertia",
+    kind="body",
+    components=(Component("change", "relative"),),
+    extent=lambda site, machine: Extent((0.05,), (-0.95,), (5.0,)),
+    noun="rotational inertia",
+    sentence="The rotational inertia of {site} differs from the model's by {value}.",
+    form="inertial",
+    evidence="a torque in proportion to angular acceleration that no weight goes with",
+    separation="turning the link and moving it to and fro",
+)
+def link_inertia(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Scale the inertia about the centre of mass by 1 + x[0]; the mass stays."""
+    body = make_explicit(spec, site.name)
+    body.inertia = np.asarray(body.inertia) * (1.0 + float(x[0]))

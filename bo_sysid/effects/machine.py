@@ -9,12 +9,16 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_filter
 
+from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.recording import Recording
+
+Signal = Float[np.ndarray, "..."]
 
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
 _POSES = 20
 _FLOOR = 1e-6
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class JointScale:
         span: range of its position.
         inertia: mean effective inertia in [kg m²] or [kg].
         actuators: names of the actuators that drive it.
+        middle: the middle of that range.
     """
 
     name: str
@@ -42,6 +47,7 @@ class JointScale:
     span: float
     inertia: float
     actuators: tuple[str, ...]
+    middle: float
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,8 @@ class ActuatorScale:
         force_max: largest absolute force along the joint.
         force_std: standard deviation of that force.
         levels: fractions of `force_max` at which a saturation is looked for.
+        plain: whether its force is affine in control, length and velocity, as of a motor or servo.
+        jumps: percentiles of the recorded control's changes from sample to sample, largest first.
     """
 
     name: str
@@ -75,6 +83,13 @@ class ActuatorScale:
     force_max: float
     force_std: float
     levels: tuple[float, ...]
+    plain: bool
+    jumps: tuple[float, ...]
+
+    def force(self, ctrl: Signal, q: Signal, v: Signal) -> Signal:
+        """Return the force along the joint that a plain actuator makes, without its limits."""
+        b, gear = self.bias, self.gear
+        return np.asarray(gear * (self.gain * ctrl + b[0] + b[1] * gear * q + b[2] * gear * v))
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,25 @@ class BodyScale:
     name: str
     mass: float
     tip: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ChannelScale:
+    """A recorded channel.
+
+    Attributes:
+        name: of the channel.
+        unit: of its values; empty where nothing says it.
+        low: smallest value.
+        high: largest value.
+        spread: standard deviation.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -98,6 +132,7 @@ class Machine:
         channels: names of the recorded channels that the model predicts.
         sampling: median sampling interval of the recordings in [s].
         duration: length of all recordings in [s].
+        scales: of every channel that all recordings have, by name.
     """
 
     model: mujoco.MjModel
@@ -107,6 +142,13 @@ class Machine:
     channels: tuple[str, ...]
     sampling: float
     duration: float
+    scales: Mapping[str, ChannelScale]
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the recorded goals and auxiliary channels, which force laws may read."""
+        held = [n for n in self.scales if n.split(".", 1)[0] in ("goal", "aux")]
+        return tuple(n for n in held if not n.startswith("aux.qacc_warmstart"))
 
     def names(self, kind: str) -> tuple[str, ...]:
         """Return the names of the sites of one kind."""
@@ -176,6 +218,7 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         tuple(dict.fromkeys(n for r in recordings for n in r.channels if n in known)),
         float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
         float(sum(r.span[1] - r.span[0] for r in recordings)),
+        MappingProxyType(_scales(recordings, joints)),
     )
 
 
@@ -214,7 +257,7 @@ def _actuator(
     )
     joint = model.joint(int(model.actuator_trnid[a, 0])).name if drives_joint else None
     gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
-    affine = int(model.actuator_biastype[a]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    affine = int(model.actuator_biastype[a]) == _AFFINE
     b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
     key = f"ctrl.{name}"
     if joint is not None and joint in motion and all(key in r.channels for r in recordings):
@@ -233,7 +276,19 @@ def _actuator(
         name, a, joint, gear, gain, (float(b[0]), float(b[1]), float(b[2])), bool(b[1] != 0),
         float(np.abs(u).max()), float(u.std()), top, float(force.std()),
         tuple(dict.fromkeys(x for x in levels if x > 0.02)),
+        int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
+        _jumps(recordings, key),
     )  # fmt: skip
+
+
+def _jumps(recordings: Sequence[Recording], channel: str) -> tuple[float, ...]:
+    held = [np.diff(r.channels[channel].values) for r in recordings if channel in r.channels]
+    moved = np.abs(np.concatenate(held)) if held else np.zeros(1)
+    moved = moved[moved > 0]
+    if not moved.size:
+        return ()
+    return tuple(float(np.percentile(moved, p)) for p in (100.0, *_LEVELS))
 
 
 def _joint(
@@ -257,6 +312,7 @@ def _joint(
         max(float(np.ptp(motion.q)), _FLOOR),
         float(inertia[dof]),
         tuple(a.name for a in drives),
+        0.5 * float(motion.q.min() + motion.q.max()),
     )
 
 
@@ -298,9 +354,32 @@ def _body(model: mujoco.MjModel, i: int) -> BodyScale:
     return BodyScale(model.body(i).name, float(model.body_mass[i]), (float(x), float(y), float(z)))
 
 
+def _scales(
+    recordings: Sequence[Recording], joints: Mapping[str, JointScale]
+) -> dict[str, ChannelScale]:
+    """Return the scales of the channels; units of joints are the model's."""
+    if not recordings:
+        return {}
+    common = [n for n in recordings[0].channels if all(n in r.channels for r in recordings)]
+    found = {}
+    for name in common:
+        values = np.concatenate([r.channels[name].values for r in recordings])
+        kind, element = name.split(".", 1)
+        unit = recordings[0].channels[name].unit
+        if kind in ("qpos", "qvel") and element in joints:
+            length = "rad" if joints[element].hinge else "m"
+            unit = length if kind == "qpos" else f"{length}/s"
+        found[name] = ChannelScale(
+            name, unit, float(values.min()), float(values.max()), float(values.std())
+        )
+    return found
+
+
 def _predicted(model: mujoco.MjModel) -> set[str]:
     """Return the names of channels that a model predicts."""
-    known = {f"sensor.{model.sensor(i).name}" for i in range(model.nsensor)}
-    for j in range(model.njnt):
-        known |= {f"{kind}.{model.joint(j).name}" for kind in ("qpos", "qvel")}
-    return known
+    return {
+        f"{group}.{name}" if size == 1 else f"{group}.{name}.{i}"
+        for group in ("qpos", "qvel", "sensor")
+        for name, _, size in coordinates(model, group)
+        for i in range(size)
+    }

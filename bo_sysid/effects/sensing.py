@@ -1,12 +1,24 @@
 """Sensors that read something else than the model says."""
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Reading, Site
+from bo_sysid.effects.actuators import with_own_bias
+from bo_sysid.effects.contract import (
+    CHANNEL_UNIT,
+    Component,
+    Extent,
+    Filter,
+    Magnitudes,
+    Part,
+    Reading,
+    Site,
+)
+from bo_sysid.effects.filters import shifted
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.recording import Channel
 
 _OFFSET = 0.01  # of a turn's radian, or of the range of a slide
 _MOST_DELAY = 0.06
@@ -25,6 +37,7 @@ def _encoder_extent(site: Site, machine: Machine) -> Extent:
     extent=_encoder_extent,
     noun="an encoder offset",
     sentence="The encoder of {site} reads {value} too much.",
+    form="reading; a servo's control shifts along",
     evidence="gravity, or the other links, act as at another posture",
     separation="several postures; a known posture at rest",
     family="sensing",
@@ -35,19 +48,41 @@ def encoder_offset(
 ) -> tuple[Part, ...]:
     """The encoder reads x[0] more than the joint's position; a servo's goal shifts along."""
     shift = float(x[0])
-
-    def shifted(channel: Channel, dt: float) -> Channel:
-        return Channel(
-            channel.time, channel.values - shift, channel.unit, channel.source, channel.hold
-        )
-
     servos = [a.name for a in machine.actuators.values() if a.joint == site.name and a.servo]
-    filters = tuple(Filter(name, shifted) for name in servos)
+    filters = tuple(Filter(name, lambda channel, dt: shifted(channel, -shift)) for name in servos)
     return (Reading(f"qpos.{site.name}", offset=shift), *filters)
 
 
+@effect(
+    "encoder_scale",
+    kind="joint",
+    components=(Component("change", "relative"),),
+    extent=lambda site, machine: Extent((0.02,), (-0.9,), (3.0,)),
+    noun="an encoder scale",
+    sentence="The encoder of {site} reads {value} too much of every angle.",
+    form="reading; a servo's bias scales along",
+    evidence="gravity and the other links act as at another posture, more so far from zero",
+    separation="two known postures",
+    family="sensing",
+    grouped=True,
+)
+def encoder_scale(
+    spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+) -> tuple[Part, ...]:
+    """The encoder reads 1 + x[0] times the joint's position, and its rate as much.
+
+    A servo compares its goal with what it reads: its bias scales, which is as if goal and gain did.
+    """
+    scale = float(x[0])
+    for actuator in machine.actuators.values():
+        if actuator.joint == site.name and actuator.servo:
+            a = with_own_bias(spec, actuator.name, machine)
+            a.biasprm[1:3] = np.asarray(a.biasprm[1:3]) * (1.0 + scale)
+    return tuple(Reading(f"{kind}.{site.name}", scale=scale) for kind in ("qpos", "qvel"))
+
+
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:
-    if not site.name.startswith("qpos."):
+    if not (site.name.startswith("qpos.") and _scalar(site, machine)):
         return None
     return Extent((max(machine.sampling, 1e-3),), (0.0,), (_MOST_DELAY,))
 
@@ -59,6 +94,7 @@ def _delay_extent(site: Site, machine: Machine) -> Extent | None:
     extent=_delay_extent,
     noun="a delay",
     sentence="{site} is reported {value} late.",
+    form="reading",
     evidence="everything that the sensor shows comes later than it should",
     separation="a sensor with another clock",
     family="sensing",
@@ -66,3 +102,142 @@ def _delay_extent(site: Site, machine: Machine) -> Extent | None:
 def sensor_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The channel shows what was x[0] earlier."""
     return Reading(site.name, delay=float(np.maximum(x[0], 0.0)))
+
+
+def _scalar(site: Site, machine: Machine) -> bool:
+    """Whether the channel shows one hinge or slide joint, or is a sensor's."""
+    kind, element = site.name.split(".", 1)
+    return kind == "sensor" or element in machine.joints
+
+
+def _besides_encoder(site: Site, machine: Machine) -> bool:
+    """Whether the channel can be wrong in another way than the joint's encoder is.
+
+    The encoder of a servo also moves its goal; without one, the two are the same.
+    """
+    kind, element = site.name.split(".", 1)
+    if not (_scalar(site, machine) and machine.scales[site.name].spread > 0):
+        return False
+    servo = any(a.servo and a.joint == element for a in machine.actuators.values())
+    return kind != "qpos" or servo
+
+
+def _offset_extent(site: Site, machine: Machine) -> Extent | None:
+    if not _besides_encoder(site, machine):
+        return None
+    spread = machine.scales[site.name].spread
+    return Extent((0.05 * spread,), (-10 * spread,), (10 * spread,))
+
+
+@effect(
+    "sensor_offset",
+    kind="channel",
+    components=(Component("offset", CHANNEL_UNIT),),
+    extent=_offset_extent,
+    noun="an offset",
+    sentence="{site} reads {value} too much.",
+    form="reading",
+    evidence="the same difference at every value",
+    separation="a known value at rest",
+    family="sensing",
+)
+def sensor_offset(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """The channel reads x[0] too much."""
+    return Reading(site.name, offset=float(x[0]))
+
+
+def _scale_extent(site: Site, machine: Machine) -> Extent | None:
+    return Extent((0.02,), (-0.9,), (3.0,)) if _besides_encoder(site, machine) else None
+
+
+@effect(
+    "sensor_scale",
+    kind="channel",
+    components=(Component("change", "relative"),),
+    extent=_scale_extent,
+    noun="a scale",
+    sentence="{site} reads {value} too much of every value.",
+    form="reading",
+    evidence="a difference in proportion to the value",
+    separation="two known values",
+    family="sensing",
+)
+def sensor_scale(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """The channel reads 1 + x[0] times the value."""
+    return Reading(site.name, scale=float(x[0]))
+
+
+def _sign_extent(site: Site, machine: Machine) -> Extent | None:
+    return Extent((1.0,), (0.0,), (1.0,)) if _scalar(site, machine) else None
+
+
+@effect(
+    "sensor_sign",
+    kind="channel",
+    components=(Component("reversed", "–"),),
+    extent=_sign_extent,
+    noun="a reversed sign",
+    sentence="{site} has the opposite sign ({value}: 1 is reversed).",
+    form="reading",
+    evidence="motion against every force",
+    separation="one push in a known direction",
+    family="sensing",
+)
+def sensor_sign(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """The channel reads 1 - 2 x[0] times the value: its negative at x[0] = 1."""
+    return Reading(site.name, scale=-2.0 * float(x[0]))
+
+
+def _alike(site: Site, machine: Machine) -> tuple[int, ...]:
+    """Return the numbers of the later channels that show the same kind of quantity."""
+    if not _scalar(site, machine):
+        return ()
+    kind, unit = site.name.split(".", 1)[0], machine.scales[site.name].unit
+    after = machine.channels.index(site.name) + 1
+    return tuple(
+        after + k
+        for k, name in enumerate(machine.channels[after:])
+        if name.split(".", 1)[0] == kind
+        and _scalar(Site("channel", name), machine)
+        and machine.scales[name].unit == unit
+    )
+
+
+def _swap_extent(site: Site, machine: Machine) -> Extent | None:
+    partners = _alike(site, machine)
+    if not partners:
+        return None
+    grid = tuple((1.0, float(p)) for p in partners)
+    return Extent(grid[0], (0.0, -0.5), (1.0, len(machine.channels) - 0.5), grid)
+
+
+def _partner(x: Magnitudes, machine: Machine) -> str:
+    return machine.channels[round(float(x[1]))]
+
+
+def _swapped(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
+    return {f"with {_partner(x, machine)}": (float(x[0]), "–")}
+
+
+@effect(
+    "channel_swap",
+    kind="channel",
+    components=(Component("swapped", "–"), Component("channel", "–")),
+    shapes=1,
+    extent=_swap_extent,
+    noun="a swap of channels",
+    sentence="{site} shows what another channel should ({value}: 1 is swapped).",
+    form="reading",
+    evidence="each of two channels fits the prediction of the other",
+    separation="moving one joint alone",
+    family="sensing",
+    details=_swapped,
+)
+def channel_swap(
+    spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+) -> tuple[Part, ...]:
+    """Two channels show each other's quantity where x[0] > 1/2; x[1] is the other's number."""
+    other = _partner(x, machine)
+    if x[0] <= 0.5:
+        return ()
+    return Reading(site.name, source=other), Reading(other, source=site.name)

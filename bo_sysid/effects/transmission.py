@@ -1,19 +1,25 @@
-"""Springs, constant forces and cogging: forces that depend on where a joint is."""
+"""What lies between a motor and its link: springs, cogging, play and compliance."""
 
 from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
+from bo_sysid.effects.actuators import passive_motor
+from bo_sysid.effects.contract import Component, Extent, Hidden, Magnitudes, Part, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
+from bo_sysid.mjcf.compiling import compile_spec
+from bo_sysid.mjcf.strip import stripped
 
 _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
-_NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
-_MOTOR_CONSTANT = 1e-6  # must be positive
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
+_GAPS = (0.01, 0.04, 0.15)  # of a joint's travel, tried as play
+_ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
+_MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
+_HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
+_EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
 
@@ -61,6 +67,7 @@ def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
     nominal=_stiffness,
     noun="a spring",
     sentence="{site} has a spring of {value} that the model lacks.",
+    form="stiffness, springref",
     evidence="a force that grows with the distance from a rest position",
     separation="slow motion up and down over more than a radian",
     nested="constant_force",
@@ -84,6 +91,7 @@ def _constant_extent(site: Site, machine: Machine) -> Extent:
     extent=_constant_extent,
     noun="a constant force",
     sentence="On {site} acts a constant force of {value} that the model lacks.",
+    form="stiffness, springref: a spring from far away",
     evidence="the same force at every position and speed",
     separation="several postures",
     force=lambda site, x, machine: lambda m: np.full_like(m.qvel[site.name], x[0]),
@@ -129,6 +137,7 @@ def _cogging_phase(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, 
     extent=_cogging_extent,
     noun="cogging",
     sentence="{site} has cogging of {value} that the model lacks.",
+    form="passive dcmotor",
     evidence="a force that repeats with position",
     separation="slow motion over several periods",
     force=lambda site, x, machine: (
@@ -141,17 +150,139 @@ def cogging(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
 
     A passive `dcmotor`: it has no control and no state, and turns no current into force.
     """
-    name = f"{site.name}_cogging"
-    motor = spec.add_actuator(
-        name=name + (f"_{k}" if (k := len(spec.actuators)) and spec.actuator(name) else ""),
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        target=site.name,
-        dyntype=mujoco.mjtDyn.mjDYN_DCMOTOR,
-        gaintype=mujoco.mjtGain.mjGAIN_DCMOTOR,
-        biastype=mujoco.mjtBias.mjBIAS_DCMOTOR,
-    )
-    motor.actearly, motor.actdim = True, 0
-    motor.ctrlspec = _NO_CONTROL
-    motor.dynprm = np.zeros(10)
-    motor.gainprm[:2] = (1.0, _MOTOR_CONSTANT)
+    motor = passive_motor(spec, site.name, "cogging")
     motor.biasprm[:3] = (float(np.hypot(x[0], x[1])), x[2], float(np.arctan2(x[1], x[0])))
+
+
+def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
+    """Return where the encoder may be: (), where the joint has no drive that it could tell from.
+
+    A servo closes its loop on the motor's side.
+    """
+    model, joint = machine.model, machine.joints[site.name]
+    number = model.joint(site.name).id
+    body = model.jnt_bodyid[number]
+    last = number == model.body_jntadr[body] + model.body_jntnum[body] - 1
+    if not (joint.actuators and last):
+        return ()
+    servo = any(machine.actuators[a].servo for a in joint.actuators)
+    return (_MOTOR_SIDE,) if servo else (_MOTOR_SIDE, _LINK_SIDE)
+
+
+def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine) -> mujoco.MjsJoint:
+    """Add a joint on the axis of a driven one, and leave that one with the motor's inertia.
+
+    The position of the first is then the motor's, the sum of both the link's. A rotor that the
+    model does not have gets so much inertia as a step can resolve.
+    """
+    joint, scale = spec.joint(site.name), machine.joints[site.name]
+    drives = [machine.actuators[a] for a in scale.actuators]
+    kp, kd = (-sum(a.bias[k] * a.gear**2 for a in drives) for k in (1, 2))
+    dt = spec.option.timestep
+    explicit = spec.option.integrator in _EXPLICIT
+    floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
+    joint.armature = max(joint.armature, floor)
+    play = joint.parent.add_joint(
+        name=f"{site.name}_play", type=joint.type, axis=joint.axis, pos=joint.pos
+    )
+    if joint.frame is not None:
+        play.set_frame(joint.frame)
+    play.damping, play.stiffness = np.zeros(3), np.zeros(3)
+    play.armature = play.frictionloss = play.ref = play.springref = 0.0
+    play.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    play.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    return play
+
+
+def _encoder(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
+    return {"encoder on the link": (float(x[1]), "–")}
+
+
+def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
+    sides = _sides(site, machine)
+    if not sides:
+        return None
+    travel = machine.joints[site.name].travel
+    return Extent(
+        (_GAPS[0] * travel, sides[0]),
+        (0.0, -1e-9),
+        (travel, 1.0),
+        tuple((gap * travel, side) for side in sides for gap in _GAPS),
+    )
+
+
+@effect(
+    "backlash",
+    kind="joint",
+    components=(Component("gap", "rad"), Component("encoder", "–")),
+    shapes=1,
+    extent=_backlash_extent,
+    noun="backlash",
+    sentence="{site} has a play of {value} between motor and link.",
+    form="second coaxial joint with a range",
+    evidence="a distance after each reversal over which motor and link move apart",
+    separation="small reversals, slow and fast",
+    details=_encoder,
+    hidden=True,
+)
+def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """A gap of x[0] in total; x[1] is 0 with the encoder on the motor, 1 on the link."""
+    play = _second_joint(spec, site, machine)
+    hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
+    half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
+    play.range = [-half, half]
+    play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    play.solref_limit = [2.0 * spec.option.timestep, 1.0]
+    return Hidden(play.name, site.name, float(x[1]))
+
+
+def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
+    sides = _sides(site, machine)
+    if not sides:
+        return None
+    joint = machine.joints[site.name]
+    most = joint.travel / joint.force
+    return Extent(
+        (0.01 * most, sides[0]),
+        (0.0, -1e-9),
+        (most, 1.0),
+        tuple((0.01 * most, side) for side in sides),
+    )
+
+
+@effect(
+    "joint_compliance",
+    kind="joint",
+    components=(Component("compliance", "rad/(N m)"), Component("encoder", "–")),
+    shapes=1,
+    extent=_compliance_extent,
+    noun="compliance",
+    sentence="Between motor and link {site} gives way by {value}.",
+    form="second coaxial joint with a soft equality",
+    evidence="a deflection in proportion to torque, and a resonance",
+    separation="fast commands; several loads at rest",
+    details=_encoder,
+    hidden=True,
+)
+def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
+    """Deflection x[0]·torque between motor and link; x[1] as of backlash.
+
+    The spring is a soft constraint, which no stiffness makes unstable. MuJoCo's constraint with
+    time constant T, critical damping and impedance d acts at rest as a spring of stiffness
+    1/(T² (1 - d) w), w the joint's inverse inertia in the reference pose, and its damping is felt
+    over 2T. T is two time steps, longer where the spring is so soft that d would fall below 1/2.
+    """
+    play = _second_joint(spec, site, machine)
+    compiled = compile_spec(stripped(spec), f"joint {play.name!r}")
+    weight = float(compiled.dof_invweight0[compiled.joint(play.name).dofadr[0]])
+    time = max(2.0 * spec.option.timestep, float(np.sqrt(2.0 * x[0] / weight)))
+    impedance = float(np.clip(1.0 - x[0] / (time**2 * weight), 0.5, _HARDEST))
+    spec.add_equality(
+        name=play.name,
+        type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        name1=play.name,
+        solref=[time, 1.0],
+        solimp=[impedance, impedance, 0.001, 0.5, 2.0],
+    )
+    return Hidden(play.name, site.name, float(x[1]))

@@ -1,0 +1,48 @@
+"""Elements of actuation that several effects edit."""
+
+import mujoco
+import numpy as np
+
+from bo_sysid.effects.machine import Machine
+
+_NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
+_MOTOR_CONSTANT = 1e-6  # must be positive
+
+
+def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActuator:
+    """Add a `dcmotor` to a joint that has no control and turns no current into force.
+
+    Args:
+        spec: the spec to change.
+        joint: name of the joint.
+        what: what it does, for its name.
+    """
+    name = f"{joint}_{what}"
+    if spec.actuator(name) is not None:
+        name += f"_{len(spec.actuators)}"
+    motor = spec.add_actuator(
+        name=name,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=joint,
+        dyntype=mujoco.mjtDyn.mjDYN_DCMOTOR,
+        gaintype=mujoco.mjtGain.mjGAIN_DCMOTOR,
+        biastype=mujoco.mjtBias.mjBIAS_DCMOTOR,
+    )
+    motor.actearly, motor.actdim = True, 0
+    motor.ctrlspec = _NO_CONTROL
+    motor.dynprm = np.zeros(10)
+    motor.gainprm[:2] = (1.0, _MOTOR_CONSTANT)
+    return motor
+
+
+def with_own_bias(spec: mujoco.MjSpec, name: str, machine: Machine) -> mujoco.MjsActuator:
+    """Return an actuator whose bias can be edited: affine, its damping given directly.
+
+    A position servo may give a damping ratio, which MuJoCo turns into damping when it compiles.
+    """
+    a = spec.actuator(name)
+    if a.biastype == mujoco.mjtBias.mjBIAS_NONE:
+        a.biastype, a.biasprm = mujoco.mjtBias.mjBIAS_AFFINE, np.zeros(10)
+    elif a.biasprm[2] > 0 and machine.actuators[name].bias[2] < 0:
+        a.biasprm[2] = machine.actuators[name].bias[2]
+    return a

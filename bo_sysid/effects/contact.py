@@ -1,0 +1,115 @@
+"""Contact between geoms: how it grips and how it gives way."""
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool
+
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
+from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.registry import effect
+
+_MOST_FRICTION = 5.0
+_SOFTEST = 0.5  # [s]
+
+
+def _partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
+    """Return which geoms can touch, by MuJoCo's rules of filtering.
+
+    Source: MuJoCo documentation, Computation, Collision detection, Filtering.
+    """
+    kinds, affine = model.geom_contype, model.geom_conaffinity
+    touch = ((kinds[:, None] & affine) | (affine[:, None] & kinds)) != 0
+    weld = model.body_weldid[model.geom_bodyid]
+    parent = model.body_weldid[model.body_parentid[weld]]
+    touch &= weld[:, None] != weld
+    if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
+        child = (weld[:, None] == parent) & (weld[:, None] != 0)
+        touch &= ~(child | child.T)
+    for signature in model.exclude_signature:
+        one, two = (model.geom_bodyid == b for b in divmod(int(signature), 1 << 16))
+        touch &= ~(np.outer(one, two) | np.outer(two, one))
+    return np.asarray(touch)
+
+
+def _friction(site: Site, machine: Machine) -> float:
+    return float(machine.model.geom(site.name).friction[0])
+
+
+def _rivals(site: Site, machine: Machine) -> float | None:
+    """Return the largest friction among geoms of equal priority that this one can touch.
+
+    None where this geom does not decide on the friction of each of its contacts: MuJoCo takes
+    the coefficient of the higher priority, among equals the larger one.
+    """
+    model = machine.model
+    geom = model.geom(site.name).id
+    others = np.flatnonzero(_partners(model)[geom])
+    if not others.size or (model.geom_priority[others] > model.geom_priority[geom]).any():
+        return None
+    equal = others[model.geom_priority[others] == model.geom_priority[geom]]
+    largest = float(model.geom_friction[equal, 0].max(initial=0.0))
+    return largest if largest <= model.geom_friction[geom, 0] else None
+
+
+def _friction_extent(site: Site, machine: Machine) -> Extent | None:
+    if _rivals(site, machine) is None:
+        return None
+    nominal = _friction(site, machine)
+    return Extent((-0.1 * nominal if nominal else 0.1,), (-nominal - 1e-12,), (_MOST_FRICTION,))
+
+
+@effect(
+    "contact_friction",
+    kind="geom",
+    components=(Component("change", "coefficient"),),
+    extent=_friction_extent,
+    nominal=_friction,
+    noun="friction of contact",
+    sentence="The coefficient of friction of {site} differs from the model's by {value}.",
+    form="friction",
+    evidence="slip at another ratio of tangential to normal force",
+    separation="sliding under several normal forces",
+)
+def contact_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Change the sliding friction of every contact of a geom.
+
+    Where its partners would now have the larger coefficient, the geom takes priority over them.
+    """
+    geom = spec.geom(site.name)
+    geom.friction[0] = max(geom.friction[0] + float(x[0]), 0.0)
+    if geom.friction[0] < (_rivals(site, machine) or 0.0):
+        geom.priority = int(machine.model.geom_priority.max()) + 1
+
+
+def _softness(site: Site, machine: Machine) -> float:
+    """Return the smallest time constant of the geoms that touch, 0 where there is none."""
+    model = machine.model
+    touching = _partners(model).any(axis=0)
+    return float(model.geom_solref[touching, 0].min()) if touching.any() else 0.0
+
+
+def _softness_extent(site: Site, machine: Machine) -> Extent | None:
+    nominal = _softness(site, machine)
+    if nominal <= 0:  # no contact, or stiffness and damping given directly
+        return None
+    safe = 2.0 * machine.model.opt.timestep  # MuJoCo makes no contact harder than that
+    return Extent((0.25 * nominal,), (min(safe - nominal, 0.0) - 1e-12,), (_SOFTEST,))
+
+
+@effect(
+    "contact_softness",
+    kind="world",
+    components=(Component("change", "s"),),
+    extent=_softness_extent,
+    nominal=_softness,
+    noun="softness of contact",
+    sentence="Contacts give way with a time constant that differs from the model's by {value}.",
+    form="solref",
+    evidence="deeper and longer contacts",
+    separation="falls from several heights",
+)
+def contact_softness(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Change the time constant of all contacts."""
+    for element in (*spec.geoms, *spec.pairs):
+        if element.solref[0] > 0:
+            element.solref[0] = max(element.solref[0] + float(x[0]), 1e-4)

@@ -1,0 +1,78 @@
+"""What lies between a command and the force: filters over a whole recorded control.
+
+Each returns a channel whose values hold from their stamps on. Where the output moves between
+two stamps, the filter works on a grid of the simulation's time step `dt` and gives the mean over
+each step, so that the answer does not depend on the step.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import lfilter
+
+from bo_sysid.recording import Channel
+
+_FASTEST = 1e-5  # [s] a lag below acts as none
+
+
+def lagged(channel: Channel, lag: float, dt: float) -> Channel:
+    """Return the output of a first-order lag with time constant `lag` in [s].
+
+    For an input held at u during a step of length h the state f' = (u - f)/τ has the mean
+    u + (f₀ - u)·(τ/h)·(1 - exp(-h/τ)).
+    """
+    if lag <= _FASTEST:
+        return channel
+    time, u = _gridded(channel, dt)
+    gain = -np.expm1(-dt / lag)
+    end = lfilter([gain], [1.0, gain - 1.0], u, zi=(1.0 - gain) * u[:1])[0]
+    begin = np.concatenate([u[:1], end[:-1]])
+    return replace(channel, time=time, values=u + (begin - u) * (lag / dt) * gain)
+
+
+def delayed(channel: Channel, delay: float) -> Channel:
+    """Return the channel `delay` later, in [s]."""
+    return replace(channel, time=channel.time + delay)
+
+
+def cut_out(channel: Channel, half: float) -> Channel:
+    """Return the channel without what lies within ± `half` of zero: a dead zone."""
+    return replace(channel, values=channel.values - np.clip(channel.values, -half, half))
+
+
+def shifted(channel: Channel, by: float) -> Channel:
+    """Return the channel with `by` added."""
+    return replace(channel, values=channel.values + by)
+
+
+def limited(channel: Channel, rate: float, dt: float) -> Channel:
+    """Return the channel followed no faster than `rate`, in its units per second.
+
+    A step that begins at y and reaches its input u after the time t ≤ h has the mean
+    u + (y - u)·t/(2h); one that does not reach it, y ± rate·h/2.
+    """
+    time, u = _gridded(channel, dt)
+    return replace(channel, time=time, values=_ramped(u, rate * dt))
+
+
+def _ramped(u: Float[np.ndarray, " S"], most: float) -> Float[np.ndarray, " S"]:
+    mean = np.empty_like(u)
+    y = float(u[0])
+    for k, goal in enumerate(u.tolist()):
+        gap = goal - y
+        if abs(gap) <= most:
+            mean[k] = goal - 0.5 * gap * abs(gap) / most
+            y = goal
+        else:
+            move = most if gap > 0 else -most
+            mean[k] = y + 0.5 * move
+            y += move
+    return mean
+
+
+def _gridded(
+    channel: Channel, dt: float
+) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"]]:
+    time = np.arange(channel.time[0], channel.time[-1] + 0.5 * dt, dt)
+    return time, channel.at(time + 1e-6 * dt)
