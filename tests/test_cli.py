@@ -119,6 +119,8 @@ def test_wrong_input_gives_one_message(
             "time,qpos.hing,ctrl.motor\n0,0,0\n1,1,1\n2,3,0\n",
             r"'qpos.hing' is not in the model.*'q",
         ),
+        ("time,qpos.hinge\n0,0\n1,1\n2,3\n", r"no channel 'ctrl.motor', which the model needs"),
+        ("time,qvel.hinge\n0,0\n1,1\n2,3\n", r"no channel 'qpos.hinge', which the model needs"),
         ("time,qpos.hinge\n0,0\n1,nan\n2,3\n", "qpos.hinge"),
         ("time,qpos.hinge\n0,0\n2,1\n1,3\n", "row"),
         ("qpos.hinge\n0\n2\n", "time"),
@@ -272,3 +274,11 @@ def test_answers_at_once_without_torch(
     taken, *said = done.stderr.splitlines()[-1].split()
     assert said == [str(code), *sorted(loaded)]
     assert float(taken) < within  # of the processor, which others may keep busy
+
+
+def test_an_actuator_with_a_bias_alone_needs_no_control(folder: Path, say: Say) -> None:
+    bias = '<general name="offset" joint="hinge" gainprm="0" biastype="affine" biasprm="1"/>'
+    (folder / "pendulum.xml").write_text(MODEL.replace("</actuator>", f"{bias}</actuator>"))
+    code, out, _ = say("check", "arm.yaml")
+    assert code == 0
+    assert re.search(r"ctrl.offset +without effect +0 of 1", out)

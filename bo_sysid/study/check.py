@@ -1,6 +1,6 @@
 """What a study's model, recordings and parameters are, before anything is fitted."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,13 +61,16 @@ def check(study: Study, *, strict: bool = False) -> Check:
             near = nearest(name, model.actuators)
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
     parameters = study.parameter_set(model)
-    laws = {f"ctrl.{name}": a.law for name, a in study.actuators.items()}
+    unrecorded = dict.fromkeys(_deaf(model), "without effect")
+    unrecorded |= {f"ctrl.{n}": f"computed by {a.law}" for n, a in study.actuators.items()}
+    for recording in recordings:
+        _require_all(model, recording, unrecorded)
     return Check(
         study.name,
         model.source,
         float(model.compile().opt.timestep),
         tuple(r.name for r in recordings),
-        _channels(model, recordings, laws),
+        _channels(model, recordings, unrecorded),
         described(model, parameters),
         len(candidate_set(study, parameters)) if parameters else 0,
         tuple(dict.fromkeys(n for r in recordings for n in r.notes)),
@@ -133,20 +136,39 @@ def _known(model: Model) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _channels(model: Model, recordings: Sequence[Recording], laws: dict[str, str]) -> pd.DataFrame:
+def _deaf(model: Model) -> list[str]:
+    """Return the controls that do nothing: of actuators with a bias alone."""
+    compiled = model.compile()
+    gains = zip(model.ctrl_channels, compiled.actuator_gainprm, strict=True)
+    return [name for name, gain in gains if not gain.any()]
+
+
+def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
+    for name in (*model.qpos_channels, *model.ctrl_channels):
+        if name not in recording.channels and name not in unrecorded:
+            raise RecordingError(
+                f"{recording.name}: no channel {name!r}, which the model needs; "
+                f"{nearest(name, recording.channels)}"
+            )
+
+
+def _channels(
+    model: Model, recordings: Sequence[Recording], unrecorded: Mapping[str, str]
+) -> pd.DataFrame:
     known = _known(model)
     needed = [*known["qpos"], *known["qvel"], *known["ctrl"]]
     recorded = dict.fromkeys(n for r in recordings for n in r.channels)
     rows = []
     for name in dict.fromkeys([*needed, *recorded]):
         found = [r.channels[name] for r in recordings if name in r.channels]
-        kind = name.split(".", 1)[0]
         row: dict[str, object] = {
             "channel": name,
-            "use": _use(name, laws, recorded=bool(found), known=kind in known),
+            "use": "in the model" if name.split(".", 1)[0] in known else "auxiliary",
             "recordings": f"{len(found)} of {len(recordings)}",
             "samples": sum(len(c.time) for c in found),
         }
+        if name in unrecorded or not found:
+            row["use"] = unrecorded.get(name, "estimated from qpos")
         if found:
             row |= {
                 "interval": 1e3 * float(np.median([Sampling.of(c.time).median_dt for c in found])),
@@ -158,12 +180,3 @@ def _channels(model: Model, recordings: Sequence[Recording], laws: dict[str, str
                 row["noise"] = float(np.median([noise_sigma(c.time, c.values) for c in found]))
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _use(name: str, laws: dict[str, str], *, recorded: bool, known: bool) -> str:
-    if name in laws:
-        return f"computed by {laws[name]}"
-    if recorded:
-        return "in the model" if known else "auxiliary"
-    missing = {"qpos": "missing", "qvel": "estimated from qpos", "ctrl": "missing"}
-    return missing[name.split(".", 1)[0]]
