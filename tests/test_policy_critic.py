@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from bo_sysid.policy.critic import Critic, CriticFit
+from bo_sysid.policy.critic import Critic
 from bo_sysid.policy.network import GaussianPolicy, Network
 from bo_sysid.policy.normalisation import Moments, Normaliser, ReturnScale
+from bo_sysid.policy.settings import CriticFit
 
 NETWORK = Network((4, 10, 8, 1))
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from bo_sysid.policy.critic import Critic, CriticFit
+from bo_sysid.policy.critic import Critic
 from bo_sysid.policy.network import GaussianPolicy, Network
 from bo_sysid.policy.normalisation import Normaliser
-from bo_sysid.policy.trpo import Batch, TrustRegion, advantages, normalised, update
+from bo_sysid.policy.settings import CriticFit, TrustRegion
+from bo_sysid.policy.trpo import Batch, advantages, normalised, update
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

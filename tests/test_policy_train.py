@@ -11,9 +11,10 @@ from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.tasks import Start, VectorTask, find_task
+from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.train import CHECKPOINT, LOG, POLICY, train
-from bo_sysid.policy.trainer import Trainer, TrpoSettings
+from bo_sysid.policy.trainer import Trainer
 
 CART = """
 <mujoco>
@@ -200,6 +201,16 @@ def test_wrong_settings_name_the_rule(cart):
         TrpoSettings(discount=1.5)
     with pytest.raises(StudyError, match="hidden"):
         TrpoSettings(hidden=())
+
+
+def test_a_reward_that_is_not_finite_is_named(cart):
+    class Broken(Regulate):
+        def reward(self, sims):
+            return np.where(sims.qpos[:, 0] > 0.5, np.nan, 0.0)
+
+    environment = BatchEnvironment(Broken(), cart, 20)
+    with pytest.raises(UserError, match="the task gave a reward of nan in control step"):
+        train(environment, SMALL, steps=10)
 
 
 def test_every_iteration_of_a_suite_task_is_finite():

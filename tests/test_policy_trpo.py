@@ -6,9 +6,9 @@ import torch
 
 from bo_sysid.policy.fisher import Fisher
 from bo_sysid.policy.network import GaussianPolicy
+from bo_sysid.policy.settings import TrustRegion
 from bo_sysid.policy.trpo import (
     Batch,
-    TrustRegion,
     advantages,
     conjugate_gradient,
     kl_divergence,

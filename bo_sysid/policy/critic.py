@@ -4,30 +4,10 @@ Written in NumPy with buffers made once: a minibatch of 128 rows is so small tha
 a deep-learning framework is most of its time.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bo_sysid.policy.network import Network
-
-
-@dataclass(frozen=True)
-class CriticFit:
-    """Settings of the fit.
-
-    Attributes:
-        epochs: passes over the batch.
-        minibatch: rows a step.
-        rate: learning rate of Adam.
-        epsilon: of Adam's denominator.
-        decays: of Adam's first and second moments.
-    """
-
-    epochs: int = 10
-    minibatch: int = 128
-    rate: float = 1e-3
-    epsilon: float = 1e-5
-    decays: tuple[float, float] = (0.9, 0.999)
+from bo_sysid.policy.settings import CriticFit
 
 
 class Critic:

@@ -11,8 +11,9 @@ import pandas as pd
 
 from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.plants.environment import Environment
+from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
-from bo_sysid.policy.trainer import Iteration, Trainer, TrpoSettings
+from bo_sysid.policy.trainer import Iteration, Trainer
 from bo_sysid.runs import atomic
 
 if TYPE_CHECKING:

@@ -1,63 +1,21 @@
 """One iteration of training: collect, estimate advantages, update policy and critic."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
 
-from bo_sysid.errors import StudyError
+from bo_sysid.errors import StudyError, UserError
 from bo_sysid.plants.environment import Environment
-from bo_sysid.policy.critic import Critic, CriticFit
+from bo_sysid.policy.critic import Critic
 from bo_sysid.policy.network import GaussianPolicy, Network
 from bo_sysid.policy.normalisation import Moments, Normaliser, ReturnScale
 from bo_sysid.policy.rollout import Rollout, collect
-from bo_sysid.policy.trpo import Batch, TrustRegion, advantages, normalised, update
-
-
-@dataclass(frozen=True)
-class TrpoSettings:
-    """Settings of a training run; the defaults learn dm-control's cheetah and swimmer.
-
-    Attributes:
-        batch: control steps an iteration, over all environments.
-        discount: gamma.
-        decay: lambda of the advantages.
-        hidden: units of the hidden layers, of policy and critic alike.
-        log_std: logarithm of the policy's initial standard deviation, in units of half the
-            control range.
-        clip: largest absolute normalised observation and scaled reward.
-        region: settings of the policy's update.
-        critic: settings of the critic's fit.
-
-    Raises:
-        StudyError: a number is out of its range.
-    """
-
-    batch: int = 20_000
-    discount: float = 0.99
-    decay: float = 0.95
-    hidden: tuple[int, ...] = (64, 64)
-    log_std: float = 0.0
-    clip: float = 10.0
-    region: TrustRegion = field(default_factory=TrustRegion)
-    critic: CriticFit = field(default_factory=CriticFit)
-
-    def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ("discount", self.discount, 0.0, 1.0),
-            ("decay", self.decay, 0.0, 1.0),
-            ("kl", self.region.kl, 1e-9, np.inf),
-            ("damping", self.region.damping, 0.0, np.inf),
-        ):
-            if not low <= value <= high:
-                raise StudyError(f"policy: {name} is {value}; it must be from {low:g} to {high:g}")
-        if self.batch < 2 or min(self.hidden, default=0) < 1:
-            raise StudyError(
-                f"policy: batch {self.batch} must be at least 2, hidden {self.hidden} not empty"
-            )
+from bo_sysid.policy.settings import TrpoSettings
+from bo_sysid.policy.trpo import Batch, Update, advantages, normalised, update
 
 
 class Iteration(NamedTuple):
@@ -156,38 +114,26 @@ class Trainer:
             return self._iterate()
 
     def _iterate(self) -> Iteration:
-        settings = self.settings
-        rngs = [np.random.default_rng((self.seed, self.iterations + 1, k)) for k in range(2)]
+        number = self.iterations + 1
+        acting, shuffling = (np.random.default_rng((self.seed, number, k)) for k in range(2))
         rollout, self._observation = collect(
             self.environment,
             self._observation,
             self.policy,
             self.theta,
             self.normaliser(),
-            settings.batch // self.environment.n,
-            rngs[0],
+            self.settings.batch // self.environment.n,
+            acting,
         )
+        _require_finite(rollout)
         self.moments.add(rollout.observations.reshape(-1, rollout.observations.shape[2]))
         values, advantage = self._estimate(rollout)
-        targets = (advantage + values).ravel().astype(np.float32)
-        o, a = rollout.normalised.shape[2], rollout.actions.shape[2]
-        inputs = rollout.normalised.reshape(-1, o)
-        batch = Batch(
-            torch.from_numpy(inputs),
-            torch.from_numpy(rollout.actions.reshape(-1, a)),
-            normalised(torch.from_numpy(advantage.ravel().astype(np.float32))),
-        )
-        with ThreadPoolExecutor(1) as pool:
-            fit = pool.submit(self.critic.fit, inputs, targets, settings.critic, rngs[1])
-            if not self._parallel:
-                fit.result()
-            done = update(self.policy, torch.from_numpy(self.theta), batch, settings.region)
-            loss = fit.result()
-        self.theta = done.theta.numpy()
-        self.iterations += 1
+        targets = (advantage + values).astype(np.float32)
+        done, loss = self._learn(rollout, advantage, targets, shuffling)
+        self.theta, self.iterations = done.theta.numpy(), number
         episodes = self._episodes(rollout)
         return Iteration(
-            iteration=self.iterations,
+            iteration=number,
             steps=self.steps,
             batch_return=float(rollout.rewards.mean()) * self.environment.episode_steps,
             episodes=len(episodes),
@@ -197,10 +143,32 @@ class Trainer:
             cg_residual=done.cg_residual,
             trials=done.trials,
             accepted=done.accepted,
-            explained_variance=_explained(values.ravel(), targets),
+            explained_variance=_explained(values, targets),
             critic_loss=loss,
             std=float(np.exp(self.policy.log_std(self.theta)).mean()),
         )
+
+    def _learn(
+        self,
+        rollout: Rollout,
+        advantage: np.ndarray,
+        targets: np.ndarray,
+        rng: np.random.Generator,
+    ) -> tuple[Update, float]:
+        """Update the policy and fit the critic, at once where there are threads for it."""
+        inputs = rollout.normalised.reshape(-1, rollout.normalised.shape[2])
+        batch = Batch(
+            torch.from_numpy(inputs),
+            torch.from_numpy(rollout.actions.reshape(len(inputs), -1)),
+            normalised(torch.from_numpy(advantage.ravel().astype(np.float32))),
+        )
+        theta, settings = torch.from_numpy(self.theta), self.settings
+        fit = partial(self.critic.fit, inputs, targets.ravel(), settings.critic, rng)
+        if not self._parallel:
+            return update(self.policy, theta, batch, settings.region), fit()
+        with ThreadPoolExecutor(1) as pool:
+            fitting = pool.submit(fit)
+            return update(self.policy, theta, batch, settings.region), fitting.result()
 
     def _estimate(self, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
         """Return values and advantages, `T x n` each; time limits are bootstrapped."""
@@ -265,6 +233,21 @@ class Trainer:
         self._sums[:] = state["sums"]
         self._lengths[:] = state["lengths"]
         self.iterations = int(state["iterations"])
+
+
+def _require_finite(rollout: Rollout) -> None:
+    """Refuse a batch that cannot be learned from.
+
+    Raises:
+        UserError: the task gave an observation or a reward that is not finite.
+    """
+    for what, values in (("reward", rollout.rewards), ("observation", rollout.observations)):
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            raise UserError(
+                f"policy: the task gave a {what} of {values[tuple(bad[0])]} in control step "
+                f"{bad[0][0]} of the batch, in simulation {bad[0][1]}; all must be finite"
+            )
 
 
 def _explained(values: np.ndarray, targets: np.ndarray) -> float:

@@ -11,7 +11,6 @@ either direction, since both bound the total variation, and they agree to second
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,29 +18,9 @@ import torch
 
 from bo_sysid.policy.fisher import Fisher
 from bo_sysid.policy.network import LOG_2PI, GaussianPolicy
+from bo_sysid.policy.settings import TrustRegion
 
 Product = Callable[[torch.Tensor], torch.Tensor]
-
-
-@dataclass(frozen=True)
-class TrustRegion:
-    """Settings of the update.
-
-    Attributes:
-        kl: bound of the mean KL divergence.
-        damping: added to the diagonal of its Hessian.
-        average_kl: average the KL divergence over action dimensions; else sum.
-        cg_steps: most steps of conjugate gradients.
-        shrink: factor of the step when the line search backtracks.
-        backtracks: most trials of the line search.
-    """
-
-    kl: float = 0.02
-    damping: float = 0.1
-    average_kl: bool = True
-    cg_steps: int = 15
-    shrink: float = 0.8
-    backtracks: int = 10
 
 
 class Batch(NamedTuple):
