@@ -65,8 +65,36 @@ def test_equal_seeds_give_equal_starts_whatever_the_model_and_the_number(cheetah
     assert np.abs(more[3:] - nominal).max() > 0.1
     other = BatchEnvironment(task, [heavy(1.5)] * 3, 3, seed=7)
     assert 1e-4 < np.abs(other.reset() - nominal).max() < 1.0, "settled differently"
-    starts = [task.start(cheetah, np.random.default_rng((7, i, 0))) for i in range(3)]
+    starts = [task.start(cheetah, np.random.default_rng((7, i, 0, 0))) for i in range(3)]
     np.testing.assert_array_equal(other.begin(starts)[:, :8], [s.qpos[1:] for s in starts])
+
+
+def test_several_models_can_be_under_the_same_starts(reacher):
+    heavy = Model.from_dm_control("reacher", "easy").compile()
+    heavy.body_mass[:] *= 2
+    task = find_task("reacher", "easy")
+    both = BatchEnvironment(task, [reacher] * 3 + [heavy] * 3, 6, seed=2, common=3)
+    begin = both.reset()
+    np.testing.assert_array_equal(begin[:3], begin[3:])
+    np.testing.assert_array_equal(begin[:3], BatchEnvironment(task, reacher, 3, seed=2).reset())
+    moved = both.step(np.ones((6, 2))).final
+    assert (np.abs(moved[:3, 4:] - moved[3:, 4:]) > 1e-6).all()
+
+
+def test_other_models_act_from_the_next_step_on(cheetah):
+    heavy = Model.from_dm_control("cheetah", "run").compile()
+    heavy.body_mass[:] *= 1.5
+    environment = BatchEnvironment(find_task("cheetah", "run"), cheetah, 2, seed=1)
+    environment.reset()
+    roll(environment, 20)
+    data = mujoco.MjData(heavy)
+    state = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_setState(heavy, data, environment.sims.state[0], state)
+    environment.set_models(heavy)
+    step = environment.step(np.full((2, 6), 0.3))
+    data.ctrl[:] = 0.3
+    mujoco.mj_step(heavy, data)
+    np.testing.assert_array_equal(step.final[0], np.concatenate([data.qpos[1:], data.qvel]))
 
 
 def test_an_interrupted_environment_goes_on_exactly():

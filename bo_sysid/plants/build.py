@@ -1,6 +1,8 @@
 """From a study's `plant:` to the plant, and from the plant to recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
@@ -11,7 +13,10 @@ from bo_sysid.recording import Recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 
-EXCITATIONS = {"multisine": multisine, "random": smooth_random}
+EXCITATIONS: dict[str, Callable[..., np.ndarray]] = {
+    "multisine": multisine,
+    "random": smooth_random,
+}
 """Controls that move a machine, by name."""
 
 

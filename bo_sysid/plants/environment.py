@@ -77,6 +77,7 @@ class BatchEnvironment:
         threads: of the simulation; 0 for all cores. Results do not depend on it.
         stagger: spread the first episodes' ends evenly over an episode, so that later batches
             hold all phases of the task.
+        common: simulations i and i + `common` draw alike: several models under the same starts.
 
     Raises:
         UserError: `n` or the number of models is wrong, or the model does not fit the task.
@@ -91,10 +92,12 @@ class BatchEnvironment:
         seed: int = 0,
         threads: int = 1,
         stagger: bool = False,
+        common: int | None = None,
     ) -> None:
         if n < 1:
             raise UserError(f"environment: n is {n}; at least 1 simulation is needed")
         self.task, self.n, self._seed, self._stagger = task, n, seed, stagger
+        self._stream = np.arange(n) % (common or n)
         self._draw: ModelDraw | None = None
         self._models = self._first_models(model)
         first = self._models[0]
@@ -120,13 +123,17 @@ class BatchEnvironment:
             return [model] * self.n
         if callable(model):
             self._draw = model
-            return [model(np.random.default_rng((self._seed, i, 0, 1))) for i in range(self.n)]
+            return [model(self._generator(i, 0, purpose=1)) for i in range(self.n)]
         if len(model) != self.n:
             raise UserError(f"environment: {len(model)} models for {self.n} simulations")
         return list(model)
 
+    def _generator(self, i: int, episode: int, purpose: int = 0) -> np.random.Generator:
+        return np.random.default_rng((self._seed, int(self._stream[i]), episode, purpose))
+
     def set_models(self, models: mujoco.MjModel | Sequence[mujoco.MjModel]) -> None:
         """Run on other models, of the same layout, from the next step on."""
+        self._draw = None
         self._models = self._first_models(models)
         self.sims.set_models(self._models)
 
@@ -176,11 +183,11 @@ class BatchEnvironment:
 
     def _restart(self, rows: np.ndarray) -> None:
         starts = []
-        for i in rows:
-            key = (self._seed, int(i), int(self._episodes[i]))
+        for i in rows.tolist():
+            episode = int(self._episodes[i])
             if self._draw is not None:
-                self._models[i] = self._draw(np.random.default_rng((*key, 1)))
-            starts.append(self.task.start(self._models[i], np.random.default_rng(key)))
+                self._models[i] = self._draw(self._generator(i, episode, purpose=1))
+            starts.append(self.task.start(self._models[i], self._generator(i, episode)))
         if self._draw is not None:
             self.sims.set_models(self._models)
         self._place(rows, starts, settle=True)
@@ -221,9 +228,8 @@ class BatchEnvironment:
         self._episodes[:] = state["episodes"]
         self._observation = np.array(state["observation"])
         if self._draw is not None:
-            for i, episode in enumerate(self._episodes - 1):
-                key = (self._seed, i, int(episode), 1)
-                self._models[i] = self._draw(np.random.default_rng(key))
+            for i, episode in enumerate((self._episodes - 1).tolist()):
+                self._models[i] = self._draw(self._generator(i, episode, purpose=1))
             self.sims.set_models(self._models)
         return self._observation
 

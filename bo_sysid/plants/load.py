@@ -38,6 +38,7 @@ def make_environment(
     seed: int = 0,
     threads: int = 1,
     stagger: bool = False,
+    common: int | None = None,
 ) -> Environment:
     """Return an environment of `n` simulations of a task; see `BatchEnvironment`.
 
@@ -48,4 +49,6 @@ def make_environment(
         if not isinstance(model, mujoco.MjModel):
             raise UserError(f"task {task.name}: a task in Python takes one model, not several")
         return PythonEnvironment(task, model, n, seed=seed, stagger=stagger)
-    return BatchEnvironment(task, model, n, seed=seed, threads=threads, stagger=stagger)
+    return BatchEnvironment(
+        task, model, n, seed=seed, threads=threads, stagger=stagger, common=common
+    )
