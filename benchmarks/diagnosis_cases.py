@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, candidates
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import pose
 from bo_sysid.diagnosis.windowing import nothing, prepare
-from bo_sysid.effects import CATALOGUE, Filter, Machine, Reading, Site, survey
+from bo_sysid.effects import CATALOGUE, Filter, Force, Machine, Reading, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine
@@ -118,10 +118,11 @@ def simulate(
     sigma: float,
     sampling: float = 0.002,
     lugre: bool = False,
+    strange: Sequence[Force] = (),
 ) -> Recording:
     """Return a recording of noisy joint positions and of the controls that were commanded."""
     rng = np.random.default_rng(seed)
-    parts: list[object] = []
+    parts: list[object] = list(strange)
 
     def edit(spec: mujoco.MjSpec) -> None:
         for p in truth:
@@ -176,21 +177,62 @@ def _run(model, compiled, data, rig, time, goal, parts, rng, sigma):
             now = applied[k * FINER + i] if applied is not None else past(commanded, k, i)
             data.ctrl[: len(now)] = now
             data.qfrc_applied[:] = 0
+            view = _View(model, data, (k + i / FINER) * (time[1] - time[0]), fine)
             for law in laws:
                 j = model.joints.index(law.joint)
-                data.qfrc_applied[j] += _law_value(law, model, data)
+                data.qfrc_applied[j] += float(np.asarray(law.law(view)).ravel()[0])
             mujoco.mj_step(compiled, data)
     return commanded, position
 
 
 class _View:
-    def __init__(self, model: Model, data: mujoco.MjData) -> None:
+    """What a law sees of the plant."""
+
+    def __init__(self, model: Model, data: mujoco.MjData, time: float, timestep: float) -> None:
+        self.time, self.timestep = np.array([time]), timestep
         self.qpos = {n: data.qpos[i : i + 1] for i, n in enumerate(model.joints)}
         self.qvel = {n: data.qvel[i : i + 1] for i, n in enumerate(model.joints)}
 
 
-def _law_value(law, model, data) -> float:
-    return float(law.law(_View(model, data))[0])
+STRANGE = ("magnet", "worn_spot", "warming", "cable")
+
+
+def strange_force(kind: str, machine: Machine, joint: str, size: float, at: float) -> Force:
+    """Return physics outside the catalogue.
+
+    Args:
+        kind: a magnet near one angle, a spot of more friction, friction that fades as it warms
+            up, a cable that pulls one joint when another moves.
+        machine: gives the scales.
+        joint: where.
+        size: in units of the joint's typical force.
+        at: where in the joint's range, 0 to 1.
+    """
+    j = machine.joints[joint]
+    centre, width, force = j.middle + (at - 0.5) * 0.5 * j.span, 0.08 * j.span, size * j.force
+    other = next((n for n in machine.joints if n != joint), joint)
+    far = machine.joints[other]
+
+    def slip(m) -> np.ndarray:
+        return np.tanh(m.qvel[joint] / (1e-3 * j.speed))
+
+    def magnet(m) -> np.ndarray:
+        z = (m.qpos[joint] - centre) / width
+        return -force * 2.0 * z * np.exp(-(z**2))
+
+    def worn_spot(m) -> np.ndarray:
+        z = (m.qpos[joint] - centre) / (1.5 * width)
+        return -force * slip(m) * np.exp(-(z**2))
+
+    def warming(m) -> np.ndarray:
+        return -force * slip(m) * (0.3 + np.exp(-m.time / 6.0))
+
+    def cable(m) -> np.ndarray:
+        z = (m.qpos[other] - far.middle) / far.travel
+        return force * (z + 0.5 * z**2)
+
+    laws = {"magnet": magnet, "worn_spot": worn_spot, "warming": warming, "cable": cable}
+    return Force(joint, laws[kind])
 
 
 def _filtered(model, time, goal, filters, fine) -> np.ndarray:
@@ -255,9 +297,7 @@ def sized(
 ) -> np.ndarray | None:
     """Return the magnitudes at which an effect moves the predictions by `target` sigma, or None."""
     channels = {n: sigma for n in nominal.channels if n.startswith("qpos.")}
-    problem = pose(
-        model, machine, [nominal], channels, (), horizon=150, stride=3, engine=Engine(1)
-    )
+    problem = pose(model, machine, [nominal], channels, (), horizon=150, stride=3, engine=Engine(1))
     prepared = prepare(problem)
     base = problem.residual(nothing(problem), prepared.start)
 

@@ -145,7 +145,7 @@ def _located(decision: Decision, unexplained: Unexplained) -> tuple[Mapping[str,
     total = sum(u**2 for u in best.unique)
     sites: dict[tuple[str, str], float] = {}
     for c, u in zip(best.members, best.unique, strict=True):
-        key = (c.site.kind, c.site.name)
+        key: tuple[str, str] = (c.site.kind, c.site.name)
         sites[key] = sites.get(key, 0.0) + (1.0 - share) * u**2 / max(total, 1e-300)
     if unexplained.kind is not None and unexplained.site is not None:
         key = (unexplained.kind, unexplained.site)

@@ -139,17 +139,19 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
 
 
 def edits_and_parts(
-    hypothesis: Hypothesis, machine: Machine, model: Model
+    hypothesis: Hypothesis, machine: Machine, *, written: bool = False
 ) -> tuple[list[Edit], list[Part]]:
-    """Return the edits of a hypothesis; the list of parts is filled when they are applied."""
+    """Return the edits of a hypothesis; the list of parts is filled when they are applied.
+
+    Args:
+        hypothesis: what is edited in.
+        machine: the scales of its sites.
+        written: edit for a model file, where plain MJCF may say more than is simulated here.
+    """
     parts: list[Part] = []
 
-    def edit_of(number: int, candidate: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
-        def edit(spec: mujoco.MjSpec) -> None:
-            if number == 0:
-                parts.clear()  # a model with settotalmass may be edited twice
-            parts.extend(candidate.parts(spec, x, machine))
+    def edit_of(c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
+        made = c.effect.write if written else c.effect.parts
+        return lambda spec: parts.extend(made(spec, c.site, c.full(x), machine))
 
-        return edit
-
-    return [edit_of(i, c, x) for i, (c, x) in enumerate(hypothesis.terms)], parts
+    return [edit_of(c, x) for c, x in hypothesis.terms], parts

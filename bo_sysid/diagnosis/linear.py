@@ -16,10 +16,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.problem import Problem, force_laws, observe
+from bo_sysid.diagnosis.problem import Problem, Simulated, force_laws, observe
 from bo_sysid.effects import Force, Part
-from bo_sysid.simulation import Engine, State, Trajectory, tangent_difference
+from bo_sysid.simulation import Engine, ForceLaw, State, Trajectory, tangent_difference
 
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
@@ -133,6 +134,18 @@ class Linear:
             return np.zeros((*self.Q.shape[:2], 0), np.float32)
         return np.concatenate(out, axis=-1)
 
+    def response_to_forces(
+        self, joint: str, forces: Float[np.ndarray, "W M k"]
+    ) -> Float[np.ndarray, "W R k"]:
+        """Return the projected response to forces on a joint, one in each macro step."""
+        dof = self.problem.machine.joints[joint].dof
+        B = self._held(self.B[..., dof])[..., None]
+        parts = [
+            project(self.Q, self._shown(self._propagate(B * forces[:, :, None, k : k + _BATCH])))
+            for k in range(0, forces.shape[-1], _BATCH)
+        ]
+        return np.concatenate(parts, axis=-1)
+
     def _forcing(self, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
         """Return what each magnitude adds in a macro step, and directly to the observations."""
         W, M, n = len(self.start), self.macros, self.A.shape[-1]
@@ -154,25 +167,36 @@ class Linear:
             return self._by_force(joint, force), np.zeros(self.Q.shape[:2])
         h = self.hypothesis
         added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
+        if candidate.effect.hidden:
+            return self._nothing, self._simulated(added)
         model, parts = self.problem.compiled(added)
         new = parts[len(self.parts) :]
-        w = np.zeros((len(self.start), self.macros, self.A.shape[-1]))
+        w = self._nothing
         if _differ(model, self.points.model):
-            step = self.points.stepped(model, force_laws(self.parts)) - self.points.base
-            w += self._held(step.reshape(len(self.start), -1, self.A.shape[-1]))
+            step = self.points.stepped(model) - self.points.base
+            w = w + self._held(step.reshape(len(self.start), -1, self.A.shape[-1]))
         for part in new:
             if isinstance(part, Force):
-                w += self._by_force(part.joint, part.law(self.along))
+                w = w + self._by_force(part.joint, part.law(self.along))
         shown = np.zeros(self.Q.shape[:2])
         if new:
             ctrl = self.problem.controls(parts, self.problem.windows)
             change = _per_macro(ctrl - self.ctrl[:, : ctrl.shape[1]], self.macro, self.macros)
             if change.any():
-                w += np.einsum("wmnu,wmu->wmn", self._held(self.E), change)
+                w = w + np.einsum("wmnu,wmu->wmn", self._held(self.E), change)
             before = observe(self.problem.layout, self.problem.windows, self.trajectory, self.parts)
             after = observe(self.problem.layout, self.problem.windows, self.trajectory, parts)
             shown = self.problem.weighted(after - before)
         return w, shown
+
+    @property
+    def _nothing(self) -> np.ndarray:
+        return np.zeros((len(self.start), self.macros, self.A.shape[-1]))
+
+    def _simulated(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Return the change of the observations by simulation: the state has more coordinates."""
+        before = self.problem.residual(self.hypothesis, self.start)
+        return before - self.problem.residual(hypothesis, self.start)
 
     def _by_force(self, joint: str, force: np.ndarray) -> np.ndarray:
         dof = self.problem.machine.joints[joint].dof
@@ -231,10 +255,23 @@ class Linear:
 
 @dataclass(frozen=True)
 class Points:
-    """The states, one each `hold` macro steps, at which the model is stepped for differences."""
+    """The states, one each `hold` macro steps, at which the model is stepped for differences.
+
+    Attributes:
+        model: of the hypothesis.
+        coordinates: where it keeps the nominal coordinates.
+        engine: steps it.
+        laws: of the hypothesis.
+        state: `P` states of that model.
+        ctrl: controls during the macro step.
+        signals: recorded inputs during it.
+        base: where the macro step ends.
+    """
 
     model: mujoco.MjModel
+    coordinates: Coordinates
     engine: Engine
+    laws: tuple[ForceLaw, ...]
     state: State
     ctrl: Float[np.ndarray, "P macro nu"]
     signals: Mapping[str, Float[np.ndarray, "P macro"]]
@@ -242,44 +279,59 @@ class Points:
 
     def stepped(
         self,
-        model: mujoco.MjModel,
-        laws: Any,
+        model: mujoco.MjModel | None = None,
         state: State | None = None,
         ctrl: np.ndarray | None = None,
         force: np.ndarray | None = None,
     ) -> Float[np.ndarray, "P n"]:
-        """Return the tangent of the state after one macro step, relative to where it began."""
-        begin = self.state if state is None else state
+        """Return the nominal coordinates after one macro step, positions from where it began."""
+        model = model or self.model
         t = self.engine.rollout(
             model,
-            begin,
+            state or self.state,
             self.ctrl if ctrl is None else ctrl,
             force=force,
-            laws=laws,
+            laws=self.laws,
             signals=self.signals,
         )
-        moved = tangent_difference(model, t.qpos[:, -1], self.state.qpos)
-        return np.concatenate([moved, t.qvel[:, -1], t.act[:, -1]], axis=1)
+        at, c = self.state, self.coordinates
+        moved = tangent_difference(model, t.qpos[:, -1], at.qpos)
+        speed = t.qvel[:, -1]
+        shown_moved, shown_speed = moved[:, c.qvel], speed[:, c.qvel]
+        for _, v, _, hidden, share in c.shown:
+            shown_moved[:, v] += share * moved[:, hidden]
+            shown_speed[:, v] += share * speed[:, hidden]
+        return np.concatenate([shown_moved, shown_speed, t.act[:, -1][:, c.act]], axis=1)
+
+    def perturbed(self, k: int, size: float) -> State:
+        """Return the states with one nominal coordinate changed: position, velocity, activation."""
+        nv = len(self.coordinates.qvel)
+        if k >= 2 * nv:
+            act = self.state.act.copy()
+            act[:, self.coordinates.act[k - 2 * nv]] += size
+            return replace(self.state, act=act)
+        tangent = np.zeros((len(self.state), 2 * self.model.nv))
+        column = int(self.coordinates.qvel[k % nv])
+        tangent[:, column if k < nv else self.model.nv + column] = size
+        return self.state.moved(self.model, tangent)
 
 
 def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     """Linearise the simulator along the prediction of a hypothesis."""
-    trajectory, parts, windows = problem.simulate(hypothesis, start)
-    model, _ = problem.compiled(hypothesis)
-    macro = max(round(_GRID / windows.timestep), 1)
-    hold = max(round(_HOLD / (macro * windows.timestep)), 1)
-    ctrl = problem.controls(parts, windows)
-    spare = -ctrl.shape[1] % macro
-    ctrl = np.pad(ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
-    points = _points(problem, model, parts, trajectory, ctrl, macro, hold)
-    A, B, E = _matrices(problem, model, parts, points, len(start))
-    W, n = len(start), A.shape[-1]
+    s = problem.simulate(hypothesis, start)
+    macro = max(round(_GRID / s.windows.timestep), 1)
+    hold = max(round(_HOLD / (macro * s.windows.timestep)), 1)
+    spare = -s.ctrl.shape[1] % macro
+    ctrl = np.pad(s.ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
+    points = _points(problem, s, ctrl, macro, hold)
+    A, B, E = _matrices(problem, points, len(start))
+    W, nv = len(start), problem.machine.model.nv
     empty = np.zeros((W, problem.count, 0))
     linear = Linear(
-        problem, hypothesis, start, trajectory, tuple(parts), macro, hold, A, B, E, ctrl, points,
+        problem, hypothesis, start, s.trajectory, s.parts, macro, hold, A, B, E, ctrl, points,
         empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
-    identity = np.broadcast_to(np.eye(n, 2 * model.nv), (W, n, 2 * model.nv)).copy()
+    identity = np.broadcast_to(np.eye(A.shape[-1], 2 * nv), (W, A.shape[-1], 2 * nv)).copy()
     J = linear._shown(linear._propagate(None, identity))
     J = np.clip(np.nan_to_num(J), -1e12, 1e12)
     Q, R = np.linalg.qr(J)
@@ -287,82 +339,56 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     return replace(linear, J=J, Q=Q, start_gain=gain)
 
 
-def _points(
-    problem: Problem,
-    model: mujoco.MjModel,
-    parts: Sequence[Part],
-    trajectory: Trajectory,
-    ctrl: np.ndarray,
-    macro: int,
-    hold: int,
-) -> Points:
-    macros = ctrl.shape[1] // macro
-    rows = np.minimum(np.arange(0, macros, hold) * macro, trajectory.qpos.shape[1] - 1)
-    flat = lambda a: a[:, rows].reshape(len(a) * len(rows), a.shape[-1])  # noqa: E731
-    state = State(flat(trajectory.qpos), flat(trajectory.qvel), flat(trajectory.act))
+def _points(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: int) -> Points:
+    last = s.whole.qpos.shape[1] - 1
+    rows = np.minimum(np.arange(0, ctrl.shape[1] // macro, hold) * macro, last)
+
+    def flat(values: np.ndarray) -> np.ndarray:
+        return values[:, rows].reshape(len(values) * len(rows), values.shape[-1])
+
+    state = State(flat(s.whole.qpos), flat(s.whole.qvel), flat(s.whole.act))
     inputs = rows[:, None] + np.arange(macro)
+    spare = ctrl.shape[1] - s.ctrl.shape[1]
     signals = {
-        n: np.pad(s, ((0, 0), (0, ctrl.shape[1] - s.shape[1])), mode="edge")[:, inputs].reshape(
-            -1, macro
-        )
-        for n, s in problem.windows.signals.items()
+        n: np.pad(v, ((0, 0), (0, spare)), mode="edge")[:, inputs].reshape(-1, macro)
+        for n, v in s.windows.signals.items()
     }
     points = Points(
-        model,
+        s.model,
+        s.coordinates,
         Engine(problem.engine.threads),
+        force_laws(s.parts),
         state,
         ctrl[:, inputs].reshape(-1, macro, ctrl.shape[-1]),
         signals,
         np.zeros((0, 0)),
     )
-    return replace(points, base=points.stepped(model, force_laws(parts)))
+    return replace(points, base=points.stepped())
 
 
 def _matrices(
-    problem: Problem, model: mujoco.MjModel, parts: Sequence[Part], points: Points, W: int
+    problem: Problem, points: Points, W: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    nv, laws = model.nv, force_laws(parts)
-    P = len(points.state)
-
-    def column(
-        change: float,
-        state: State | None = None,
-        ctrl: np.ndarray | None = None,
-        force: np.ndarray | None = None,
-    ) -> np.ndarray:
-        return (points.stepped(model, laws, state, ctrl, force) - points.base) / change
-
-    A = np.empty((P, 2 * nv + model.na, 2 * nv + model.na))
-    B = np.empty((P, A.shape[1], nv))
-    E = np.empty((P, A.shape[1], points.ctrl.shape[-1]))
-    for k in range(A.shape[1]):
+    c = points.coordinates
+    nv, n, P = len(c.qvel), points.base.shape[1], len(points.state)
+    A, B = np.empty((P, n, n)), np.empty((P, n, nv))
+    E = np.empty((P, n, points.ctrl.shape[-1]))
+    for k in range(n):
         size = _MOVE if k < nv else _TURN
-        A[..., k] = column(size, _perturbed(model, points.state, k, size))
+        A[..., k] = (points.stepped(state=points.perturbed(k, size)) - points.base) / size
     scale = {j.dof: j.force for j in problem.machine.joints.values()}
     for k in range(nv):
         size = _FORCE * scale.get(k, 1.0)
-        force = np.zeros((P, points.ctrl.shape[1], nv))
-        force[..., k] = size
-        B[..., k] = column(size, force=force)
+        force = np.zeros((P, points.ctrl.shape[1], points.model.nv))
+        force[..., c.qvel[k]] = size
+        B[..., k] = (points.stepped(force=force) - points.base) / size
     for k, name in enumerate(problem.model.ctrl_channels):
         actuator = problem.machine.actuators.get(name.removeprefix("ctrl."))
         size = 1e-3 * max(actuator.ctrl_max if actuator else 1.0, 1e-6)
         ctrl = points.ctrl.copy()
         ctrl[..., k] += size
-        E[..., k] = column(size, ctrl=ctrl)
-    shape = lambda a: a.reshape(W, P // W, *a.shape[1:])  # noqa: E731
-    return shape(A), shape(B), shape(E)
-
-
-def _perturbed(model: mujoco.MjModel, state: State, k: int, size: float) -> State:
-    """Return the states with one coordinate changed: tangent position, velocity or activation."""
-    tangent = np.zeros((len(state), 2 * model.nv))
-    if k >= 2 * model.nv:
-        act = state.act.copy()
-        act[:, k - 2 * model.nv] += size
-        return replace(state, act=act)
-    tangent[:, k] = size
-    return state.moved(model, tangent)
+        E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / size
+    return tuple(a.reshape(W, P // W, *a.shape[1:]) for a in (A, B, E))  # type: ignore[return-value]
 
 
 def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:

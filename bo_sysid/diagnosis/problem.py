@@ -7,8 +7,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.effects import Filter, Force, Machine, Part, Reading
+from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
@@ -19,6 +21,29 @@ from bo_sysid.simulation.windows import Layout, Windows, predicted
 BLOCKS = 20
 FINER = 4  # the discretisation is judged against a time step this many times smaller
 _FAR = 1e7  # residuals are cut off here, in sigma
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a hypothesis does over all windows.
+
+    Attributes:
+        trajectory: the nominal model's coordinates, as its encoders show them.
+        whole: all coordinates of the edited model.
+        parts: of the hypothesis that MJCF cannot express.
+        windows: at the time step of the simulation.
+        model: the edited model.
+        coordinates: how the two trajectories belong together.
+        ctrl: `W x S x nu` controls after filters.
+    """
+
+    trajectory: Trajectory
+    whole: Trajectory
+    parts: tuple[Part, ...]
+    windows: Windows
+    model: mujoco.MjModel
+    coordinates: Coordinates
+    ctrl: Float[np.ndarray, "W S nu"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +101,7 @@ class Problem:
         self, hypothesis: Hypothesis, timestep: float | None = None
     ) -> tuple[mujoco.MjModel, list[Part]]:
         """Return the model of a hypothesis and the parts that MJCF cannot express."""
-        edits, parts = edits_and_parts(hypothesis, self.machine, self.model)
+        edits, parts = edits_and_parts(hypothesis, self.machine)
         return self.model.compile(edits, timestep=timestep or self.windows.timestep), parts
 
     def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
@@ -98,25 +123,30 @@ class Problem:
                 )
         return ctrl
 
-    def simulate(
-        self, hypothesis: Hypothesis, start: State, finer: int = 1
-    ) -> tuple[Trajectory, list[Part], Windows]:
+    def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
         """Simulate all windows; `finer` divides the time step."""
         windows = self.windows if finer == 1 else refined(self.windows, finer)
         model, parts = self.compiled(hypothesis, windows.timestep)
         ctrl = self.controls(parts, windows)
-        trajectory = self.engine.rollout(
-            model, start, ctrl, laws=force_laws(parts), signals=windows.signals
+        coordinates = Coordinates.between(self.machine.model, model, parts)
+        whole = self.engine.rollout(
+            model,
+            coordinates.expand(start),
+            ctrl,
+            laws=force_laws(parts),
+            signals=windows.signals,
         )
-        return trajectory, parts, windows
+        return Simulated(
+            coordinates.reduce(whole), whole, tuple(parts), windows, model, coordinates, ctrl
+        )
 
     def residual(
         self, hypothesis: Hypothesis, start: State, finer: int = 1
     ) -> Float[np.ndarray, "W R"]:
         """Return recorded minus predicted for every observation, in sigma."""
-        trajectory, parts, windows = self.simulate(hypothesis, start, finer)
-        shown = observe(self.layout, windows, trajectory, parts)
-        r = self.weighted(np.nan_to_num(windows.observed) - shown)
+        s = self.simulate(hypothesis, start, finer)
+        shown = observe(self.layout, s.windows, s.trajectory, s.parts)
+        r = self.weighted(np.nan_to_num(s.windows.observed) - shown)
         if self.correction is not None and hypothesis.numerics:
             r = r - hypothesis.numerics * self.correction
         return r
@@ -154,6 +184,7 @@ def pose(
     """
     windows = cut(model, recordings, horizon=horizon, timestep=timestep, signals=machine.inputs)
     windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
+    windows = replace(windows, signals={**windows.signals, ELAPSED: _elapsed(windows, recordings)})
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
@@ -231,6 +262,12 @@ def _delayed(
     slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
     late = late + np.minimum(at, 0.0) * slope[..., 0]
     return late - predicted(layout, now, trajectory)[..., 0]
+
+
+def _elapsed(windows: Windows, recordings: Sequence[Recording]) -> Float[np.ndarray, "W S"]:
+    """Return the time since the recording began at every simulation step, in [s]."""
+    began = np.array([r.span[0] for r in recordings])[windows.recording]
+    return (windows.time - began)[:, None] + np.arange(windows.steps) * windows.timestep
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

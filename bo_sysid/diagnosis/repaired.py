@@ -36,7 +36,7 @@ def write_model(
 
     Where the recordings show the finer step of a continuous machine, the time step is divided.
     """
-    edits, parts = edits_and_parts(hypothesis, machine, model)
+    edits, parts = edits_and_parts(hypothesis, machine, written=True)
     if hypothesis.numerics > _FINE and correction > 0:
         edits.append(_finer)
     model.export(path, edits)

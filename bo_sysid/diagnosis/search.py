@@ -283,7 +283,7 @@ class _Table:
 
 def units_of(fit: Fit) -> list[tuple[int, ...]]:
     """Return the members of each unit of a fit: one member, or all of a group."""
-    found = [(k,) for k, g in enumerate(fit.groups) if g is None]
+    found: list[tuple[int, ...]] = [(k,) for k, g in enumerate(fit.groups) if g is None]
     for label in dict.fromkeys(g for g in fit.groups if g is not None):
         found.append(tuple(k for k, g in enumerate(fit.groups) if g == label))
     return found

@@ -89,7 +89,7 @@ class Gram:
         out: list[Scored] = []
         widths = np.array([sum(len(self.columns[i]) for u in s for i in u.members) for s in sets])
         for width in np.unique(widths):
-            same = [sets[k] for k in np.flatnonzero(widths == width)]
+            same = [sets[int(k)] for k in np.flatnonzero(widths == width)]
             step = max(_TOGETHER * 64 // max(int(width) ** 2, 1), 16)
             for k in range(0, len(same), step):
                 out += self._solved(same[k : k + step])
@@ -105,7 +105,7 @@ class Gram:
         inside = (x >= self.low[index] - slack) & (x <= self.high[index] * _ABOVE + slack)
         gain = (x * self.b[index]).sum(axis=1)
         return [
-            Scored(float(gain[k]), tuple(sets[k]), x[k] / self.scale[index[k]])
+            Scored(float(gain[k]), tuple(sets[int(k)]), x[k] / self.scale[index[k]])
             for k in np.flatnonzero(inside.all(axis=1))
         ]
 
