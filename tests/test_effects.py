@@ -195,10 +195,10 @@ def test_saturation_counts_the_torque_lost(arm, machine) -> None:
 USER = """
 from bo_sysid.effects import Component, Extent, effect
 
-@effect("worn_spot", kind="joint", components=(Component("depth", "N m"),),
+@effect("my_friction", kind="joint", components=(Component("level", "N m"),),
         extent=lambda site, machine: Extent((0.1,), (0.0,), (1.0,)),
-        noun="a worn spot", sentence="{site} is worn by {value}.", evidence="e", separation="s")
-def worn_spot(spec, site, x, machine):
+        noun="my friction", sentence="{site} has {value} of mine.", evidence="e", separation="s")
+def my_friction(spec, site, x, machine):
     spec.joint(site.name).frictionloss += x[0]
 """
 
@@ -208,18 +208,18 @@ def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
     file.write_text(USER)
     for _ in range(2):  # again: registered anew
         (mine,) = load_effects(file)
-    assert mine.id == "worn_spot"
-    assert CATALOGUE["worn_spot"] is mine
+    assert mine.id == "my_friction"
+    assert CATALOGUE["my_friction"] is mine
     model, _ = compiled(arm, machine, mine, Site("joint", "elbow"), np.array([0.3]))
     assert model.joint("elbow").frictionloss[0] == 0.3
     file.write_text("raise OSError('no')")
     with pytest.raises(StudyError, match=r"mine\.py: OSError: no"):
         load_effects(file)
-    assert "worn_spot" in CATALOGUE
+    assert "my_friction" in CATALOGUE
     file.write_text("x = 1")
     with pytest.raises(StudyError, match="registers no effect"):
         load_effects(file)
-    assert "worn_spot" not in CATALOGUE
+    assert "my_friction" not in CATALOGUE
 
 
 def test_unknown_effects_are_named_with_the_nearest() -> None:

@@ -25,7 +25,7 @@ from bo_sysid.effects.contract import (
     unit_at,
 )
 from bo_sysid.effects.machine import Machine, survey
-from bo_sysid.effects.registry import CATALOGUE, applicable, chosen, effect, load_effects
+from bo_sysid.effects.registry import CATALOGUE, applicable, chosen, effect, listing, load_effects
 
 __all__ = [
     "CATALOGUE",
@@ -43,6 +43,7 @@ __all__ = [
     "applicable",
     "chosen",
     "effect",
+    "listing",
     "load_effects",
     "survey",
     "unit_at",

@@ -170,12 +170,21 @@ def _delay_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((_DELAYS[0],), (0.0,), (0.1,), tuple((p,) for p in _DELAYS))
 
 
-def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Write the delay as the actuator's own, interpolated between steps."""
-    a = spec.actuator(site.name)
-    a.delay = a.delay + float(x[0])
-    a.nsample = int(np.ceil(a.delay / spec.option.timestep)) + 1
-    a.interp = _INTERPOLATED
+def _delay_filter(site: Site, x: Magnitudes) -> Filter:
+    return Filter(site.name, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
+
+
+def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
+    """Write the delay as the actuator's own, interpolated between steps.
+
+    MuJoCo has no command newer than the last step's: a delay of less than a step remains a filter.
+    """
+    a, dt = spec.actuator(site.name), spec.option.timestep
+    late = a.delay + float(x[0])
+    if late < dt:
+        return _delay_filter(site, x)
+    a.delay, a.nsample, a.interp = late, int(np.ceil(late / dt)) + 1, _INTERPOLATED
+    return None
 
 
 @effect(
@@ -192,7 +201,7 @@ def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
 )
 def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The command arrives x[0] later."""
-    return Filter(site.name, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
+    return _delay_filter(site, x)
 
 
 def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:

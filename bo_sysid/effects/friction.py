@@ -136,8 +136,10 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
 def _lugre(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """LuGre friction [1] with the same steady state, held by bristles of stiffness s0.
 
-    The bristles bend by less than the joint's speed covers in a step, and no stiffer than a step
-    can resolve; they are damped critically against the joint's inertia.
+    The bristles bend by a tenth of a millirad before they slip, more where a step could not
+    resolve their stiffness. They are damped against the joint's inertia, but by no more than the
+    Coulomb level at the joint's speed: a simulation begins with straight bristles, and damping
+    acts on them at once.
 
     [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
         friction", IEEE Transactions on Automatic Control 40(3), 1995.
@@ -148,7 +150,8 @@ def _lugre(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> 
     low, high = nominal + coulomb, nominal + coulomb + excess
     stiffness = min(high / _PRESLIDING, _RESOLVED * joint.inertia / dt**2)
     motor = passive_motor(spec, site.name, "friction")
-    motor.dynprm[5:7] = (stiffness, 2.0 * np.sqrt(stiffness * joint.inertia))
+    damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
+    motor.dynprm[5:7] = (stiffness, damping)
     motor.biasprm[3:6] = (low, high, speed)
     motor.actdim = 1
     spec.joint(site.name).frictionloss = 0.0

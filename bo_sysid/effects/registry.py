@@ -1,14 +1,19 @@
 """The catalogue: effects by id, the package's own and those of a study."""
 
 import importlib.util
-from collections.abc import Callable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
-from bo_sysid.effects.contract import Apply, Effect, Site
+import pandas as pd
+
+from bo_sysid.effects.contract import Apply, Effect, Site, SiteKind
 from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, nearest
+
+_FEW = 4  # components that a table names
 
 _EFFECTS: dict[str, Effect] = {}
 
@@ -93,6 +98,33 @@ def chosen(
     return tuple(_EFFECTS[i] for i in wanted if i not in exclude)
 
 
+def listing(effects: Iterable[Effect]) -> pd.DataFrame:
+    """Return effects as a table, one row each, by kind of site.
+
+    Columns: ``id``; ``site``, its kind; ``unit`` of the value at a hinge; ``components``, names
+    and units of the magnitudes; ``model``, what it becomes in a model; ``evidence`` and
+    ``separation``, what gives it away and what tells it from what looks alike; ``sentence``;
+    ``source``, the file of an effect of a user's own.
+    """
+    own = Path(__file__).resolve().parent
+    rows = [
+        {
+            "id": e.id,
+            "site": e.kind,
+            "unit": e.unit,
+            "components": ", ".join(f"{c.name} [{c.unit}]" for c in e.components[:_FEW])
+            + (f" and {len(e.components) - _FEW} more" if len(e.components) > _FEW else ""),
+            "model": e.form,
+            "evidence": e.evidence,
+            "separation": e.separation,
+            "sentence": e.sentence,
+            "source": "" if (file := _file_of(e)) is None or own in file.parents else str(file),
+        }
+        for e in sorted(effects, key=lambda e: get_args(SiteKind).index(e.kind))
+    ]
+    return pd.DataFrame(rows)
+
+
 def applicable(effect: Effect, machine: Machine) -> tuple[Site, ...]:
     """Return the sites of a machine at which an effect can act."""
     sites = [Site(effect.kind, name) for name in machine.names(effect.kind)]
@@ -100,5 +132,5 @@ def applicable(effect: Effect, machine: Machine) -> tuple[Site, ...]:
 
 
 def _file_of(effect: Effect) -> Path | None:
-    code = getattr(effect.apply, "__code__", None)
+    code = getattr(inspect.unwrap(effect.apply), "__code__", None)
     return Path(code.co_filename).resolve() if code is not None else None

@@ -19,6 +19,7 @@ _GAPS = (0.01, 0.04, 0.15)  # of a joint's travel, tried as play
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
+_RATIO = 0.25  # damping ratio of a constraint that stands for a spring
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
@@ -267,22 +268,27 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
 def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """Deflection x[0]·torque between motor and link; x[1] as of backlash.
 
-    The spring is a soft constraint, which no stiffness makes unstable. MuJoCo's constraint with
-    time constant T, critical damping and impedance d acts at rest as a spring of stiffness
-    1/(T² (1 - d) w), w the joint's inverse inertia in the reference pose, and its damping is felt
-    over 2T. T is two time steps, longer where the spring is so soft that d would fall below 1/2.
+    A spring that the time step h resolves is the stiffness of the second joint. A stiffer one is
+    a soft constraint, which cannot become unstable: MuJoCo's with time constant T/r, damping
+    ratio r and impedance d acts at rest as a spring of stiffness 1/(T² (1 - d) w), w the joint's
+    inverse inertia in the reference pose. T is 2h; the damping of both is felt over 4 r h.
+    Impedance has a limit: no joint is stiffer than 1e4/(T² w).
     """
-    play = _second_joint(spec, site, machine)
+    play, compliance = _second_joint(spec, site, machine), float(x[0])
     compiled = compile_spec(stripped(spec), f"joint {play.name!r}")
     weight = float(compiled.dof_invweight0[compiled.joint(play.name).dofadr[0]])
-    time = max(2.0 * spec.option.timestep, float(np.sqrt(2.0 * x[0] / weight)))
-    impedance = float(np.clip(1.0 - x[0] / (time**2 * weight), 0.5, _HARDEST))
-    spec.add_equality(
-        name=play.name,
-        type=mujoco.mjtEq.mjEQ_JOINT,
-        objtype=mujoco.mjtObj.mjOBJ_JOINT,
-        name1=play.name,
-        solref=[time, 1.0],
-        solimp=[impedance, impedance, 0.001, 0.5, 2.0],
-    )
+    slow = (2.0 * spec.option.timestep) ** 2 * weight
+    if compliance > 0.5 * slow:
+        play.stiffness[0] = 1.0 / compliance
+        play.damping[0] = 4.0 * _RATIO * spec.option.timestep / compliance
+    else:
+        impedance = min(1.0 - compliance / slow, _HARDEST)
+        spec.add_equality(
+            name=play.name,
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=play.name,
+            solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
+            solimp=[impedance, impedance, 0.001, 0.5, 2.0],
+        )
     return Hidden(play.name, site.name, float(x[1]))

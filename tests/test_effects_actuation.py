@@ -1,0 +1,219 @@
+"""Actuators, servos and sensors against what physics says of them."""
+
+import mujoco
+import numpy as np
+import pytest
+from effect_bench import MOTOR, SERVO, SLIDE, Bench, G, pendulum
+
+from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable
+from bo_sysid.recording import Channel
+from bo_sysid.recording.alignment import control_steps
+
+GOAL = 1.0
+VOLTS = 24 - 6 * np.linspace(0, 1, 2000)
+
+
+@pytest.fixture(scope="module")
+def slide() -> Bench:
+    return Bench(SLIDE, {"voltage": VOLTS})
+
+
+def rest(bench: Bench, model: mujoco.MjModel, goal: float = GOAL) -> float:
+    _, q, v = bench.run(model, (), 6.0, ctrl=goal)
+    assert np.abs(v[-1]).max() < 1e-6
+    return float(q[-1, 0])
+
+
+def balance(kp: float, goal: float) -> float:
+    """Return where a servo holds the pendulum: kp (goal - q) = m g l sin q."""
+    q = goal
+    for _ in range(200):
+        q = goal - 0.5 * G * 0.2 * np.sin(q) / kp
+    return q
+
+
+@pytest.mark.parametrize("servo", [SERVO, SERVO.replace('kv="1"', 'dampratio="1"')])
+class TestServo:
+    def test_a_gain_moves_the_rest_only_by_what_gravity_loads(self, servo) -> None:
+        arm = pendulum(servo)
+        loaded, _ = arm.edited("actuator_gain", "actuator", "servo", [0.2])
+        assert rest(arm, loaded) == pytest.approx(balance(12, GOAL), abs=1e-5)
+        assert abs(rest(arm, loaded) - balance(10, GOAL)) > 5e-3
+        loaded.opt.gravity[:] = 0
+        assert rest(arm, loaded) == pytest.approx(GOAL, abs=1e-6)
+
+    def test_kp_moves_the_rest_as_another_servo_would(self, servo) -> None:
+        arm = pendulum(servo)
+        model, _ = arm.edited("servo_kp", "actuator", "servo", [5.0])
+        assert rest(arm, model) == pytest.approx(balance(15, GOAL), abs=1e-5)
+        other = pendulum('<actuator><position name="servo" joint="hinge" kp="15"/></actuator>')
+        np.testing.assert_allclose(
+            model.actuator_biasprm[0, :2], other.machine.model.actuator_biasprm[0, :2]
+        )
+
+    def test_kd_adds_damping(self, servo) -> None:
+        arm = pendulum(servo)
+        before = arm.machine.model.actuator_biasprm[0, 2]
+        model, _ = arm.edited("servo_kd", "actuator", "servo", [0.7])
+        assert model.actuator_biasprm[0, 2] == pytest.approx(before - 0.7)
+
+    def test_an_encoder_that_scales_ends_where_its_reading_is_the_goal(self, servo) -> None:
+        arm = pendulum(servo)
+        model, readings = arm.edited("encoder_scale", "joint", "hinge", [0.1])
+        model.opt.gravity[:] = 0
+        assert 1.1 * rest(arm, model) == pytest.approx(GOAL, abs=1e-6)
+        assert readings[0] == Reading("qpos.hinge", scale=0.1)
+
+
+def test_an_encoder_offset_shifts_the_goal_along() -> None:
+    arm = pendulum(SERVO)
+    model, (reading, goal) = arm.edited("encoder_offset", "joint", "hinge", [0.2])
+    model.opt.gravity[:] = 0
+    shifted = goal.change(Channel(np.arange(2.0), np.full(2, GOAL), hold="zero"), 0.001)
+    assert rest(arm, model, float(shifted.values[0])) + reading.offset == pytest.approx(GOAL)
+
+
+def test_back_emf_limits_the_speed(slide) -> None:
+    _, _, v = slide.effect("back_emf", "actuator", "drive", [4.0], 6.0, ctrl=0.5)
+    assert v[-1, 0] == pytest.approx(3 * 0.5 / 4.0, rel=1e-4)
+
+
+def test_back_emf_is_for_motors_and_kd_for_servos() -> None:
+    for xml, emf, kd in ((MOTOR, 1, 0), (SERVO, 0, 1)):
+        machine = pendulum(xml).machine
+        assert len(applicable(CATALOGUE["back_emf"], machine)) == emf
+        assert len(applicable(CATALOGUE["servo_kd"], machine)) == kd
+
+
+def test_saturation_clips_the_force(slide) -> None:
+    model, _ = slide.edited("actuator_saturation", "actuator", "drive", [1.0])
+    top = slide.machine.actuators["drive"].force_max - 1.0
+    for u, force in ((0.1, 0.3), (5.0, top), (-5.0, -top)):
+        t, _, v = slide.run(model, (), 0.1, ctrl=u)
+        assert v[-1, 0] / t[-1] == pytest.approx(force / 2)
+
+
+@pytest.mark.parametrize("volts", [24.0, 21.0, 18.0])
+def test_a_full_sag_makes_torque_follow_the_voltage(slide, volts) -> None:
+    t, _, v = slide.effect(
+        "voltage_sag", "actuator", "drive", [6.0], 0.1, ctrl=0.5, signals={"aux.voltage": volts}
+    )
+    assert v[-1, 0] / t[-1] == pytest.approx(3 * 0.5 / 2 * volts / 24)
+
+
+def test_voltage_sag_needs_a_voltage_that_sags() -> None:
+    for aux, sites in (({}, 0), ({"voltage": VOLTS}, 1), ({"voltage": 0 * VOLTS + 24}, 0)):
+        assert len(applicable(CATALOGUE["voltage_sag"], Bench(SLIDE, aux).machine)) == sites
+
+
+def filtered(bench: Bench, id: str, x: float, channel: Channel, dt: float = 0.001) -> Channel:
+    _, (part,) = bench.edited(id, "actuator", "drive", [x])
+    assert isinstance(part, Filter)
+    return part.change(channel, dt)
+
+
+class TestCommandRate:
+    @pytest.fixture
+    def step(self) -> Channel:
+        t = np.arange(0, 1, 0.001)
+        return Channel(t, (t >= 0.1 - 1e-9) * 1.0, hold="zero")
+
+    def lost(self, bench: Bench, rate: float) -> float:
+        x = np.array([1.0])
+        details = CATALOGUE["command_rate"].details(x, bench.machine, Site("actuator", "drive"))
+        return details["largest rate"][0] + 1.0 - rate
+
+    def test_a_step_becomes_a_ramp(self, slide, step) -> None:
+        out = filtered(slide, "command_rate", self.lost(slide, 0.5), step)
+        ramp = np.clip((out.time + 0.0005 - 0.1) * 0.5, 0, 1)  # mean over each step
+        np.testing.assert_allclose(out.values[1:], ramp[1:], atol=3e-4)
+
+    def test_it_does_not_depend_on_the_time_step(self, slide, step) -> None:
+        lost = self.lost(slide, 7.3)
+        coarse = filtered(slide, "command_rate", lost, step, 0.004)
+        fine = filtered(slide, "command_rate", lost, step, 0.001)
+        mean = fine.values[: 4 * len(coarse.values) - 4].reshape(-1, 4).mean(axis=1)
+        np.testing.assert_allclose(coarse.values[: len(mean)], mean, atol=1e-9)
+
+    def test_slow_commands_pass(self, slide) -> None:
+        t = np.arange(0, 1, 0.001)
+        slow = Channel(t, np.floor(t * 100) / 100, hold="zero")  # steps of 0.01
+        out = filtered(slide, "command_rate", self.lost(slide, 1e3), slow)
+        np.testing.assert_allclose(out.at(t + 5e-4), slow.at(t + 5e-4), atol=1e-4)
+
+
+class TestWritten:
+    """Filters that plain MJCF can say move the machine alike."""
+
+    def moved(self, bench: Bench, model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+        data, out = mujoco.MjData(model), []
+        for u in ctrl:
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data)
+            out.append(data.qpos[0])
+        return np.array(out)
+
+    @pytest.mark.parametrize(
+        ("id", "x", "share"),
+        [
+            ("actuator_delay", 0.0127, 1e-6),
+            ("actuator_delay", 0.006, 1e-6),
+            ("actuator_lag", 0.05, 0.012),  # within half a step of 1 ms
+            ("actuator_lag", 0.01, 0.06),
+        ],
+    )
+    def test_as_the_filter_does(self, slide, id, x, share) -> None:
+        dt, steps = 0.001, 1500
+        t = np.arange(steps) * dt
+        u = np.where(t > 0.2, np.sin(20 * t) + (t > 0.7), 0.0)  # at rest while the history fills
+        model, (part,) = slide.edited(id, "actuator", "drive", [x])
+        channel = part.change(Channel(t, u, hold="zero"), dt)
+        one = self.moved(slide, model, control_steps(channel, np.zeros(1), steps, dt)[0])
+        written, parts = slide.edited(id, "actuator", "drive", [x], written=True)
+        assert parts == ()
+        assert written.nu == 1
+        two = self.moved(slide, written, u)
+        nominal = self.moved(slide, slide.model.compile(), u)
+        np.testing.assert_allclose(two, one, atol=share * np.abs(one - nominal).max() + 1e-9)
+
+    def test_a_delay_below_a_step_stays_a_filter(self, slide) -> None:
+        model, (part,) = slide.edited("actuator_delay", "actuator", "drive", [4e-4], written=True)
+        assert isinstance(part, Filter)
+        assert not model.actuator_delay.any()
+
+
+class TestReadings:
+    def test_what_they_are(self) -> None:
+        arm = pendulum(SERVO)
+        for id, x, expected in (
+            ("sensor_offset", 0.3, Reading("qpos.hinge", offset=0.3)),
+            ("sensor_scale", 0.3, Reading("qpos.hinge", scale=0.3)),
+            ("sensor_delay", 0.02, Reading("qpos.hinge", delay=0.02)),
+            ("sensor_sign", 1.0, Reading("qpos.hinge", scale=-2.0)),
+        ):
+            _, (part,) = arm.edited(id, "channel", "qpos.hinge", [x])
+            assert part == expected
+
+    def test_offset_and_scale_of_a_motors_encoder_are_the_encoders(self) -> None:
+        for xml, sites in ((MOTOR, 0), (SERVO, 1)):
+            machine = pendulum(xml).machine
+            for id in ("sensor_offset", "sensor_scale"):
+                assert len(applicable(CATALOGUE[id], machine)) == sites
+
+    def test_two_channels_swap(self) -> None:
+        arm = Bench("""<mujoco><worldbody><body><joint name="a" axis="0 1 0"/>
+          <geom size=".1"/><body><joint name="b" axis="0 1 0"/><geom size=".1"/>
+          <body><joint name="rail" type="slide"/><geom size=".1"/></body></body></body>
+          </worldbody></mujoco>""")
+        effect = CATALOGUE["channel_swap"]
+        assert [s.name for s in applicable(effect, arm.machine)] == [
+            "qpos.a"
+        ]  # once, like with like
+        extent = effect.extent(Site("channel", "qpos.a"), arm.machine)
+        _, parts = arm.edited("channel_swap", "channel", "qpos.a", list(extent.probe))
+        assert parts == (
+            Reading("qpos.a", source="qpos.b"),
+            Reading("qpos.b", source="qpos.a"),
+        )
+        details = effect.details(np.array(extent.probe), arm.machine, Site("channel", "qpos.a"))
+        assert list(details) == ["with qpos.b"]

@@ -1,0 +1,125 @@
+"""Gravity, medium, contact and time step against what physics says of them."""
+
+import mujoco
+import numpy as np
+import pytest
+from effect_bench import Bench, G, pendulum, period
+
+from bo_sysid.effects import CATALOGUE, applicable
+
+FALL = """<mujoco><option timestep="0.001" density="{density}" integrator="implicitfast"/>
+<worldbody><body name="ball"><joint name="z" type="slide" axis="0 0 1"/>
+ <joint name="x" type="slide" axis="1 0 0"/>
+ <geom type="box" size=".1 .2 .3" mass="{mass}"/></body></worldbody></mujoco>"""
+PLANE = """<mujoco><option timestep="0.001" cone="elliptic" impratio="10"/>
+<default><geom solimp=".9 .9 .001"/></default><worldbody>
+<geom name="floor" type="plane" size="5 5 .1" friction="{floor}"/>
+<body name="box" pos="0 0 .05"><joint name="x" type="slide" axis="1 0 0"/>
+ <joint name="z" type="slide" axis="0 0 1"/>
+ <geom name="block" type="box" size=".1 .1 .05" mass="1" friction="{block}"/>
+</body></worldbody></mujoco>"""
+
+
+def test_tilt_changes_the_angle_at_rest() -> None:
+    rod = pendulum(damping=0.5)
+    _, q, _ = rod.effect("gravity_tilt", "world", "world", [0.0, 0.2], 15.0)
+    assert abs(q[-1, 0]) == pytest.approx(0.2, rel=1e-3)
+
+
+def test_compensated_weight_falls_more_slowly_and_stays_as_inert() -> None:
+    rod = pendulum()
+    t, q, _ = rod.effect("gravity_compensation", "body", "rod", [0.75], 8.0, q=0.02)
+    nominal_t, nominal_q, _ = rod.run(rod.model.compile(), (), 8.0, q=0.02)
+    ratio = period(t, q[:, 0]) / period(nominal_t, nominal_q[:, 0])
+    assert ratio == pytest.approx(2.0, rel=1e-3)  # a quarter of the weight
+
+
+def test_compensation_holds_all_that_a_body_carries() -> None:
+    arm = Bench("""<mujoco><worldbody><body name="upper"><joint name="a" axis="0 1 0"/>
+      <geom type="sphere" size=".05" pos=".2 0 0"/>
+      <body name="lower" pos=".4 0 0"><joint name="b" axis="0 1 0"/>
+      <geom type="sphere" size=".05" pos=".2 0 0"/></body></body></worldbody></mujoco>""")
+    model, _ = arm.edited("gravity_compensation", "body", "upper", [0.3])
+    np.testing.assert_allclose(model.body_gravcomp, [0, 0.3, 0.3])
+    model, _ = arm.edited("gravity_compensation", "body", "lower", [0.3])
+    np.testing.assert_allclose(model.body_gravcomp, [0, 0, 0.3])
+
+
+def test_drag_gives_its_terminal_velocity() -> None:
+    # MuJoCo's inertia box: force 2 rho r_x r_y |v| v along z, r the half sizes
+    fall = Bench(FALL.format(density=0, mass=3))
+    _, _, v = fall.effect("fluid_drag", "world", "world", [800.0, 0.0], 3.0)
+    assert v[-1, 0] == pytest.approx(-np.sqrt(3 * G / (2 * 800 * 0.1 * 0.2)), rel=1e-3)
+
+
+def test_viscosity_gives_its_terminal_velocity() -> None:
+    # of the equivalent sphere: 6 pi mu r v, r the mean half size
+    fall = Bench(FALL.format(density=0, mass=3))
+    _, _, v = fall.effect("fluid_drag", "world", "world", [0.0, 5.0], 6.0)
+    assert v[-1, 0] == pytest.approx(-3 * G / (6 * np.pi * 5.0 * 0.2), rel=1e-3)
+
+
+def test_wind_carries_what_is_light() -> None:
+    fall = Bench(FALL.format(density=1000, mass=1))
+    _, _, v = fall.effect("wind", "world", "world", [2.0, 0.0, 0.0], 20.0)
+    assert v[-1, 1] == pytest.approx(2.0, rel=0.02)
+    _, _, still = fall.run(fall.model.compile(), (), 1.0)
+    assert np.abs(still[:, 1]).max() == 0.0
+
+
+def test_wind_needs_a_medium() -> None:
+    for density, sites in ((0, 0), (1.2, 1)):
+        machine = Bench(FALL.format(density=density, mass=1)).machine
+        assert len(applicable(CATALOGUE["wind"], machine)) == sites
+
+
+def grip(model: mujoco.MjModel) -> float:
+    """Return the ratio of tangential to normal force while the box slides."""
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.5
+    force, found = np.zeros(6), []
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+        for k in range(data.ncon):
+            mujoco.mj_contactForce(model, data, k, force)
+            if force[0] > 0:
+                found.append(np.linalg.norm(force[1:3]) / force[0])
+    return float(np.median(found))
+
+
+@pytest.mark.parametrize(
+    ("floor", "block", "geom", "change"),
+    [
+        (0.5, 0.5, "floor", 0.2),
+        (0.5, 0.5, "floor", -0.3),  # the block's would now be larger
+        (0.5, 0.3, "floor", -0.1),
+        (0.3, 0.5, "block", -0.4),
+    ],
+)
+def test_a_sliding_box_is_gripped_by_the_changed_coefficient(floor, block, geom, change) -> None:
+    plane = Bench(PLANE.format(floor=floor, block=block))
+    model, _ = plane.edited("contact_friction", "geom", geom, [change])
+    assert grip(model) == pytest.approx(max(floor, block) + change, rel=1e-6)
+
+
+def test_friction_acts_at_the_geom_that_decides() -> None:
+    for floor, block, sites in ((0.5, 0.5, 2), (0.5, 0.3, 1), (0.3, 0.5, 1)):
+        machine = Bench(PLANE.format(floor=floor, block=block)).machine
+        assert len(applicable(CATALOGUE["contact_friction"], machine)) == sites
+
+
+def test_a_softer_contact_sinks_in_by_the_square_of_its_time_constant() -> None:
+    plane = Bench(PLANE.format(floor=0.5, block=0.5))
+    depths = []
+    for x in ([0.0], [0.02]):
+        model, _ = plane.edited("contact_softness", "world", "world", x)
+        _, q, _ = plane.run(model, (), 1.0)
+        depths.append(-q[-1, 1])
+    # stiffness per mass 1/T²: four times as deep with 0.04 s as with 0.02 s
+    assert depths[1] / depths[0] == pytest.approx(4.0, rel=1e-3)
+
+
+def test_time_step() -> None:
+    rod = pendulum()
+    model, _ = rod.edited("timestep", "world", "world", [-0.0004])
+    assert model.opt.timestep == pytest.approx(0.0006)
