@@ -9,35 +9,16 @@ from typing import Any, Literal
 import pandas as pd
 
 from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
+from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.effects import CATALOGUE, Machine
 from bo_sysid.runs import plain
 
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
 _ALTERNATIVES = 5
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """What the findings leave unexplained.
-
-    Attributes:
-        share: of what the nominal model left unexplained.
-        kind: kind of site where it sits, None where nothing is flagged.
-        site: name of the site.
-        depends_on: what it depends on: position, speed, control, load, history, time, other_joint.
-    """
-
-    share: float = 0.0
-    kind: str | None = None
-    site: str | None = None
-    depends_on: tuple[str, ...] = ()
-
-    @property
-    def flagged(self) -> bool:
-        """Whether something stays unexplained that a law could explain."""
-        return self.kind is not None
+_BESIDE_UNKNOWN = 0.7  # a name beside something unexplained is never certain
 
 
 @dataclass(frozen=True)
@@ -107,22 +88,28 @@ class Answer:
         return pd.DataFrame(rows, columns=[*columns, "group", "probability"])
 
 
-def make_answer(decision: Decision, machine: Machine, unexplained: Unexplained) -> Answer:
-    """Freeze a decision into an answer."""
-    best = decision.best
-    k = decision.fits.index(best)
-    found = findings(best, machine, float(decision.probability[k]), decision.equivalents[:3])
+def make_answer(decision: Decision, outcome: Outcome, machine: Machine) -> Answer:
+    """Freeze a decision into an answer.
+
+    Names that a learned law replaces are no findings; their set stays among the alternatives.
+    """
+    best, kept = decision.best, outcome.fit
+    probability = float(decision.probability[decision.fits.index(best)])
+    if outcome.unexplained.flagged:
+        probability = min(probability, _BESIDE_UNKNOWN)
+    equivalents = decision.equivalents[:3] if kept is best else ()
+    found = findings(kept, machine, probability, equivalents)
     alternatives = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, decision.probability, strict=True)
-        if f is not best
+        if f is not kept
     ]
     return Answer(
-        verdict(found, unexplained),
+        verdict(found, outcome.unexplained),
         found,
         tuple(alternatives[:_ALTERNATIVES]),
-        _located(decision, unexplained),
-        unexplained,
+        _located(kept, outcome.unexplained),
+        outcome.unexplained,
         None,
     )
 
@@ -139,9 +126,9 @@ def verdict(found: Sequence[Finding], unexplained: Unexplained) -> Verdict:
     return "numerics" if families else "nothing-missing"
 
 
-def _located(decision: Decision, unexplained: Unexplained) -> tuple[Mapping[str, Any], ...]:
+def _located(best: Fit, unexplained: Unexplained) -> tuple[Mapping[str, Any], ...]:
     """Return each site with its part of the unique sizes, squared."""
-    best, share = decision.best, unexplained.share
+    share = unexplained.share
     total = sum(u**2 for u in best.unique)
     sites: dict[tuple[str, str], float] = {}
     for c, u in zip(best.members, best.unique, strict=True):

@@ -6,7 +6,8 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.diagnosis.answer import Answer, Unexplained, make_answer
+from bo_sysid.diagnosis.answer import Answer, make_answer
+from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.hypothesis import candidates, parameter_candidates
 from bo_sysid.diagnosis.locate import Evidence, Located, locate
@@ -34,6 +35,7 @@ class Diagnosis:
         holdout: errors on the recordings that were set aside.
         sha256: hash of the answer, taken before the hold-out was read.
         located: the decision behind the answer.
+        outcome: the repaired hypothesis, with a learned law where names do not suffice.
         evidence: what it was made from.
         notes: what was done to the data, and what the repaired model cannot say.
     """
@@ -43,6 +45,7 @@ class Diagnosis:
     holdout: Holdout
     sha256: str
     located: Located
+    outcome: Outcome
     evidence: Evidence
     notes: tuple[str, ...]
 
@@ -64,7 +67,7 @@ class Diagnosis:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The answer in words."""
-        said = [f.sentence for f in self.answer.findings]
+        said = [f.sentence for f in self.answer.findings] + list(self.answer.unexplained.sentences)
         if not said:
             said = ["Nothing that these recordings could show is missing from the model."]
         return (*said, *self.holdout.sentences)
@@ -97,16 +100,18 @@ def diagnose(
     evidence = gather(study, load_train(study, strict=strict))
     tell = _Teller(progress)
     located = locate(evidence, tell)
-    answer = make_answer(located.decision, evidence.machine, Unexplained())
+    outcome = explain(located)
+    answer = make_answer(located.decision, outcome, evidence.machine)
     frozen = answer.sha256  # before the hold-out is read
-    notes = _repair(study, run, evidence, located, answer)
-    holdout = judge(evidence, located, load_holdout(study, strict=strict))
+    notes = _repair(study, run, evidence, outcome, answer)
+    holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
     result = Diagnosis(
         study.name,
         answer,
         holdout,
         frozen,
         located,
+        outcome,
         evidence,
         (*(n for r in evidence.recordings for n in r.notes), *notes),
     )
@@ -123,7 +128,8 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
     for file in study.diagnosis.effect_files:
         load_effects(study.file(file, ("diagnosis", "effect_files")))
     machine = survey(model.compile(), recordings)
-    effects = chosen(study.diagnosis.effects, study.diagnosis.exclude)
+    wanted = chosen(study.diagnosis.effects, study.diagnosis.exclude)
+    effects = [e for e in wanted if e.family != "learned"]  # no name, nothing to look for
     return Evidence(
         model,
         machine,
@@ -149,14 +155,12 @@ class _Teller:
 
 
 def _repair(
-    study: Study, run: Run | None, evidence: Evidence, located: Located, answer: Answer
+    study: Study, run: Run | None, evidence: Evidence, outcome: Outcome, answer: Answer
 ) -> tuple[str, ...]:
     if run is None:
         return ()
-    best = located.decision.best
-    correction = located.prepared.correction_rms
     path = Path(run.path(MODEL))
-    parts = write_model(evidence.model, evidence.machine, best.hypothesis, correction, path)
+    parts = write_model(evidence.model, evidence.machine, outcome.repaired, path)
     run.write_text(STUDY, study_text(study, answer.findings, run.folder))
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
     return tuple(f"{MODEL} cannot hold {what}" for what in beside(parts))

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, fitted, forecast, forecast_problem
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.locate import Evidence, Located
+from bo_sysid.diagnosis.locate import Evidence
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
@@ -79,12 +80,12 @@ class Holdout:
         return out
 
 
-def judge(evidence: Evidence, located: Located, recordings: Sequence[Recording]) -> Holdout:
+def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording]) -> Holdout:
     """Return the errors of nominal, refitted and repaired model on the hold-out."""
     models = {
         "nominal": Hypothesis(),
-        "refitted": located.decision.nominal.hypothesis,
-        "repaired": located.decision.best.hypothesis,
+        "refitted": outcome.nominal.hypothesis,
+        "repaired": outcome.repaired,
     }
     rows: list[dict[str, Any]] = []
     free_runs: dict[str, Mapping[str, float]] = {}
@@ -92,12 +93,12 @@ def judge(evidence: Evidence, located: Located, recordings: Sequence[Recording])
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
     try:
         for ahead in (AHEAD, LONGER):
-            rows += _forecasts(evidence, located, recordings, models, ahead)
-        rows += _fits(evidence, located, recordings, models)
+            rows += _forecasts(evidence, outcome, recordings, models, ahead)
+        rows += _fits(evidence, outcome, recordings, models)
     except RecordingError as error:
         return Holdout(_table([]), {}, f"The hold-out is too short to judge: {error}.")
     if length > PAST + free:
-        rows += _free_runs(evidence, located, recordings, models, free, free_runs)
+        rows += _free_runs(evidence, outcome, recordings, models, free, free_runs)
     return Holdout(_table(rows), free_runs)
 
 
@@ -107,12 +108,12 @@ def _table(rows: list[dict[str, Any]]) -> pd.DataFrame:
 
 def _forecasts(
     evidence: Evidence,
-    located: Located,
+    outcome: Outcome,
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
     ahead: float,
 ) -> list[dict[str, Any]]:
-    problem, past = _cut(evidence, located, recordings, PAST, ahead)
+    problem, past = _cut(evidence, outcome, recordings, PAST, ahead)
     rows, floor = [], 1.0
     for name, hypothesis in models.items():
         errors = forecast(problem, past, hypothesis)
@@ -124,7 +125,7 @@ def _forecasts(
 
 def _fits(
     evidence: Evidence,
-    located: Located,
+    outcome: Outcome,
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
 ) -> list[dict[str, Any]]:
@@ -133,7 +134,7 @@ def _fits(
     horizon = max(round(LONGER / evidence.machine.sampling), 4)
     problem = pose(
         evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
-        timestep=located.prepared.problem.windows.timestep, engine=evidence.engine,
+        timestep=outcome.timestep, engine=evidence.engine,
     )  # fmt: skip
     rows = [_row("fit", LONGER, n, fitted(problem, h).ahead) for n, h in models.items()]
     return [*rows, _row("fit", LONGER, "noise_floor", 1.0)]
@@ -141,14 +142,14 @@ def _fits(
 
 def _free_runs(
     evidence: Evidence,
-    located: Located,
+    outcome: Outcome,
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
     free: float,
     channels: dict[str, Mapping[str, float]],
 ) -> list[dict[str, Any]]:
     try:
-        problem, past = _cut(evidence, located, recordings, PAST, free)
+        problem, past = _cut(evidence, outcome, recordings, PAST, free)
     except RecordingError:
         return []
     rows = []
@@ -164,7 +165,7 @@ def _free_runs(
 
 
 def _cut(
-    evidence: Evidence, located: Located, recordings: Sequence[Recording], past: float, ahead: float
+    evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording], past: float, ahead: float
 ) -> Any:
     return forecast_problem(
         evidence.model,
@@ -173,7 +174,7 @@ def _cut(
         evidence.sigma,
         past=past,
         ahead=ahead,
-        timestep=located.prepared.problem.windows.timestep,
+        timestep=outcome.timestep,
         engine=evidence.engine,
     )
 

@@ -24,12 +24,14 @@ class Candidate:
         site: where.
         extent: its bounds and probe there.
         point: the full magnitudes at which its signature is taken; the shapes are held here.
+        secant: whether the signature is simulated there, because linearity does not reach so far.
     """
 
     effect: Effect
     site: Site
     extent: Extent
     point: Float[np.ndarray, " k"]
+    secant: bool = False
     low: Float[np.ndarray, " l"] = field(init=False)
     high: Float[np.ndarray, " l"] = field(init=False)
     probe: Float[np.ndarray, " l"] = field(init=False)
@@ -110,6 +112,8 @@ def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, 
             assert extent is not None  # noqa: S101 - applicable
             for point in extent.grid or (extent.probe,):
                 found.append(Candidate(effect, site, extent, np.array(point, float)))
+            for point in extent.secants:
+                found.append(Candidate(effect, site, extent, np.array(point, float), secant=True))
     return tuple(found)
 
 
@@ -150,8 +154,14 @@ def edits_and_parts(
     """
     parts: list[Part] = []
 
-    def edit_of(c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
+    def edit_of(number: int, c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
         made = c.effect.write if written else c.effect.parts
-        return lambda spec: parts.extend(made(spec, c.site, c.full(x), machine))
 
-    return [edit_of(c, x) for c, x in hypothesis.terms], parts
+        def edit(spec: mujoco.MjSpec) -> None:
+            if number == 0:
+                parts.clear()  # a model with settotalmass may be edited twice
+            parts.extend(made(spec, c.site, c.full(x), machine))
+
+        return edit
+
+    return [edit_of(i, c, x) for i, (c, x) in enumerate(hypothesis.terms)], parts

@@ -161,13 +161,13 @@ class Linear:
 
     def _difference(self, candidate: Candidate, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         law = candidate.effect.force
-        if law is not None:
+        if law is not None and not candidate.secant:
             joint = candidate.site.name
             force = law(candidate.site, candidate.full(x), self.problem.machine)(self.along)
             return self._by_force(joint, force), np.zeros(self.Q.shape[:2])
         h = self.hypothesis
         added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
-        if candidate.effect.hidden:
+        if candidate.effect.hidden or candidate.secant:
             return self._nothing, self._simulated(added)
         model, parts = self.problem.compiled(added)
         new = parts[len(self.parts) :]

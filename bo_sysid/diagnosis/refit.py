@@ -135,7 +135,8 @@ def refit(
     problem, effort = frame.problem, effort or Effort()
     space = _Space.of(problem, members)
     theta = space.vector(x, guess or frame.hypothesis)
-    begin, r = settle(problem, frame, space.hypothesis(theta), start or frame.start, 2)
+    first = _better_start(problem, space.hypothesis(theta), start or frame.start)
+    begin, r = settle(problem, frame, space.hypothesis(theta), first, 2)
     point = _Point(theta, begin, r, project(frame.Q, r))
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
     if len(theta):
@@ -145,6 +146,22 @@ def refit(
     )
     labels = groups if groups is not None else (None,) * len(members)
     return assess(problem, frame.Q, space.hypothesis(point.theta), labels, begin, r, S)
+
+
+def _better_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
+    """Return for each window the better of the given start and the smoother's.
+
+    Starts fitted to another hypothesis took over part of what that one lacked.
+    """
+    other = problem.windows.start
+    given, smooth = (problem.residual(hypothesis, s) for s in (start, other))
+    pick = ((smooth**2).sum(axis=1) < (given**2).sum(axis=1))[:, None]
+    return replace(
+        start,
+        qpos=np.where(pick, other.qpos, start.qpos),
+        qvel=np.where(pick, other.qvel, start.qvel),
+        warmstart=None,
+    )
 
 
 @dataclass(frozen=True)

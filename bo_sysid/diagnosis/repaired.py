@@ -30,14 +30,14 @@ _ADDRESS = {
 
 
 def write_model(
-    model: Model, machine: Machine, hypothesis: Hypothesis, correction: float, path: Path
+    model: Model, machine: Machine, hypothesis: Hypothesis, path: Path
 ) -> tuple[Part, ...]:
     """Write the model with the findings in it; return what MJCF cannot express.
 
     Where the recordings show the finer step of a continuous machine, the time step is divided.
     """
     edits, parts = edits_and_parts(hypothesis, machine, written=True)
-    if hypothesis.numerics > _FINE and correction > 0:
+    if hypothesis.numerics > _FINE:
         edits.append(_finer)
     model.export(path, edits)
     mujoco.MjModel.from_xml_path(str(path))

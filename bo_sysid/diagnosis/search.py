@@ -105,7 +105,7 @@ class Search:
                 groups=groups_of,
                 start=start or self.prepared.start,
                 guess=guess,
-                columns=self._first_jacobian(members),
+                columns=self._first_jacobian(members) if not again else None,
                 effort=effort,
             )
             if found is None or made.rss < found.rss:
@@ -121,6 +121,13 @@ class Search:
         if not base.members:
             self._first(table)
             return
+        if not clean(base):  # with the response to the start at this fit
+            again = self.fit(
+                base.members, base.x, labels=base.groups, start=base.start,
+                guess=base.hypothesis, again=True,
+            )  # fmt: skip
+            if again.rms < 0.97 * base.rms:
+                return self.round(again)
         self._add(table, base)
         for unit in units_of(base):
             self._exchange(table, base, unit)

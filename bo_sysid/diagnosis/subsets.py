@@ -161,7 +161,7 @@ def groups(candidates: Sequence[Candidate]) -> tuple[Unit, ...]:
     """Return the effects that can be missing at all sites at once, as units."""
     by_effect: dict[str, list[int]] = {}
     for i, c in enumerate(candidates):
-        if c.effect.grouped:
+        if c.effect.grouped and not c.secant:
             by_effect.setdefault(c.effect.id, []).append(i)
     return tuple(Unit(tuple(m), e) for e, m in by_effect.items() if len(m) > 1)
 

@@ -65,13 +65,14 @@ class Unknown:
 
     @property
     def joint(self) -> str | None:
-        """The joint at which it sits."""
-        return self.clues[0].joint if self.flagged and self.clues else None
+        """The joint at which it sits, where a law there predicts some of it."""
+        found = self.flagged and self.clues and self.clues[0].gain > 0
+        return self.clues[0].joint if found else None
 
     @property
     def depends_on(self) -> tuple[str, ...]:
         """What it depends on."""
-        if not self.flagged or not self.clues:
+        if self.joint is None:
             return ()
         first = self.clues[0]
         near = {

@@ -145,6 +145,8 @@ class Extent:
         grid: points at which the signature is taken where one linearisation does not serve
             (shapes such as a period or a speed, thresholds, delays); () means at the probe.
         starts: further magnitudes from which a fit is begun, where the probe lies on a saddle.
+        secants: magnitudes so large that they change the motion, as a friction that holds a joint;
+            the response to them is simulated, not linearised.
         refine: factors by which shapes are varied once the effect is in the leading set.
     """
 
@@ -154,9 +156,10 @@ class Extent:
     grid: tuple[tuple[float, ...], ...] = ()
     starts: tuple[tuple[float, ...], ...] = ()
     refine: tuple[float, ...] = ()
+    secants: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        vectors = (self.probe, self.low, self.high, *self.grid, *self.starts)
+        vectors = (self.probe, self.low, self.high, *self.grid, *self.starts, *self.secants)
         sizes = {len(v) for v in vectors}
         if len(sizes) != 1:
             raise ValueError(

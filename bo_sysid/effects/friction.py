@@ -40,7 +40,8 @@ def _damping(site: Site, machine: Machine) -> float:
 
 def _dry_extent(site: Site, machine: Machine) -> Extent:
     force = machine.joints[site.name].force
-    return Extent((0.05 * force,), (-_frictionloss(site, machine) - 1e-12,), (3 * force,))
+    low = -_frictionloss(site, machine) - 1e-12
+    return Extent((0.05 * force,), (low,), (3 * force,), secants=((force,),))
 
 
 @effect(

@@ -17,6 +17,7 @@ Signal = Float[np.ndarray, "..."]
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
 _POSES = 20
+_INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
@@ -201,8 +202,8 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         for a in range(model.nactuator)
         if model.actuator_ctrlnum[a] == 1
     }
-    inertia = _inertia(model, recordings)
-    joints = {n: _joint(model, n, motion[n], inertia, actuators) for n in scalar}
+    inertia, loads = _inertia(model, recordings), _loads(model, motion)
+    joints = {n: _joint(model, n, motion[n], inertia, loads, actuators) for n in scalar}
     bodies = {
         b.name: b
         for b in (_body(model, i) for i in range(1, model.nbody))
@@ -296,12 +297,13 @@ def _joint(
     name: str,
     motion: _Motion,
     inertia: Float[np.ndarray, " nv"],
+    loads: Float[np.ndarray, " nv"],
     actuators: Mapping[str, ActuatorScale],
 ) -> JointScale:
     dof = int(model.joint(name).dofadr[0])
     drives = [a for a in actuators.values() if a.joint == name]
     moved = inertia[dof] * float(np.sqrt(np.mean(motion.a**2)))
-    force = max([moved, _FLOOR, *(0.3 * a.force_std for a in drives)])
+    force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * a.force_std for a in drives)])
     return JointScale(
         name,
         dof,
@@ -332,6 +334,31 @@ def _inertia(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Float[np
             mujoco.mj_fullM(model, data, full)
             found.append(1.0 / np.maximum(np.diag(np.linalg.inv(full)), 1e-12))
     return np.asarray(np.mean(found, axis=0))
+
+
+def _loads(model: mujoco.MjModel, motion: Mapping[str, _Motion]) -> Float[np.ndarray, " nv"]:
+    """Return how much gravity and the motion of all joints load each degree of freedom.
+
+    The larger of the root mean square of M a and the standard deviation of the bias force, over
+    instants of the recordings: a joint that friction holds moves little and is loaded all the same.
+    """
+    data = mujoco.MjData(model)
+    carried, biases = [np.zeros(model.nv)], [np.zeros(model.nv)]
+    first = next(iter(motion.values()), None)
+    for at in np.linspace(0, 1, _INSTANTS, endpoint=False) if first is not None else ():
+        acceleration = np.zeros(model.nv)
+        for name, m in motion.items():
+            k = int(at * len(m.q))
+            joint = model.joint(name)
+            data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = m.q[k], m.v[k]
+            acceleration[joint.dofadr[0]] = m.a[k]
+        mujoco.mj_forward(model, data)
+        force = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, force, acceleration)
+        carried.append(force)
+        biases.append(data.qfrc_bias.copy())
+    inertial = np.sqrt(np.mean(np.square(carried), axis=0))
+    return np.asarray(np.maximum(inertial, np.std(biases[1:] or biases, axis=0)))
 
 
 def _body(model: mujoco.MjModel, i: int) -> BodyScale:

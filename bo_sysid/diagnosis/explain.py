@@ -1,0 +1,112 @@
+"""What the decision amounts to: names that hold, and a learned law for what they leave."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.locate import Located
+from bo_sysid.diagnosis.refit import Effort
+from bo_sysid.diagnosis.search import regrouped
+from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
+
+_WORDS = {
+    "position": "where the joint is",
+    "speed": "how fast it moves",
+    "control": "what is commanded",
+    "load": "the torque it carries",
+    "history": "how it moved before",
+    "time": "the time since the recording began",
+    "other_joint": "where another joint is",
+}
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What the findings leave unexplained.
+
+    Attributes:
+        share: of what the nominal model left unexplained.
+        kind: kind of site where it sits, None where nothing is flagged.
+        site: name of the site.
+        depends_on: what it depends on: position, speed, control, load, history, time, other_joint.
+    """
+
+    share: float = 0.0
+    kind: str | None = None
+    site: str | None = None
+    depends_on: tuple[str, ...] = ()
+
+    @property
+    def flagged(self) -> bool:
+        """Whether something stays unexplained that is more than noise."""
+        return self.kind is not None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The same in words."""
+        if not self.flagged:
+            return ()
+        where = "the machine" if self.kind == "world" else f"the {self.site}"
+        text = f"On {where} acts something that no known effect explains"
+        if self.depends_on:
+            words = " and ".join(_WORDS[d] for d in self.depends_on)
+            text += f"; it depends on {words}"
+        return (f"{text}. A learned force law stands for it in the repaired model.",)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The decision after the unknown was looked for.
+
+    Attributes:
+        fit: the set whose names hold.
+        nominal: the fit of nothing.
+        repaired: the hypothesis that the repaired model is made from.
+        unexplained: what it says of the unknown.
+        timestep: of the simulation in [s].
+    """
+
+    fit: Fit
+    nominal: Fit
+    repaired: Hypothesis
+    unexplained: Unexplained
+    timestep: float
+
+
+def explain(located: Located) -> Outcome:
+    """Keep the names that hold beside a flexible law, and learn that law where one is needed."""
+    decision, problem = located.decision, located.prepared.problem
+    fit, timestep = decision.best, problem.windows.timestep
+    unknown = examine(problem, decision)
+    unexplained = _said(unknown)
+    if unknown.joint is None:
+        return Outcome(fit, decision.nominal, fit.hypothesis, unexplained, timestep)
+    kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
+    if not all(kept):
+        fit = _without(located, fit, kept)
+    repaired = learn(problem, fit, unknown)[0]
+    return Outcome(fit, decision.nominal, repaired, unexplained, timestep)
+
+
+def _said(unknown: Unknown) -> Unexplained:
+    if not unknown.flagged:
+        return Unexplained(unknown.share)
+    if unknown.joint is None:
+        return Unexplained(unknown.share, "world", "world", ())
+    return Unexplained(unknown.share, "joint", unknown.joint, unknown.depends_on)
+
+
+def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
+    keep = np.flatnonzero(kept)
+    members = tuple(fit.members[k] for k in keep)
+    labels = regrouped(members, [fit.groups[k] for k in keep], located.search.candidates)
+    return located.search.fit(
+        members,
+        tuple(fit.x[k] for k in keep),
+        labels=labels,
+        start=fit.start,
+        guess=fit.hypothesis,
+        effort=Effort(iterations=5, gain=1.0, final=True),
+    )
