@@ -17,7 +17,7 @@ from bo_sysid.recording.value import KINDS, Hold
 
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
-_NUMBERS = ("sign", "scale", "offset", "unwrap")
+_NUMBERS = ("sign", "scale", "offset", "unwrap", "shift")
 _CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 
 
@@ -99,13 +99,16 @@ class ClockRule:
         source: column of the time stamps (``from`` in a study); None for the recording's time.
         unit: unit of that column; None where the file says it or it is seconds.
         hold: "zero" or "none"; None for what the kind of channel says.
+        shift: added to the stamps, in [s]: how much later than stamped its channels happened.
     """
 
     source: str | None = None
     unit: str | None = None
     hold: Hold | None = None
+    shift: float = 0.0
 
     def __post_init__(self) -> None:
+        _require(bool(np.isfinite(self.shift)), "shift", self.shift, "finite")
         if self.unit is not None:
             unit_of_kind(self.unit, "time", f"clock {self.source!r}")
 

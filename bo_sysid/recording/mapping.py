@@ -6,6 +6,7 @@ channel. Nothing is guessed, and what was done is said in the recording's notes.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -146,6 +147,9 @@ class _Mapper:
             stated = ColumnRule(own)
         else:
             stated = self.rules.get("time", ColumnRule("time"))
+        if clock_rule is not None and clock_rule.shift:
+            stated = replace(stated, offset=stated.offset + clock_rule.shift)
+            self.notes.append(f"{name}: stamps shifted by {1e3 * clock_rule.shift:g} ms.")
         if measured:
             self._measured.add(stated)
         if stated not in self._clocks:

@@ -73,12 +73,14 @@ class Column(Section):
 class Clock(Section):
     """The time stamps of a kind of channel, or of one channel."""
 
-    source: Annotated[Name, Field(alias="from")]
-    """Name of the column with the time stamps."""
-    unit: Name = "s"
-    """Unit of that column."""
+    source: Annotated[Name | None, Field(alias="from")] = None
+    """Name of the column with the time stamps; the recording's own where left out."""
+    unit: Name | None = None
+    """Unit of that column; s, or what the file says, where left out."""
     hold: Literal["none", "zero"] | None = None
     """zero: a value applies until the next stamp; none: it was measured at the stamp."""
+    shift: Real = 0.0
+    """Added to the stamps, in s: how much later than stamped the channels happened."""
 
 
 def _short(value: Any) -> Any:

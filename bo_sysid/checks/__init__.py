@@ -1,0 +1,1 @@
+"""What a log is, before anything is fitted: wiring, clocks, excitation, identifiability, noise."""

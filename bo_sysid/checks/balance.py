@@ -1,0 +1,193 @@
+r"""The balance of forces along recorded motion, without simulating and without fitting.
+
+For each degree of freedom j, at each instant,
+
+    M a + bias - passive - constraint = g · actuators + b v + c tanh(v / v₀) + residual
+
+where the left side is MuJoCo's inverse dynamics at the smoothed motion, and g (within 0.6 and
+1.67), b and c (not negative) stand for a wrong gain, viscous and dry friction: what is physics and
+not wiring shall not be mistaken for it. J is the mean square of the residual over that of all terms
+of the balance: near 0 where the channels are what the model takes them for, near 1 where not.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+GAIN = (0.6, 1.67)
+"""Factors of an actuator's force that count as physics."""
+_SLOW = 0.03  # of the typical speed: below it dry friction is no longer full
+_SWEEPS = 12
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of the balance at n instants.
+
+    Attributes:
+        inertial: `n x nv` M a.
+        rest: `n x nv` bias - passive - constraint.
+        velocity: `n x nv`.
+        acceleration: `n x nv`.
+        bias: `n x nu` force of each actuator at zero control.
+        gain: `n x nu` force per control.
+        moment: `n x nu x nv` force along each degree of freedom per force of each actuator.
+    """
+
+    inertial: Float[np.ndarray, "n nv"]
+    rest: Float[np.ndarray, "n nv"]
+    velocity: Float[np.ndarray, "n nv"]
+    acceleration: Float[np.ndarray, "n nv"]
+    bias: Float[np.ndarray, "n nu"]
+    gain: Float[np.ndarray, "n nu"]
+    moment: Float[np.ndarray, "n nu nv"]
+
+    def actuated(self, ctrl: Float[np.ndarray, "n nu"]) -> Float[np.ndarray, "n nv"]:
+        """Return the force of all actuators along each degree of freedom."""
+        return np.asarray(np.einsum("nu,nuv->nv", self.bias + self.gain * ctrl, self.moment))
+
+    @property
+    def dry(self) -> Float[np.ndarray, "n nv"]:
+        """The direction of motion, smoothed about rest."""
+        slow = _SLOW * self.velocity.std(axis=0) + 1e-12
+        return np.asarray(np.tanh(self.velocity / slow))
+
+    @property
+    def needed(self) -> Float[np.ndarray, "n nv"]:
+        """The force that the recorded motion needs."""
+        return self.inertial + self.rest
+
+
+class Dynamics:
+    """Inverse dynamics of a model of hinges and slides.
+
+    Args:
+        model: the compiled model. Contacts are left out: instants with contact are not used.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+        model.actuator_forcelimited[:] = 0
+        self._data = mujoco.MjData(model)
+        self._fixed = bool(
+            np.isin(
+                model.actuator_trntype,
+                (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)),
+            ).all()
+        )
+
+    def terms(
+        self,
+        qpos: Float[np.ndarray, "n nq"],
+        qvel: Float[np.ndarray, "n nv"],
+        qacc: Float[np.ndarray, "n nv"],
+    ) -> Terms:
+        """Return the terms of the balance at n instants."""
+        model, data = self.model, self._data
+        n, nv, nu = len(qpos), model.nv, model.nu
+        needed, inertial = np.zeros((n, nv)), np.zeros((n, nv))
+        bias, gain, moment = np.zeros((n, nu)), np.zeros((n, nu)), np.zeros((n, nu, nv))
+        product = np.zeros(nv)
+        for k in range(n):
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+            mujoco.mj_inverse(model, data)
+            needed[k] = data.qfrc_inverse
+            mujoco.mj_mulM(model, data, product, qacc[k])
+            inertial[k] = product
+            if nu:
+                bias[k], gain[k] = self._forces()
+                if k == 0 or not self._fixed:
+                    dense = self._moment()
+                moment[k] = dense
+        return Terms(inertial, needed - inertial, qvel, qacc, bias, gain, moment)
+
+    def of_bodies(
+        self,
+        qpos: Float[np.ndarray, "n nq"],
+        qvel: Float[np.ndarray, "n nv"],
+        qacc: Float[np.ndarray, "n nv"],
+    ) -> Float[np.ndarray, "n nv b"]:
+        """Return the force that each moving body's mass (and inertia) needs.
+
+        The inverse dynamics are linear in them: a body's share is twice what half of it lacks.
+        """
+        model = self.model
+        bodies = [b for b in range(1, model.nbody) if model.body_mass[b] > 0]
+        whole = self._inverse(qpos, qvel, qacc)
+        shares = []
+        for b in bodies:
+            mass, inertia = float(model.body_mass[b]), model.body_inertia[b].copy()
+            model.body_mass[b], model.body_inertia[b] = 0.5 * mass, 0.5 * inertia
+            shares.append(2.0 * (whole - self._inverse(qpos, qvel, qacc)))
+            model.body_mass[b], model.body_inertia[b] = mass, inertia
+        return np.stack(shares, axis=2) if shares else np.zeros((*whole.shape, 0))
+
+    def _inverse(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
+        data, out = self._data, np.zeros_like(qvel)
+        for k in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+            mujoco.mj_inverse(self.model, data)
+            out[k] = data.qfrc_inverse
+        return out
+
+    def _forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the actuators' forces at zero control, and their change per control."""
+        model, data = self.model, self._data
+        data.ctrl[:], data.act[:] = 0.0, 0.0
+        mujoco.mj_fwdActuation(model, data)
+        zero = data.actuator_force.copy()
+        data.ctrl[:], data.act[:] = 1.0, 1.0
+        mujoco.mj_fwdActuation(model, data)
+        return zero, data.actuator_force - zero
+
+    def _moment(self) -> np.ndarray:
+        data = self._data
+        dense = np.zeros((self.model.nu, self.model.nv))
+        mujoco.mju_sparse2dense(
+            dense,
+            data.actuator_moment.ravel(),
+            data.moment_rownnz,
+            data.moment_rowadr,
+            data.moment_colind.ravel(),
+        )
+        return dense
+
+
+def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np.ndarray, "D nv"]:
+    """Return J of each degree of freedom, for D hypotheses about the controls.
+
+    Args:
+        terms: of the hypothesis about the measured channels.
+        actuated: `D x n x nv` forces of the actuators.
+    """
+    needed, count = terms.needed, len(actuated)
+    columns = np.empty((count, 3, *needed.shape))
+    columns[:, 0], columns[:, 1], columns[:, 2] = actuated, terms.velocity, terms.dry
+    gram = np.einsum("danj,dbnj->djab", columns, columns)
+    right = np.einsum("danj,nj->dja", columns, needed)
+    x = _bounded(gram, right)
+    square = (needed**2).sum(axis=0)
+    left = square + np.einsum("dja,djab,djb->dj", x, gram, x) - 2 * (x * right).sum(axis=-1)
+    total = (terms.inertial**2 + terms.rest**2).sum(axis=0) + gram[..., 0, 0]
+    return np.asarray(np.maximum(left, 0.0) / np.maximum(total, 1e-300))
+
+
+def _bounded(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return the least-squares coefficients within their bounds, by coordinate descent.
+
+    The friction that a joint has opposes its motion: the force needed is larger, not smaller.
+    """
+    low, high = (GAIN[0], 0.0, 0.0), (GAIN[1], np.inf, np.inf)
+    x = np.zeros_like(right)
+    x[..., 0] = 1.0
+    for _ in range(_SWEEPS):
+        for k in range(3):
+            own = gram[..., k, k]
+            rest = right[..., k] - (gram[..., k, :] * x).sum(axis=-1) + own * x[..., k]
+            best = np.divide(rest, own, out=x[..., k].copy(), where=own > 0)
+            x[..., k] = np.clip(best, low[k], high[k])
+    return x

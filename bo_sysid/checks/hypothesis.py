@@ -1,0 +1,206 @@
+"""What a channel may really be: another column, sign, unit, zero; and what a log says for it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import pi
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bo_sysid.checks.balance import Dynamics, Terms, unexplained
+from bo_sysid.checks.traces import Traces
+
+_FLOOR = 1e-3  # what the model may leave unexplained of any balance
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+Units = Sequence[tuple[str, float]]
+ANGLES: Units = (("deg", pi / 180), ("mrad", 1e-3), ("turn", 2 * pi), ("ticks", 2 * pi / 4096))
+LENGTHS: Units = (("mm", 1e-3), ("cm", 1e-2))
+INPUTS: Units = (("milli", 1e-3), ("%", 1e-2), ("PWM", 1 / 255))
+"""Other units that a control may be in, with their SI values: mN m or mA, per cent, −255…255."""
+
+
+@dataclass(frozen=True, order=True)
+class Wire:
+    """How a channel follows from a recorded one: sign · scale · recorded + offset.
+
+    Attributes:
+        source: name of the recorded channel.
+        sign: 1 or -1.
+        scale: SI value of its unit.
+        offset: added last, in SI units.
+        unit: name of the unit, where it is not what it was taken for.
+    """
+
+    source: str
+    sign: int = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+
+    def plain(self, name: str) -> bool:
+        """Whether the channel `name` is what was recorded as such."""
+        return self == Wire(name)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What all channels are.
+
+    Attributes:
+        wires: by channel of the model.
+        delay: how much later than stamped the controls act, in [s].
+        causes: the faults that it supposes, each a short sentence.
+    """
+
+    wires: Mapping[str, Wire]
+    delay: float = 0.0
+    causes: tuple[str, ...] = field(default=())
+
+    def with_wires(self, changed: Mapping[str, Wire], cause: str) -> "Hypothesis":
+        """Return the hypothesis with one more fault."""
+        return replace(self, wires={**self.wires, **changed}, causes=(*self.causes, cause))
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What makes two hypotheses the same."""
+        return (*sorted(self.wires.items()), round(self.delay, 6))
+
+
+class Evidence:
+    """Scores hypotheses about the recordings of one machine.
+
+    The score is Σ_j log(J_j + 0.001) over the degrees of freedom that moved; lower is better.
+
+    Args:
+        model: the compiled model, of hinges and slides.
+        traces: of the recordings; channels that are not there are left out of every balance.
+        most: number of instants to use.
+    """
+
+    def __init__(self, model: mujoco.MjModel, traces: Traces, most: int = 400) -> None:
+        self.traces = traces
+        self.dynamics = Dynamics(model)
+        self.joints = [model.joint(j).name for j in range(model.njnt)]
+        self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == _HINGE}
+        self.actuators = [model.actuator(a).name for a in range(model.nu)]
+        self._reference = np.array(model.qpos0)
+        step = max(traces.count // most, 1)
+        self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
+        self.recorded = {n for r in traces.recordings for n in r.channels}
+        self.inputs = {f"ctrl.{a}" for a in self.actuators if f"ctrl.{a}" in self.recorded}
+        self._driven = {f"ctrl.{n}": _joint_of(model, a) for a, n in enumerate(self.actuators)}
+        self._servo = {
+            f"ctrl.{n}": bool(model.actuator_biasprm[a, 1]) for a, n in enumerate(self.actuators)
+        }
+        self.weights = self._weights(model)
+        self._terms: dict[tuple[Wire | None, ...], Terms] = {}
+        self._physics: dict[tuple[Wire | None, ...], np.ndarray] = {}
+
+    def identity(self) -> Hypothesis:
+        """Return the hypothesis that every channel is what it is called."""
+        positions = [f"qpos.{j}" for j in self.joints if f"qpos.{j}" in self.recorded]
+        names = [*positions, *sorted(self.inputs)]
+        return Hypothesis({n: Wire(n) for n in names})
+
+    def scores(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, " D"]:
+        """Return the score of a hypothesis with each of some delays instead of its own."""
+        return np.asarray(np.log(self.shares(hypothesis, delays) + _FLOOR) @ self.weights)
+
+    def shares(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, "D nv"]:
+        """Return J of each degree of freedom with each of some delays."""
+        terms = self.terms(hypothesis)
+        forces = [terms.actuated(self.controls(hypothesis, d)) for d in delays]
+        return unexplained(terms, np.stack(forces))
+
+    def terms(self, hypothesis: Hypothesis) -> Terms:
+        """Return the balance's terms that follow from the measured channels."""
+        wires = self._measured(hypothesis)
+        if wires not in self._terms:
+            self._terms[wires] = self.dynamics.terms(*(self._motion(wires, k) for k in range(3)))
+        return self._terms[wires]
+
+    def physics(self, hypothesis: Hypothesis) -> Float[np.ndarray, "n nv p"]:
+        """Return what may scale without a fault in the wiring.
+
+        The force that each body's mass needs, armature, viscous and dry friction, and a constant.
+        """
+        wires = self._measured(hypothesis)
+        if wires not in self._physics:
+            terms = self.terms(hypothesis)
+            bodies = self.dynamics.of_bodies(*(self._motion(wires, k) for k in range(3)))
+            own = np.stack(
+                [terms.acceleration, terms.velocity, terms.dry, np.ones_like(terms.dry)], axis=2
+            )
+            self._physics[wires] = np.concatenate([bodies, own], axis=2)
+        return self._physics[wires]
+
+    def controls(self, hypothesis: Hypothesis, delay: float) -> Float[np.ndarray, "n nu"]:
+        """Return the controls at the instants less a delay."""
+        out = np.zeros((int(self.rows.sum()), len(self.actuators)))
+        for k, name in enumerate(self.actuators):
+            wire = hypothesis.wires.get(f"ctrl.{name}")
+            if wire is not None:
+                raw = self.traces.column(wire.source, held=True, delay=delay)[self.rows]
+                out[:, k] = wire.sign * wire.scale * raw + wire.offset
+        return out
+
+    def value(
+        self, hypothesis: Hypothesis, name: str, *, held: bool = False
+    ) -> Float[np.ndarray, " n"]:
+        """Return a channel at the instants, as a hypothesis reads it."""
+        wire = hypothesis.wires[name]
+        raw = self.traces.column(wire.source, held=held)[self.rows]
+        return wire.sign * wire.scale * raw + wire.offset
+
+    def driven(self, name: str) -> str:
+        """Return the joint that the actuator of a control channel drives; empty where none."""
+        return self._driven[name]
+
+    def dof(self, name: str) -> int:
+        """Return the degree of freedom that the actuator of a control channel drives."""
+        return self.joints.index(self._driven[name])
+
+    def servo(self, name: str) -> bool:
+        """Whether the force of a control channel's actuator depends on the joint's position."""
+        return self._servo[name]
+
+    def _measured(self, hypothesis: Hypothesis) -> tuple[Wire | None, ...]:
+        return tuple(hypothesis.wires.get(f"qpos.{j}") for j in self.joints)
+
+    def _motion(self, wires: Sequence[Wire | None], order: int) -> np.ndarray:
+        count = int(self.rows.sum())
+        out = np.tile(self._reference * (order == 0), (count, 1))
+        for k, wire in enumerate(wires):
+            if wire is not None:
+                raw = self.traces.column(wire.source, held=False, order=order)[self.rows]
+                out[:, k] = wire.sign * wire.scale * raw + wire.offset * (order == 0)
+        return out
+
+    def _weights(self, model: mujoco.MjModel) -> Float[np.ndarray, " nv"]:
+        """Return 1 for degrees of freedom with a balance: recorded, moving, all inputs known."""
+        weights = np.zeros(model.nv)
+        driven = self.dynamics.terms(
+            *(np.zeros((1, model.nv)) + self._reference * (k == 0) for k in range(3))
+        ).moment[0]
+        for k, joint in enumerate(self.joints):
+            name = f"qpos.{joint}"
+            if name not in self.recorded:
+                continue
+            known = all(
+                f"ctrl.{a}" in self.inputs or not driven[i, k] for i, a in enumerate(self.actuators)
+            )
+            moved = float(self.traces.column(name, held=False).std())
+            weights[k] = float(known and moved > 0)
+        return weights
+
+
+def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
+    """Return the joint that an actuator drives; empty where it is not a single joint."""
+    if int(model.actuator_trntype[actuator]) not in (
+        int(mujoco.mjtTrn.mjTRN_JOINT),
+        int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
+    ):
+        return ""
+    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)

@@ -1,0 +1,225 @@
+"""Which channel is which: the hypothesis about signs, units and order that a log supports best.
+
+The search starts from the log as it is and adds one fault at a time, keeping the few best. A fault
+is believed where it lowers the score by `MARGIN` and nothing simpler does as well.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from math import pi
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment, minimize_scalar
+
+from bo_sysid.checks.estimate import with_zero
+from bo_sysid.checks.hypothesis import ANGLES, INPUTS, LENGTHS, Evidence, Hypothesis, Units, Wire
+
+SUSPICIOUS = 0.08
+"""J of a degree of freedom from which on its channels are doubted."""
+MARGIN = 0.8
+"""Least gain of the score per fault."""
+_STEPS = (0.012, 0.002, 0.0003)  # [s] of the delays tried; a stiff servo tells 0.3 ms
+_REACH = 9  # steps to either side
+_DELAYS = tuple(_STEPS[0] * np.arange(-_REACH, _REACH + 1))
+_BEAM = 3
+_MOST = 4  # faults at once
+
+
+def search(evidence: Evidence) -> Hypothesis:
+    """Return the hypothesis that the recordings support, with the fewest faults."""
+    best = _timed(evidence, evidence.identity())
+    seen = {best[1].key}
+    beam = [best]
+    for _ in range(_MOST):
+        if not _doubtful(evidence, best[1]):
+            break
+        grown = []
+        for _, parent in beam:
+            for child in moves(evidence, parent):
+                if child.key not in seen:
+                    seen.add(child.key)
+                    grown.append(_timed(evidence, child))
+        beam = sorted(grown, key=lambda pair: pair[0])[:_BEAM]
+        if not beam or beam[0][0] > best[0]:
+            break
+        best = beam[0]
+    return _pruned(evidence, best)
+
+
+def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesis]:
+    """Return score (faults paid for) and hypothesis, at the delay of the controls that suits."""
+    best, delay = np.inf, 0.0
+    for step in _STEPS:
+        delays = np.append(delay + step * np.arange(-_REACH, _REACH + 1), 0.0)
+        scores = evidence.scores(hypothesis, delays.tolist()) + MARGIN * (delays != 0.0)
+        k = int(np.argmin(scores))
+        if scores[k] < best:
+            best, delay = float(scores[k]), float(delays[k])
+    return best + MARGIN * len(hypothesis.causes), replace(hypothesis, delay=delay)
+
+
+def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
+    shares = evidence.shares(hypothesis, [hypothesis.delay])[0]
+    return bool((shares[evidence.weights > 0] > SUSPICIOUS).any())
+
+
+def _pruned(evidence: Evidence, best: tuple[float, Hypothesis]) -> Hypothesis:
+    """Return the hypothesis without channels whose change it does not need."""
+    score, hypothesis = best
+    for name, wire in sorted(hypothesis.wires.items()):
+        if wire.source == name and not wire.plain(name):
+            simpler = replace(hypothesis, wires={**hypothesis.wires, name: Wire(name)})
+            if (
+                evidence.scores(simpler, [hypothesis.delay])[0]
+                < score - MARGIN * len(hypothesis.causes) + 0.1
+            ):
+                hypothesis = simpler
+    return hypothesis
+
+
+def moves(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield hypotheses with one more fault."""
+    yield from _signs(h)
+    yield from _units(evidence, h)
+    yield from _orders(evidence, h)
+    yield from _confusions(evidence, h)
+    yield from _zeros(evidence, h)
+
+
+def _signs(h: Hypothesis) -> Iterator[Hypothesis]:
+    for name, wire in h.wires.items():
+        turned = replace(wire, sign=-wire.sign, offset=-wire.offset)
+        yield h.with_wires({name: turned}, f"sign of {name}")
+
+
+def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield other units of one channel, and of all channels that one logger writes alike."""
+    turning = [f"qpos.{j}" for j in evidence.joints if j in evidence.hinges]
+    turning = [n for n in turning if n in h.wires]
+    sliding = [n for n in h.wires if n.startswith("qpos.") and n not in turning]
+    servos = [n for n in evidence.inputs if evidence.servo(n)]
+    motors = [n for n in evidence.inputs if n not in servos]
+    goals = [n for n in servos if evidence.driven(n) in evidence.hinges]
+    groups: list[tuple[Sequence[str], Units]] = [
+        (turning, ANGLES), (goals, ANGLES), ([*turning, *goals], ANGLES),
+        (sliding, LENGTHS), (motors, INPUTS),
+    ]  # fmt: skip
+    singles = [([n], ANGLES) for n in (*turning, *goals)]
+    singles += [([n], LENGTHS) for n in sliding] + [([n], INPUTS) for n in motors]
+    done = set()
+    for names, units in [*groups, *singles]:
+        for unit, factor in units:
+            if names and (tuple(names), unit) not in done:
+                done.add((tuple(names), unit))
+                wires = {
+                    n: replace(h.wires[n], scale=h.wires[n].scale * factor, unit=unit)
+                    for n in names
+                    if not h.wires[n].unit
+                }
+                if wires:
+                    yield h.with_wires(wires, f"unit of {', '.join(wires)}: {unit}")
+
+
+def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield exchanges of two channels of a kind, and the orders that the data propose."""
+    for kind in ("qpos", "ctrl"):
+        names = [n for n in h.wires if n.startswith(f"{kind}.")]
+        for a, b in combinations(names, 2):
+            yield h.with_wires({a: h.wires[b], b: h.wires[a]}, f"order of {kind}")
+    for kind, order in (("ctrl", _control_order(evidence, h)), ("qpos", _joint_order(evidence, h))):
+        if order:
+            yield h.with_wires(order, f"order of {kind}")
+
+
+def _control_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
+    """Return the order of the controls that balances the degrees of freedom best."""
+    names = [n for n in h.wires if n.startswith("ctrl.") and evidence.driven(n)]
+    if len(names) < 3:
+        return {}
+    cost = np.empty((len(names), len(names)))
+    for k, other in enumerate(names):
+        trial = replace(h, wires={**h.wires, **dict.fromkeys(names, h.wires[other])})
+        shares = evidence.shares(trial, _DELAYS).min(axis=0)
+        cost[:, k] = [np.log(shares[evidence.dof(n)] + 1e-3) for n in names]
+    return _assigned(h, names, names, cost)
+
+
+def _joint_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
+    """Return the order of the positions that follows the servos' goals best."""
+    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n.startswith("ctrl.")]
+    pairs = [(q, u) for q, u in pairs if q in h.wires and evidence.servo(u)]
+    if len(pairs) < 3:
+        return {}
+    joints, goals = [q for q, _ in pairs], [u for _, u in pairs]
+    cost = np.zeros((len(pairs), len(pairs)))
+    for delay in _DELAYS:
+        u = [evidence.traces.column(h.wires[n].source, held=True, delay=delay) for n in goals]
+        q = [evidence.traces.column(h.wires[n].source, held=False) for n in joints]
+        correlation = np.corrcoef(np.array(u), np.array(q))[: len(u), len(u) :]
+        cost = np.minimum(cost, -np.abs(correlation))
+    return _assigned(h, joints, joints, cost)
+
+
+def _assigned(
+    h: Hypothesis, names: Sequence[str], sources: Sequence[str], cost: np.ndarray
+) -> Mapping[str, Wire]:
+    rows, columns = linear_sum_assignment(cost)
+    if (rows == columns).all():
+        return {}
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return {names[r]: h.wires[sources[c]] for r, c in pairs if r != c}
+
+
+def _confusions(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield exchanges of commands and positions, of one joint and of all."""
+    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n.startswith("ctrl.")]
+    pairs = [(q, u) for q, u in pairs if q in h.wires]
+    groups = [[p] for p in pairs] + ([pairs] if len(pairs) > 1 else [])
+    for group in groups:
+        wires: dict[str, Wire] = {}
+        for q, u in group:
+            wires |= {q: h.wires[u], u: h.wires[q]}
+        yield h.with_wires(wires, "commands and positions swapped")
+
+
+def _zeros(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield encoders with another zero; the goal of a servo may or may not move along."""
+    for names, starts in zero_groups(evidence, h):
+        cause = f"zero of {', '.join(names)}"
+        timed = [
+            _timed(evidence, replace(with_zero(h, names, o), causes=(*h.causes, cause)))
+            for o in starts
+        ]
+        _, first = min(timed, key=lambda pair: pair[0])
+        score = _score_of_zero(evidence, first, names)
+        width = 0.5 * abs(starts[1] - starts[0]) if len(starts) > 1 else 0.1
+        found = minimize_scalar(
+            score, bounds=(-width, width), method="bounded", options={"maxiter": 12}
+        )
+        yield with_zero(first, names, float(found.x))
+
+
+def _score_of_zero(
+    evidence: Evidence, h: Hypothesis, names: Sequence[str]
+) -> Callable[[float], float]:
+    return lambda o: float(evidence.scores(with_zero(h, names, float(o)), [h.delay])[0])
+
+
+def zero_groups(
+    evidence: Evidence, h: Hypothesis
+) -> Iterator[tuple[tuple[str, ...], Sequence[float]]]:
+    """Yield channels whose zeros may be wrong together, each with values to start from."""
+    turn = [k * pi / 6 for k in range(-5, 7)]
+    for joint in evidence.joints:
+        position = f"qpos.{joint}"
+        servos = [n for n in h.wires if n.startswith("ctrl.") and evidence.servo(n)]
+        servos = [n for n in servos if evidence.driven(n) == joint]
+        if position not in h.wires:
+            continue
+        for servo in servos:  # a servo rests where it is told to, but for its load
+            rest = float(np.mean(evidence.value(h, servo, held=True) - evidence.value(h, position)))
+            yield (position,), (rest,)
+            yield (servo,), (-rest,)
+        if joint in evidence.hinges:
+            yield (position, *servos), turn

@@ -1,0 +1,64 @@
+"""Recorded speeds against the rates of the positions that belong to them."""
+
+from collections.abc import Mapping, Sequence
+from math import pi
+
+import numpy as np
+
+from bo_sysid.checks.hypothesis import Hypothesis, Units, Wire
+from bo_sysid.checks.traces import Traces
+
+TURNING: Units = (("deg/s", pi / 180), ("rpm", 2 * pi / 60), ("mrad/s", 1e-3), ("turn/s", 2 * pi))
+SLIDING: Units = (("mm/s", 1e-3), ("cm/s", 1e-2))
+ALIKE = 0.8  # correlation from which on a speed belongs to a position
+_CLEAR = 0.03  # by which another position's rate must resemble it more
+_SAME = 1.35  # ratio of a speed to the rate that is no unit
+_EXACT = 1.15  # ratio to a unit's factor within which it is that unit
+
+
+def speed_wires(
+    traces: Traces, hypothesis: Hypothesis, hinges: Sequence[str]
+) -> tuple[Mapping[str, Wire], Mapping[str, float]]:
+    """Return what each recorded speed is, and its correlation with the position's rate.
+
+    A speed that resembles no rate keeps its place, with the best correlation that was found.
+    """
+    names = [n for n in traces.recordings[0].channels if n.startswith("qvel.")]
+    names = [n for n in names if all(n in r.channels for r in traces.recordings)]
+    pairs = [(n, n.replace("qvel.", "qpos.", 1)) for n in names]
+    pairs = [(v, q) for v, q in pairs if q in hypothesis.wires]
+    if not pairs:
+        return {}, {}
+    speeds = {v: traces.column(v, held=False) for v, _ in pairs}
+    wires, found = {}, {}
+    for v, q in pairs:
+        wire = hypothesis.wires[q]
+        rate = wire.sign * wire.scale * traces.column(wire.source, held=False, order=1)
+        correlation = {n: _correlation(s, rate) for n, s in speeds.items()}
+        best = max(correlation, key=lambda n: abs(correlation[n]))
+        source = v if abs(correlation[v]) > abs(correlation[best]) - _CLEAR else best
+        found[v] = correlation[source]
+        if abs(correlation[source]) < ALIKE:
+            wires[v] = Wire(v)
+            continue
+        sign = 1 if correlation[source] > 0 else -1
+        factor = float(np.std(rate) / max(np.std(speeds[source]), 1e-300))
+        units = TURNING if q.removeprefix("qpos.") in hinges else SLIDING
+        unit, scale = _unit(factor, units)
+        wires[v] = Wire(source, sign, scale, 0.0, unit)
+    return wires, found
+
+
+def _unit(factor: float, units: Units) -> tuple[str, float]:
+    """Return the unit whose factor is nearest, or none where the ratio is no unit."""
+    if 1 / _SAME < factor < _SAME:
+        return "", 1.0
+    name, scale = min(units, key=lambda u: abs(np.log(factor / u[1])))
+    near = abs(np.log(factor / scale)) < np.log(_EXACT)
+    return (name, scale) if near else ("", 1.0)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    if a.std() == 0 or b.std() == 0:
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])

@@ -1,0 +1,124 @@
+"""What the wiring of a log comes to, in words."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.checks.estimate import Estimate
+from bo_sysid.checks.flags import Flag
+from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.speeds import ALIKE
+
+_APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
+_UNBALANCED = 0.4  # J from which on the model does not explain a joint
+
+
+def wire_flags(wires: Mapping[str, Wire], balance: pd.DataFrame) -> list[Flag]:
+    """Return a flag for each fault, with J of the joints that it concerns, before and after."""
+    support = _support(balance)
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for name, wire in wires.items():
+        for kind, what in _faults(name, wire):
+            kinds.setdefault((kind, what), []).append(name)
+    flags = []
+    for (kind, what), names in kinds.items():
+        told = "; ".join(_told(n, wires[n], kind) for n in names)
+        flags.append(Flag("wrong", kind, tuple(names), f"{what}: {told}. {support}"))
+    return flags
+
+
+def _support(balance: pd.DataFrame) -> str:
+    worst = balance[balance["used"]].nlargest(3, "before")
+    told = ", ".join(
+        f"{joint} {before:.2g} → {after:.2g}"
+        for joint, before, after in zip(
+            worst["joint"], worst["before"], worst["after"], strict=True
+        )
+    )
+    return f"Unexplained share of the forces as it was → corrected: {told}."
+
+
+def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
+    """Return kind and title of each fault of one channel."""
+    faults = []
+    if wire.source != name:
+        same = wire.source.split(".", 1)[0] == name.split(".", 1)[0]
+        faults.append(("order", "Order") if same else ("swap", "Commands and measurements swapped"))
+    if wire.unit:
+        faults.append(("unit", f"Unit is {wire.unit}"))
+    if wire.sign < 0:
+        faults.append(("sign", "Sign"))
+    if wire.offset:
+        faults.append(("zero", "Zero"))
+    return faults
+
+
+def _told(name: str, wire: Wire, kind: str) -> str:
+    if kind in ("order", "swap"):
+        return f"{name} is in column {wire.source}"
+    if kind == "zero":
+        return f"{name} lacks {wire.offset:+.4g}"
+    return name
+
+
+def clock_flags(value: float, common: Estimate, late: Mapping[str, Estimate]) -> list[Flag]:
+    """Return what is to be said about when the controls act."""
+    flags = []
+    if value:
+        side = "later" if value > 0 else "earlier"
+        flags.append(
+            Flag(
+                "wrong",
+                "clock",
+                tuple(late),
+                f"The controls act {1e3 * abs(value):.1f} ± {1.96e3 * common.sigma:.1f} ms {side} "
+                "than their stamps say: another clock, or actuators that are late.",
+                {"delay": value, "sigma": common.sigma},
+            )
+        )
+    for name, e in late.items():
+        apart = e.value - common.value
+        if len(late) > 1 and abs(apart) > max(_APART, 6 * np.hypot(e.sigma, common.sigma)):
+            flags.append(
+                Flag(
+                    "look",
+                    "clock",
+                    (name,),
+                    f"{name} acts {1e3 * e.value:.1f} ± {1.96e3 * e.sigma:.1f} ms after its "
+                    f"stamps, the others {1e3 * common.value:.1f} ms.",
+                    {"delay": e.value, "sigma": e.sigma},
+                )
+            )
+    return flags
+
+
+def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
+    """Return speeds that belong to no position."""
+    return [
+        Flag(
+            "look",
+            "order",
+            (name,),
+            f"{name} is not the rate of any recorded position (correlation {c:.2f}).",
+            {"correlation": c},
+        )
+        for name, c in alike.items()
+        if abs(c) < ALIKE
+    ]
+
+
+def balance_flags(balance: pd.DataFrame) -> list[Flag]:
+    """Return joints whose forces the model does not explain."""
+    bad = balance[balance["used"] & (balance["after"] > _UNBALANCED)]
+    return [
+        Flag(
+            "look",
+            "balance",
+            (joint,),
+            f"{100 * share:.0f} % of the forces at {joint} are not explained by the model, under "
+            "any wiring that was tried: much is missing in it, or the motion is too small.",
+            {"share": share},
+        )
+        for joint, share in zip(bad["joint"], bad["after"], strict=True)
+    ]

@@ -1,0 +1,202 @@
+"""Smoothed traces of recorded channels, with two derivatives, at common instants.
+
+All channels pass through one filter, a Gaussian in time, and derivatives are those of the filter:
+what holds between the signals then holds between the traces, and sensor noise is suppressed alike.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import convolve1d
+
+from bo_sysid.recording import Channel, Recording, noise_sigma
+from bo_sysid.recording.alignment import control_steps
+
+WIDTHS = (0.006, 0.01, 0.016, 0.024, 0.03, 0.04, 0.05, 0.07)
+"""Standard deviations of the filter to choose from, in s."""
+_NOISE_SHARE = 0.03  # of an acceleration, that the filter may leave
+_EDGE = 4.0  # standard deviations at both ends that are not used
+LATEST = 0.12
+"""Largest delay that is looked for, in s."""
+_LEAST_DT = 1e-3  # [s] the grid is not finer
+_MOST_GRID = 200_000
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A smoothed channel on the grid of one recording.
+
+    Attributes:
+        time: `G` even stamps in [s].
+        value: `G` smoothed values.
+        rate: `G` first derivatives.
+        bend: `G` second derivatives.
+    """
+
+    time: Float[np.ndarray, " G"]
+    value: Float[np.ndarray, " G"]
+    rate: Float[np.ndarray, " G"]
+    bend: Float[np.ndarray, " G"]
+
+    @classmethod
+    def of(
+        cls, channel: Channel, grid: Float[np.ndarray, " G"], width: float, *, held: bool
+    ) -> "Trace":
+        """Return a channel smoothed by a Gaussian.
+
+        Args:
+            channel: the samples.
+            grid: `G` even stamps.
+            width: standard deviation of the filter in [s].
+            held: whether a value applies until the next stamp, or was measured at its stamp.
+        """
+        dt = float(grid[1] - grid[0])
+        if held:
+            values = control_steps(channel, grid[:1] - 0.5 * dt, len(grid), dt)[0]
+        else:
+            values = np.interp(grid, channel.time, channel.values)
+        value, rate, bend = (
+            convolve1d(values, kernel, mode="nearest") / dt**k
+            for k, kernel in enumerate(_kernels(width / dt))
+        )
+        return cls(grid, value, rate, bend)
+
+
+class Traces:
+    """The traces of all channels of some recordings, at `n` instants of all of them in a row.
+
+    Args:
+        recordings: what was recorded.
+        measured: channels that say where there are samples at all; they also set the filter.
+        most: most instants.
+        rows: which of the instants to use, where not all.
+    """
+
+    def __init__(
+        self, recordings: Sequence[Recording], measured: Sequence[str], most: int = 1500
+    ) -> None:
+        self.recordings = tuple(recordings)
+        self.measured = tuple(measured)
+        self.width = _width(self.recordings, self.measured)
+        share = max(most // len(self.recordings), 20)
+        self.instants = tuple(
+            _instants(r, self.measured, g, self.width, share)
+            for r, g in zip(self.recordings, self._grids, strict=True)
+        )
+        self._traces: dict[tuple[str, bool], tuple[Trace, ...]] = {}
+
+    @property
+    def count(self) -> int:
+        """Number n of instants."""
+        return sum(map(len, self.instants))
+
+    @property
+    def seconds(self) -> float:
+        """Length of all recordings together, in s."""
+        return sum(float(g[-1] - g[0]) for g in self._grids)
+
+    @cached_property
+    def _grids(self) -> tuple[Float[np.ndarray, " G"], ...]:
+        return tuple(_grid(r, self.measured, self.width) for r in self.recordings)
+
+    def column(
+        self, name: str, *, held: bool, order: int = 0, delay: float = 0.0
+    ) -> Float[np.ndarray, " n"]:
+        """Return a channel, or its first or second derivative, at the instants less a delay."""
+        key = (name, held)
+        if key not in self._traces:
+            self._traces[key] = tuple(
+                Trace.of(r.channels[name], g, self.width, held=held)
+                for r, g in zip(self.recordings, self._grids, strict=True)
+            )
+        parts = []
+        for trace, t in zip(self._traces[key], self.instants, strict=True):
+            values = (trace.value, trace.rate, trace.bend)[order]
+            parts.append(np.interp(t - delay, trace.time, values))
+        return np.concatenate(parts)
+
+
+def _kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a Gaussian of `sigma` samples and its two derivatives, as convolution kernels.
+
+    The moments are exact on the grid: a parabola keeps its derivatives at any `sigma`.
+    """
+    half = int(np.ceil(_EDGE * sigma))
+    x = np.arange(-half, half + 1.0)
+    g = np.exp(-0.5 * (x / sigma) ** 2)
+    g /= g.sum()
+    m2, m4 = float(g @ x**2), float(g @ x**4)
+    return g, -x * g / m2, (x**2 - m2) * g * 2.0 / (m4 - m2**2)
+
+
+def blocks(count: int, number: int = 8) -> list[Bool[np.ndarray, " n"]]:
+    """Return masks of `number` stretches of equal length."""
+    index = np.arange(count) * number // max(count, 1)
+    return [index == k for k in range(number)]
+
+
+def _dt(recording: Recording, names: Iterable[str]) -> float:
+    return float(np.median([np.median(np.diff(recording.channels[n].time)) for n in names]))
+
+
+def _width(recordings: Sequence[Recording], measured: Sequence[str]) -> float:
+    """Return the narrowest filter that leaves little noise in the accelerations.
+
+    White noise σ at interval dt becomes an acceleration of σ √(3 dt / (8 √π w⁵)) after a Gaussian
+    of standard deviation w.
+    """
+    least = 1.5 * max(_dt(r, measured) for r in recordings)
+    usable = [w for w in WIDTHS if w >= least] or [least]
+    for width in usable:
+        shares = []
+        for r in recordings[:4]:
+            grid = _grid(r, measured, width)
+            worst = 0.0
+            for name in _alike(r, measured):
+                c = r.channels[name]
+                bend = Trace.of(c, grid, width, held=False).bend
+                dt = float(np.median(np.diff(c.time)))
+                noise = noise_sigma(c.time, c.values) * np.sqrt(
+                    3 * dt / (8 * np.sqrt(np.pi) * width**5)
+                )
+                worst = max(worst, noise / max(float(bend.std()), np.finfo(float).tiny))
+            shares.append(worst)
+        if float(np.median(shares)) < _NOISE_SHARE:
+            return width
+    return usable[-1]
+
+
+def _alike(recording: Recording, measured: Sequence[str]) -> list[str]:
+    """Return the measured channels that move, and the controls that may be swapped with them."""
+    names = [*measured, *(n for n in recording.channels if n.startswith("ctrl."))]
+    return [n for n in names if np.ptp(recording.channels[n].values) > 0]
+
+
+def _grid(recording: Recording, measured: Sequence[str], width: float) -> np.ndarray:
+    first = max(recording.channels[n].time[0] for n in measured)
+    last = min(recording.channels[n].time[-1] for n in measured)
+    dt = min(max(_dt(recording, measured), _LEAST_DT), width / 1.5)
+    count = int(np.clip((last - first) / dt, 2, _MOST_GRID))
+    return np.asarray(np.linspace(first, last, count + 1))
+
+
+def _instants(
+    recording: Recording, measured: Sequence[str], grid: np.ndarray, width: float, most: int
+) -> np.ndarray:
+    """Return instants about a filter's width apart, away from the ends and from gaps."""
+    margin = _EDGE * width + LATEST
+    first, last = grid[0] + margin, grid[-1] - margin
+    if last - first < 2 * width:
+        return grid[len(grid) // 2 :][:1]
+    count = int(np.clip((last - first) / (1.5 * width), 2, most))
+    t = np.linspace(first, last, count)
+    good = np.ones(count, bool)
+    for name in measured:
+        stamps = recording.channels[name].time
+        near = np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1)
+        gap = stamps[near] - stamps[near - 1]
+        good &= gap <= 2 * width + 1.75 * float(np.median(np.diff(stamps)))
+    return np.asarray(t[good])

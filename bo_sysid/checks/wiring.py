@@ -1,0 +1,150 @@
+"""The wiring of a log: what each channel really is, when the controls act, and how sure that is."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+from bo_sysid.checks import estimate
+from bo_sysid.checks.flags import Flag
+from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Wire
+from bo_sysid.checks.search import search, zero_groups
+from bo_sysid.checks.speeds import speed_wires
+from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, wire_flags
+from bo_sysid.checks.traces import Traces
+from bo_sysid.recording import Recording
+
+_LATE = 2.5e-3  # [s] a delay below is not worth a word
+_SURE = 4.0  # standard deviations that a delay, and
+_SURE_ZERO = 6.0  # that a zero must differ from nothing
+_LEAST_ZERO = 0.015  # [rad] or [m]
+_LEAST_GAIN = 0.25  # of the score, that a zero must bring
+_FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
+_MOST = 1500
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What the channels of a log are.
+
+    Attributes:
+        wires: by channel, what it should be read from, for those that are not what they are called.
+        delay: how much later than stamped the controls act, in [s]; 0 where that is not certain.
+        delays: one row a control: control, delay [ms], sigma [ms].
+        balance: one row a joint: joint, before and after (J, see balance.py), used.
+        flags: what was found, in words.
+    """
+
+    wires: Mapping[str, Wire]
+    delay: float
+    delays: pd.DataFrame
+    balance: pd.DataFrame
+    flags: tuple[Flag, ...]
+
+
+def find_wiring(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Wiring:
+    """Find out what the channels of some recordings are.
+
+    Args:
+        model: the compiled nominal model; it is not changed.
+        recordings: as read with the study's column rules.
+    """
+    scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
+    measured = [n for n in positions if all(n in r.channels for r in recordings)]
+    if not all(int(t) in scalar for t in model.jnt_type) or not measured:
+        return _untested("a joint is neither a hinge nor a slide, or none was recorded")
+    traces = Traces(recordings, measured, _MOST)
+    coarse = Evidence(copy.copy(model), traces)
+    fine = Evidence(copy.copy(model), traces, _MOST)
+    before = fine.identity()
+    found = search(coarse)
+    found, late = _timed(fine, found)
+    found = _zeroed(fine, found)
+    found, late = _timed(fine, found)
+    speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
+    wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
+    delay = _common(late)
+    certain = abs(delay.value) > max(_LATE, _SURE * delay.sigma)
+    shares = [fine.shares(h, [h.delay])[0] for h in (before, found)]
+    balance = pd.DataFrame(
+        {
+            "joint": fine.joints,
+            "before": shares[0],
+            "after": shares[1],
+            "used": fine.weights > 0,
+        }
+    )
+    table = pd.DataFrame(
+        {
+            "control": list(late),
+            "delay": [1e3 * e.value for e in late.values()],
+            "sigma": [1e3 * e.sigma for e in late.values()],
+        }
+    )
+    value = delay.value if certain else 0.0
+    flags = [*wire_flags(wires, balance), *clock_flags(value, delay, late)]
+    flags += [*speed_flags(alike), *balance_flags(balance)]
+    return Wiring(wires, value, table, balance, tuple(flags))
+
+
+def _untested(reason: str) -> Wiring:
+    flag = Flag("note", "balance", (), f"The wiring was not tested against the model: {reason}.")
+    empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
+    balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
+    return Wiring({}, 0.0, empty, balance, (flag,))
+
+
+def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, estimate.Estimate]]:
+    """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
+    controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
+    late = {n: estimate.delay(evidence, h, n) for n in controls}
+    return (replace(h, delay=_common(late).value) if late else h), late
+
+
+def _telling(evidence: Evidence, control: str) -> bool:
+    """Whether a control drives a joint whose balance is known."""
+    return bool(evidence.driven(control)) and evidence.weights[evidence.dof(control)] > 0
+
+
+def _common(late: Mapping[str, estimate.Estimate]) -> estimate.Estimate:
+    """Return the weighted mean of the delays, without those far from their median."""
+    if not late:
+        return estimate.Estimate(0.0, np.inf)
+    values = np.array([e.value for e in late.values()])
+    sigmas = np.hypot([e.sigma for e in late.values()], _FLOOR)
+    middle = _weighted_median(values, 1 / sigmas)
+    near = np.abs(values - middle) <= np.maximum(3 * sigmas, 1e-3)
+    weight = 1 / sigmas[near] ** 2
+    return estimate.Estimate(
+        float(weight @ values[near] / weight.sum()), float(weight.sum() ** -0.5)
+    )
+
+
+def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(values[order][np.searchsorted(share, 0.5)])
+
+
+def _zeroed(evidence: Evidence, h: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with encoder zeros refined, and new ones where they are certain."""
+    for _ in range(len(evidence.joints)):
+        best, gain = h, _LEAST_GAIN
+        now = evidence.scores(h, [h.delay])[0]
+        for names, _ in zero_groups(evidence, h):
+            known = any(h.wires[n].offset for n in names)
+            moved = estimate.zero(evidence, h, names)
+            if not abs(moved.value) > max(_SURE_ZERO * moved.sigma, 0.0 if known else _LEAST_ZERO):
+                continue
+            trial, _ = _timed(evidence, estimate.with_zero(h, names, moved.value))
+            better = now - evidence.scores(trial, [trial.delay])[0]
+            if better > gain or (known and better > 0.02):
+                best, gain = trial, max(better, gain)
+        if best is h:
+            break
+        h = best
+    return h
