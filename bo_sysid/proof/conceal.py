@@ -1,0 +1,218 @@
+"""Conceal: draw the cases of a suite, write what a person would have, seal the answers.
+
+A run folder has
+
+    cases/<name>/      model.xml, study.yaml, train.parquet, holdout.parquet: all that is shown
+    commitments.json   per case SHA-256(nonce ‖ answer) and the SHA-256 of each file that is shown
+
+and beside it the folder of seals, with the plan and the answers. The calling process never sees
+the plan: it is drawn, and each case with it, in processes of their own. What is shown tells
+nothing by itself: names are numbered in random order, cases appear only when all are drawn, one
+after the other and with one fixed time stamp (how long a case took to draw would tell its plant),
+recordings hold no notes, and studies differ only in what the machine is and which parameters are
+listed.
+"""
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bo_sysid.errors import RunError, StudyError
+from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
+from bo_sysid.proof.case import Case, draw_case
+from bo_sysid.proof.plan import Draw, plan
+from bo_sysid.proof.seal import Seal, digest, file_digest
+from bo_sysid.proof.suite import LoadedSuite, load_suite
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import Run, atomic, read_json, versions
+
+COMMITMENTS, CASES = "commitments.json", "cases"
+SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
+"""Files of a case."""
+
+_PLAN = "plan.json"
+_STAMP = 946_684_800  # 2000-01-01: every file of every case carries this time
+_PART = "commitment-{}.json"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to draw one case.
+
+    Attributes:
+        suite: file of the suite.
+        overrides: values that replace what it says.
+        folder: of the run.
+        seals: folder of the seals.
+        name: of the case.
+    """
+
+    suite: Path
+    overrides: Mapping[str, Any]
+    folder: Path
+    seals: Path
+    name: str
+
+
+def seals_of(folder: Path) -> Path:
+    """Return where the seals of a run are unless said otherwise: beside it."""
+    return folder.parent / f"{folder.name}-sealed"
+
+
+def suite_record(path: Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a suite as it is stored in a run, with the hashes of its machines' models."""
+    loaded = load_suite(path, overrides)
+    machines = {
+        name: {"file": m.file.model_dump(mode="json", exclude_none=True)}
+        for name, m in loaded.machines.items()
+    }
+    return {"suite": loaded.suite.model_dump(mode="json", exclude_none=True), "machines": machines}
+
+
+def conceal(
+    run: Run,
+    suite: str | Path,
+    *,
+    overrides: Mapping[str, Any] | None = None,
+    seals: str | Path | None = None,
+    progress: Report = silent,
+) -> dict[str, Any]:
+    """Draw the cases of a suite into a run folder; an interrupted call goes on.
+
+    Args:
+        run: where what is shown is written.
+        suite: file of the suite.
+        overrides: values by key that replace what it says.
+        seals: folder of the seals; beside the run where left out.
+        progress: told after each case.
+
+    Returns:
+        The commitments, as they are in `commitments.json`. Publish their digest.
+
+    Raises:
+        StudyError: the suite is wrong, or a case of it cannot be drawn.
+    """
+    path, overrides = Path(suite).resolve(), dict(overrides or {})
+    load_suite(path, overrides)
+    if run.has(COMMITMENTS):
+        return dict(run.read_json(COMMITMENTS))
+    folder = run.folder.resolve()
+    sealed = Path(seals).resolve() if seals else seals_of(folder)
+    engine = LocalEngine(threads())
+    everything = Job(path, overrides, folder, sealed, "")
+    names = _only(map_jobs(_draw_plan, {"plan": everything}, engine=LocalEngine(1)))
+    done = {n for n in names if (sealed / _PART.format(n)).is_file()}
+    jobs = {n: Job(path, overrides, folder, sealed, n) for n in names}
+    step = len(done)
+    for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
+        if outcome.error is not None:
+            raise StudyError(f"{path}: {outcome.key} cannot be drawn: {outcome.error}")
+        step += 1
+        progress(Progress(step, len(names)))  # nothing about the case: not even its time
+    _show(sealed, run.path(CASES), names)
+    commitments = _published(path, overrides, sealed, names)
+    run.write_json(COMMITMENTS, commitments)
+    return commitments
+
+
+def write_case(case: Case, loaded: LoadedSuite, folder: Path) -> dict[str, str]:
+    """Write what is shown of a case and return the SHA-256 of each file."""
+    machine = loaded.machines[case.draw.machine]
+    folder.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*settotalmass")  # speaks to the suite's author
+        machine.model.export(folder / "model.xml")
+    for part, recording in case.recordings.items():
+        write_recording(recording, folder / f"{part}.parquet")
+    study: dict[str, Any] = {
+        "version": 1,
+        "name": case.draw.name,
+        "model": "model.xml",
+        "recordings": {"train": ["train.parquet"], "holdout": ["holdout.parquet"]},
+        "limits": {
+            joint: limit.model_dump(mode="json", exclude_none=True)
+            for joint, limit in machine.file.limits.items()
+        },
+    }
+    if case.parameters:
+        study["parameters"] = [
+            {"name": p.name, "address": list(p.addresses), "apply": p.apply,
+             "low": p.low, "high": p.high, "steps": p.steps, "unit": p.unit}
+            for p in case.parameters
+        ]  # fmt: skip
+    with atomic(folder / "study.yaml") as beside:
+        beside.write_text(yaml.safe_dump(study, sort_keys=False), encoding="utf-8")
+    return {f.relative_to(folder).as_posix(): file_digest(f) for f in _files(folder)}
+
+
+def _files(folder: Path) -> list[Path]:
+    return [f for f in sorted(folder.rglob("*")) if f.is_file()]
+
+
+def _draw_plan(job: Job) -> list[str]:
+    """Draw the plan, unless an interrupted call drew it, and return the names of the cases."""
+    path = job.seals / _PLAN
+    record = suite_record(job.suite, job.overrides)
+    if path.is_file():
+        there = read_json(job.seals, _PLAN)
+        if there["suite_sha256"] != digest(record):
+            raise RunError(f"{job.seals}: holds the seals of another suite; use another folder")
+        return [d["name"] for d in there["cases"]]
+    draws = plan(load_suite(job.suite, job.overrides))
+    content = {"suite_sha256": digest(record), "cases": [d.plain() for d in draws]}
+    _write(path, content)
+    return [d.name for d in draws]
+
+
+def _draw_one(job: Job) -> None:
+    """Draw, write and seal one case; its process alone knows what is in it."""
+    loaded = load_suite(job.suite, job.overrides)
+    drawn = next(d for d in read_json(job.seals, _PLAN)["cases"] if d["name"] == job.name)
+    case = draw_case(Draw.of(drawn), loaded)
+    files = write_case(case, loaded, job.seals / job.name)
+    seal = Seal.of({**case.truth, "files": files})
+    _write(job.seals / f"{job.name}.json", seal.plain())
+    _write(job.seals / _PART.format(job.name), {"sha256": seal.commitment, "files": files})
+
+
+def _show(seals: Path, cases: Path, names: list[str]) -> None:
+    """Copy what is shown out of the folder of seals, in the order of the names."""
+    for name in names:
+        place = cases / name
+        for file in _files(seals / name):
+            target = place / file.relative_to(seals / name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(file.read_bytes())
+        for path in (*place.rglob("*"), place):
+            os.utime(path, (_STAMP, _STAMP))
+
+
+def _published(
+    suite: Path, overrides: Mapping[str, Any], seals: Path, names: list[str]
+) -> dict[str, Any]:
+    """Return what is published: nothing that depends on the answers but their commitments."""
+    return {
+        "format": 1,
+        "suite_sha256": digest(suite_record(suite, overrides)),
+        "versions": versions(),
+        "cases": {n: read_json(seals, _PART.format(n)) for n in names},
+    }
+
+
+def _only(outcomes: Iterator[Any]) -> list[str]:
+    outcome = next(outcomes)
+    if outcome.error is not None:
+        raise StudyError(outcome.error)
+    return list(outcome.result)
+
+
+def _write(path: Path, value: Any) -> None:
+    import json
+
+    with atomic(path) as beside:
+        beside.write_text(json.dumps(value, indent=1), encoding="utf-8")
