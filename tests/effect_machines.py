@@ -25,7 +25,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation.lockstep import LawInputs
 
-STEPS = 50
+STEPS = 40
 
 LINKS = """
 <worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping=".05"/>

@@ -1,10 +1,11 @@
 """Every effect, at every site where it applies, on every small machine, inherits these tests."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_machines import case, cases, differ, edited, predict
+from effect_machines import XML, case, cases, differ, edited, predict
 
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Force, Hidden, Reading, unit_at
 
@@ -103,20 +104,26 @@ class TestConformance:
         still = [(site, x) for m, site, x in moved if m == 0.0]
         assert {s.name for s, _ in still} <= UNFELT.get((effect.id, name), set()), still
 
-    @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
-    def test_what_is_written_into_a_file_moves_the_same_in_plain_mujoco(
-        self, effect: Effect, name: str, tmp_path: Path
-    ) -> None:
-        c = case(name)
-        for site in c.some(effect, 1):
-            x = c.points(effect, site)[0]
-            if not differ(edited(c, effect, site, x, written=True)[0], c.machine.model):
-                continue  # not in MJCF
-            inside = predict(c, effect, site, x, written=True)
-            outside = predict(c, effect, site, x, written=True, file=tmp_path / "model.xml")
-            for channel, values in outside.items():
-                scale = max(float(np.abs(values).max()), 1e-3)
-                np.testing.assert_allclose(values, inside[channel], atol=2e-6 * scale)
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+@pytest.mark.parametrize(
+    ("effect", "name"),
+    [*itertools.product(OWN, XML), (CATALOGUE["payload"], "cheetah")],
+    ids=lambda x: getattr(x, "id", x),
+)
+def test_what_is_written_into_a_file_moves_the_same_in_plain_mujoco(
+    effect: Effect, name: str, tmp_path: Path
+) -> None:
+    c = case(name)
+    for site in c.some(effect, 1):
+        x = c.points(effect, site)[0]
+        if not differ(edited(c, effect, site, x, written=True)[0], c.machine.model):
+            continue  # not in MJCF
+        inside = predict(c, effect, site, x, written=True)
+        outside = predict(c, effect, site, x, written=True, file=tmp_path / "model.xml")
+        for channel, values in outside.items():
+            scale = max(float(np.abs(values).max()), 1e-3)
+            np.testing.assert_allclose(values, inside[channel], atol=2e-6 * scale)
 
 
 # sites at which an effect cannot act in these recordings

@@ -25,6 +25,7 @@ _LAGS = (0.004, 0.03)
 _DELAYS = (0.004, 0.02)
 _RAMPS = (0.004, 0.015, 0.06)  # [s] that the largest change of a control may take
 _SAG = 0.005  # of a supply's voltage: less is no sag
+_APART = 1.5  # ratio of rates that are tried
 _INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
 
 
@@ -270,8 +271,11 @@ def _rate_extent(site: Site, machine: Machine) -> Extent | None:
     if not (_moves(site, machine) and jumps):
         return None
     most = _fastest(site, machine)
-    rates = {j / machine.sampling for j in jumps[1:]} | {jumps[0] / t for t in _RAMPS}
-    lost = sorted(most - r for r in rates if r < 0.98 * most)
+    wanted = {j / machine.sampling for j in jumps[1:]} | {jumps[0] / t for t in _RAMPS}
+    lost: list[float] = []
+    for rate in sorted(wanted, reverse=True):
+        if rate < (most - lost[-1] if lost else most) / _APART:
+            lost.append(most - rate)
     if not lost:
         return None
     return Extent((lost[0],), (0.0,), (most * (1 - 1e-6),), tuple((x,) for x in lost))

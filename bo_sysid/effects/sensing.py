@@ -189,18 +189,21 @@ def sensor_sign(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 
 
 def _alike(site: Site, machine: Machine) -> tuple[int, ...]:
-    """Return the numbers of the later channels that show the same kind of quantity."""
-    if not _scalar(site, machine):
-        return ()
-    kind, unit = site.name.split(".", 1)[0], machine.scales[site.name].unit
+    """Return the numbers of the later channels that show the same kind of quantity.
+
+    Positions or velocities of joints of one kind; axes of one sensor.
+    """
     after = machine.channels.index(site.name) + 1
-    return tuple(
-        after + k
-        for k, name in enumerate(machine.channels[after:])
-        if name.split(".", 1)[0] == kind
-        and _scalar(Site("channel", name), machine)
-        and machine.scales[name].unit == unit
-    )
+    own = _quantity(site.name, machine)
+    later = enumerate(machine.channels[after:], after)
+    return tuple(k for k, name in later if own and _quantity(name, machine) == own)
+
+
+def _quantity(channel: str, machine: Machine) -> tuple[str, str] | None:
+    kind, element = channel.split(".", 1)
+    if kind == "sensor":
+        return kind, element.rpartition(".")[0] or element
+    return (kind, machine.scales[channel].unit) if element in machine.joints else None
 
 
 def _swap_extent(site: Site, machine: Machine) -> Extent | None:
