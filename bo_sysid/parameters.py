@@ -60,10 +60,12 @@ class CandidateSet:
     Attributes:
         parameters: the d parameters, in the order of the columns.
         points: `N x d` parameter values; never changed after construction.
+        spacing: `d` steps of the grid that the points lie on; None where they lie on none.
     """
 
     parameters: tuple[Parameter, ...]
     points: Points
+    spacing: Point | None = None
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=float)
@@ -88,10 +90,13 @@ class CandidateSet:
                 f"{most}; use candidates: {{sobol: 20000}} or fewer steps"
             )
         axes = np.meshgrid(*[p.grid for p in parameters], indexing="ij")
-        return cls(tuple(parameters), np.stack([a.ravel() for a in axes], axis=1))
+        spacing = np.array([(p.high - p.low) / (p.steps - 1) for p in parameters])
+        return cls(tuple(parameters), np.stack([a.ravel() for a in axes], axis=1), spacing)
 
     @classmethod
-    def from_sobol(cls, parameters: Sequence[Parameter], size: int, seed: int = 0) -> "CandidateSet":
+    def from_sobol(
+        cls, parameters: Sequence[Parameter], size: int, seed: int = 0
+    ) -> "CandidateSet":
         """Return the first `size` points of a scrambled Sobol sequence within the bounds."""
         sampler = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed))
         unit = sampler.random_base2(int(np.ceil(np.log2(max(size, 2)))))[:size]

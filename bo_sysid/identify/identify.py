@@ -1,7 +1,6 @@
 """Identification: the inner loop, from a study to the parameters that fit and their belief."""
 
 from dataclasses import dataclass
-from functools import partial
 from itertools import count
 
 import numpy as np
@@ -10,14 +9,13 @@ import pandas as pd
 from bo_sysid.arrays import Point, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
-from bo_sysid.deviation import Evaluation
 from bo_sysid.execution import Progress, Report, silent, threads
 from bo_sysid.identify.errors import compared, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, described, make_problem
 from bo_sysid.identify.refine import zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import History, Outcome, Rules, search
+from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
@@ -104,8 +102,7 @@ def _searched(problem: Problem, journal: Journal, progress: Report) -> tuple[Can
             settings.seed + level,
         )
         tell = _Teller(journal, progress, level, candidates, spent, settings.budget)
-        evaluate = partial(_evaluate, problem, candidates)
-        outcome = search(candidates, evaluate, rules, history, tell)
+        outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
         finer = None
         if settings.refine:
             mass = outcome.belief.probabilities
@@ -119,8 +116,9 @@ def _searched(problem: Problem, journal: Journal, progress: Report) -> tuple[Can
     return candidates, outcome
 
 
-def _evaluate(problem: Problem, candidates: CandidateSet, row: int) -> Evaluation:
-    return problem.deviation(candidates.points[[row]])
+def evaluation(problem: Problem, candidates: CandidateSet) -> Evaluate:
+    """Return the function that evaluates Δ of a row of B."""
+    return lambda row: problem.deviation(candidates.points[[row]])
 
 
 @dataclass(frozen=True)
@@ -157,14 +155,18 @@ def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> 
 def _parameters(
     problem: Problem, candidates: CandidateSet, best: Point, bootstrap: Probabilities
 ) -> pd.DataFrame:
-    """Return one row a parameter: its value, its interval and whether it lies on a bound."""
+    """Return one row a parameter: its value, its interval and whether it lies on a bound.
+
+    On a grid a candidate stands for its cell: the interval reaches half a step further.
+    """
+    cell = 0.0 if candidates.spacing is None else candidates.spacing / 2
     low95, high95 = credible_interval(candidates.points, bootstrap, 0.95)
     bounds = problem.candidates.bounds
     frame = described(problem.model, problem.parameters)
     return frame[["name", "unit", "addresses", "apply", "nominal"]].assign(
         value=best,
-        low95=low95,
-        high95=high95,
+        low95=np.maximum(low95 - cell, bounds[0]),
+        high95=np.minimum(high95 + cell, bounds[1]),
         at_bound=np.isclose(best, bounds[0]) | np.isclose(best, bounds[1]),
     )
 

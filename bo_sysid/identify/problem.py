@@ -64,11 +64,18 @@ class Problem:
         )
 
 
-def make_problem(study: Study, *, threads: int = 0, strict: bool = False) -> Problem:
+def make_problem(
+    study: Study,
+    recordings: Sequence[Recording] | None = None,
+    *,
+    threads: int = 0,
+    strict: bool = False,
+) -> Problem:
     """Return the problem that a study describes.
 
     Args:
         study: the study.
+        recordings: what is fitted; the study's training recordings where left out.
         threads: number of threads for simulations, 0 for all cores.
         strict: refuse messy recordings.
 
@@ -76,7 +83,7 @@ def make_problem(study: Study, *, threads: int = 0, strict: bool = False) -> Pro
         UserError: the study, its model or its recordings are wrong.
     """
     model = load_model(study)
-    recordings = load_train(study, strict=strict)
+    recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
     parameters = study.parameter_set(model)
     if not parameters:
         raise study.error(

@@ -39,7 +39,7 @@ def zoomed(
     inside = ((points >= low) & (points <= high)).all(axis=1)
     old = history.evaluation
     known = Evaluation(old.deviation[inside], old.contributions[inside], old.diverged[inside])
-    joined = CandidateSet(parameters, np.concatenate([points[inside], fresh.points]))
+    joined = CandidateSet(parameters, np.concatenate([points[inside], fresh.points]), fresh.spacing)
     count = int(inside.sum())
     return joined, History(np.arange(count), known, np.full(count, np.nan))
 
@@ -61,6 +61,6 @@ def _same_kind(
     candidates: CandidateSet, parameters: tuple[Parameter, ...], seed: int
 ) -> CandidateSet:
     """Return as many candidates in the new box, on a grid where the old ones were on one."""
-    if len(candidates) == np.prod([p.steps for p in parameters]):
+    if candidates.spacing is not None:
         return CandidateSet.from_grid(parameters)
     return CandidateSet.from_sobol(parameters, len(candidates), seed)

@@ -39,7 +39,8 @@ def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
             axis.axvline(row.nominal, color=NOMINAL, linestyle="--", label="nominal")
         axis.set_xlabel(_label(str(row.name), str(row.unit)))
         axis.set_ylabel("probability")
-    axes[0].legend(fontsize="x-small", loc="upper right")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="x-small", loc="outside upper center", ncols=2)
     return figure
 
 
@@ -80,10 +81,11 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
             axis.plot(time, part[column], color=colour, linewidth=0.9, label=column)
             below.plot(time, part["recorded"] - part[column], color=colour, linewidth=0.9)
         axis.set_ylabel(name)
-        below.set_ylabel("residual")
+        below.set_ylabel("recorded -\npredicted", fontsize="small")
         below.axhline(0, color=RECORDED, linewidth=0.5)
     axes[0].set_title(title)
-    axes[0].legend(fontsize="small", ncols=3, loc="upper right")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="small", ncols=3, loc="outside upper center")
     axes[-1].set_xlabel("time [s]")
     return figure
 
