@@ -5,6 +5,7 @@ PYTHON ?= python3
 PIP_ARGS ?=
 BIN := .venv/bin
 READY := .venv/.ready
+BENCHMARKS := engine emps recovery
 
 .PHONY: setup demo test lint bench
 
@@ -35,4 +36,5 @@ test: lint
 	$(BIN)/python -m pytest --numprocesses 2 --quiet
 
 bench: setup
-	for name in benchmarks/*.py; do $(BIN)/python $$name || exit 1; done
+	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
+	$(BIN)/python benchmarks/publish.py

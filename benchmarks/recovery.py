@@ -13,12 +13,13 @@ from common import Cases, benchmark
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Deviation, Evaluation, Whitening
-from bo_sysid.identify.problem import candidate_set, make_simulator
+from bo_sysid.identify.problem import make_simulator
 from bo_sysid.identify.search import History, Rules, search
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.simulation import cut
 from bo_sysid.study import Study
+from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
 
 STUDIES = Path(__file__).parents[1] / "studies"

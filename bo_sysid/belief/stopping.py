@@ -21,10 +21,10 @@ class StopReason(Enum):
     def sentence(self) -> str:
         """What happened and what to do about it."""
         return {
-            StopReason.ENTROPY: "The entropy of the belief did not change any more; "
-            "lower stop.entropy or raise stop.last to go on.",
+            StopReason.ENTROPY: "The entropy of the belief did not change any more; a lower "
+            "stop.entropy or a larger stop.last, in another run folder, goes further.",
             StopReason.BUDGET: "The budget of evaluations was reached; "
-            "raise search.budget to go on.",
+            "a larger search.budget, in another run folder, goes further.",
             StopReason.CONVERGED: "All probability is on candidates that were evaluated.",
         }[self]
 

@@ -12,7 +12,7 @@ from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import Progress, Report, silent, threads
 from bo_sysid.identify.errors import compared, traces
 from bo_sysid.identify.journal import Journal
-from bo_sysid.identify.problem import Problem, described, make_problem
+from bo_sysid.identify.problem import Problem, make_problem
 from bo_sysid.identify.refine import zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, search
@@ -20,6 +20,7 @@ from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
+from bo_sysid.study.check import described
 from bo_sysid.study.inputs import load_holdout
 
 

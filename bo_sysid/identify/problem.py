@@ -5,16 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
 from bo_sysid.errors import nearest
-from bo_sysid.mjcf import Address, Model
+from bo_sysid.mjcf import Model
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, MujocoSimulator, Windows, cut
 from bo_sysid.study import Study
+from bo_sysid.study.check import candidate_set, nominal, require_known
 from bo_sysid.study.inputs import load_function, load_model, load_train
 
 
@@ -41,7 +41,7 @@ class Problem:
     @property
     def nominal(self) -> Point:
         """The `d` parameter values that leave the model as it is."""
-        return nominal_point(self.model, self.parameters)
+        return np.array([nominal(self.model, p) for p in self.parameters])
 
     @property
     def fingerprint(self) -> str:
@@ -84,6 +84,8 @@ def make_problem(
     """
     model = load_model(study)
     recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
+    for recording in recordings:
+        require_known(model, recording)
     parameters = study.parameter_set(model)
     if not parameters:
         raise study.error(
@@ -114,41 +116,6 @@ def make_simulator(
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
     laws = tuple(Controller(n, load_function(study, a.law)) for n, a in study.actuators.items())
     return MujocoSimulator(model, tuple(parameters), Engine(threads), laws)
-
-
-def candidate_set(study: Study, parameters: Sequence[Parameter]) -> CandidateSet:
-    """Return the discrete set B: the full grid, or a Sobol design of the stated size."""
-    size = study.search.candidates.sobol
-    if size is None:
-        return CandidateSet.from_grid(parameters)
-    return CandidateSet.from_sobol(parameters, size, study.search.seed)
-
-
-def nominal_point(model: Model, parameters: Sequence[Parameter]) -> Point:
-    """Return the values that leave the model as it is: its own, a factor of 1, a change of 0."""
-    neutral = {"scale": 1.0, "add": 0.0}
-    return np.array(
-        [
-            neutral[p.apply] if p.apply in neutral else Address.parse(p.addresses[0]).read(model)
-            for p in parameters
-        ]
-    )
-
-
-def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
-    """Return one row a parameter: name, unit, addresses, nominal value, bounds and grid."""
-    return pd.DataFrame(
-        {
-            "name": [p.name for p in parameters],
-            "unit": [p.unit for p in parameters],
-            "addresses": [", ".join(p.addresses) for p in parameters],
-            "apply": [p.apply for p in parameters],
-            "nominal": nominal_point(model, parameters),
-            "low": [p.low for p in parameters],
-            "high": [p.high for p in parameters],
-            "steps": [p.steps for p in parameters],
-        }
-    )
 
 
 def _cut(
