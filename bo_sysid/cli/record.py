@@ -54,6 +54,7 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
 
     from bo_sysid.execution import Progress
     from bo_sysid.plants.build import build_plant, record
+    from bo_sysid.plants.python_task import PythonTask
     from bo_sysid.recording.writers import write_recording
     from bo_sysid.study.inputs import load_model
 
@@ -63,6 +64,8 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
     names = [f"train-{k}" for k in range(wanted.train)]
     names += [f"holdout-{k}" for k in range(wanted.holdout)]
     plant, model = build_plant(study), load_model(study)
+    if isinstance(plant.task, PythonTask):
+        progress(Progress(0, len(names), plant.task.notice))
     for number, title in enumerate(names):
         (recording,) = record(
             plant,

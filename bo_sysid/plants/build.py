@@ -6,18 +6,33 @@ import numpy as np
 
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
+from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import multisine, smooth_random
+from bo_sysid.plants.load import Task, load_task
 from bo_sysid.plants.plant import Plant
-from bo_sysid.plants.tasks import find_task
+from bo_sysid.plants.python_task import class_task
 from bo_sysid.recording import Recording
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_model
+from bo_sysid.study.inputs import load_function, load_model
 
 EXCITATIONS: dict[str, Callable[..., np.ndarray]] = {
     "multisine": multisine,
     "random": smooth_random,
 }
 """Controls that move a machine, by name."""
+
+
+def study_task(study: Study, model: Model) -> Task | None:
+    """Return the task of a study: its own, else that of its dm_control model, else None.
+
+    Raises:
+        StudyError: there is no such task, or a user's class is none of dm_control's kind.
+    """
+    if study.task is not None and study.task.file is not None:
+        cls = load_function(study, f"{study.task.file}:{study.task.class_name}")
+        return class_task(cls, model.compile())
+    named = study.task if study.task is not None else study.model
+    return load_task(named.dm_control.domain, named.dm_control.task) if named.dm_control else None
 
 
 def build_plant(study: Study, *, budget: int | None = None, seed: int | None = None) -> Plant:
@@ -30,25 +45,23 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
         seed: of starts and noise; the study's by default.
 
     Raises:
-        StudyError: `plant:` names a parameter that the study does not have.
+        StudyError: `plant:` names a parameter that the study does not have, or an effect that a
+            simulated plant cannot have.
         ModelError: the plant's model does not compile.
     """
     model = load_model(study)
     plant = study.plant
-    task = None
-    if study.model.dm_control is not None:
-        task = find_task(study.model.dm_control.domain, study.model.dm_control.task)
-    if plant is not None and plant.effects:
-        raise study.error(("plant", "effects"), "plants with effects cannot be built yet")
+    effects = realised(study, model)
     return Plant(
         model,
-        [] if plant is None else _parameter_edits(study, model),
-        task=task,
+        [*([] if plant is None else _parameter_edits(study, model)), *effects.edits],
+        task=study_task(study, model),
         name="plant",
         timestep=None if plant is None else plant.timestep,
         noise={} if plant is None else dict(plant.noise),
         budget=budget,
         seed=study.search.seed if seed is None else seed,
+        laws=effects.laws,
     )
 
 

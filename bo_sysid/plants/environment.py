@@ -10,6 +10,7 @@ import numpy as np
 from bo_sysid.errors import ModelError, UserError
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.simulation.lockstep import ForceLaw
 
 # Draws the model of one simulation for its next episode.
 ModelDraw = Callable[[np.random.Generator], mujoco.MjModel]
@@ -78,6 +79,7 @@ class BatchEnvironment:
         stagger: spread the first episodes' ends evenly over an episode, so that later batches
             hold all phases of the task.
         common: simulations i and i + `common` draw alike: several models under the same starts.
+        laws: forces stepped with the simulation, as a plant may have them: slower.
 
     Raises:
         UserError: `n` or the number of models is wrong, or the model does not fit the task.
@@ -93,6 +95,7 @@ class BatchEnvironment:
         threads: int = 1,
         stagger: bool = False,
         common: int | None = None,
+        laws: Sequence[ForceLaw] = (),
     ) -> None:
         if n < 1:
             raise UserError(f"environment: n is {n}; at least 1 simulation is needed")
@@ -107,6 +110,7 @@ class BatchEnvironment:
         self.sims = Simulations(first, n, task.goal_size, threads)
         if any(m is not first for m in self._models):
             self.sims.set_models(self._models)
+        self.sims.set_laws(laws)
         try:  # binds what the task reads; values are not used
             self.observation_size = task.observe(self.sims).shape[1]
             task.reward(self.sims)
@@ -139,6 +143,7 @@ class BatchEnvironment:
 
     def reset(self) -> np.ndarray:
         """Begin new episodes in all simulations; return the `n x o` observations."""
+        self.sims.begin_laws()
         self._restart(np.arange(self.n))
         if self._stagger:
             self._steps[:] = np.arange(self.n) * self.episode_steps // self.n
@@ -146,6 +151,7 @@ class BatchEnvironment:
 
     def begin(self, starts: Sequence[Start]) -> np.ndarray:
         """Begin new episodes from given starts, without settling; return the observations."""
+        self.sims.begin_laws()
         self._place(np.arange(self.n), starts, settle=False)
         return self._observation
 
@@ -209,6 +215,10 @@ class BatchEnvironment:
         self._steps[rows] = 0
         self._episodes[rows] += 1
         self._observation = self.task.observe(sims)
+
+    def skip(self, episodes: int) -> None:
+        """Let the next episodes be those after the first `episodes` of every simulation."""
+        self._episodes[:] = episodes
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return copies of all that changes while episodes run."""

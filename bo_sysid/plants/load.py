@@ -10,6 +10,7 @@ from bo_sysid.plants.environment import BatchEnvironment, Environment
 from bo_sysid.plants.python_task import PythonEnvironment, PythonTask, suite_task
 from bo_sysid.plants.tasks import find_task, registered
 from bo_sysid.plants.tasks.base import VectorTask
+from bo_sysid.simulation.lockstep import ForceLaw
 
 Task = VectorTask | PythonTask
 
@@ -39,16 +40,22 @@ def make_environment(
     threads: int = 1,
     stagger: bool = False,
     common: int | None = None,
+    laws: Sequence[ForceLaw] = (),
 ) -> Environment:
     """Return an environment of `n` simulations of a task; see `BatchEnvironment`.
 
     Raises:
-        UserError: a task in Python is given several models.
+        UserError: a task in Python is given several models, or force laws.
     """
     if isinstance(task, PythonTask):
         if not isinstance(model, mujoco.MjModel):
             raise UserError(f"task {task.name}: a task in Python takes one model, not several")
+        if laws:
+            raise UserError(
+                f"task {task.name}: force laws cannot be stepped with a task in Python; choose "
+                "effects that MJCF can say"
+            )
         return PythonEnvironment(task, model, n, seed=seed, stagger=stagger)
     return BatchEnvironment(
-        task, model, n, seed=seed, threads=threads, stagger=stagger, common=common
+        task, model, n, seed=seed, threads=threads, stagger=stagger, common=common, laws=laws
     )

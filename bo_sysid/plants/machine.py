@@ -1,5 +1,6 @@
 """What a plant moves: one simulated machine, however it is simulated."""
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import mujoco
@@ -7,6 +8,7 @@ import numpy as np
 
 from bo_sysid.plants.environment import BatchEnvironment
 from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.simulation.lockstep import ForceLaw
 
 TRACED = ("qpos", "qvel", "act", "ctrl", "qacc_warmstart")
 
@@ -35,6 +37,10 @@ class Machine(Protocol):
 
     episode_steps: int
 
+    def skip(self, episodes: int) -> None:
+        """Let the next episode be that after the first `episodes`."""
+        ...
+
     def begin(self, start: Start | None) -> np.ndarray:
         """Begin an episode, drawn by the task or as given; return the `1 x o` observation."""
         ...
@@ -59,11 +65,22 @@ class VectorMachine:
         task: the task.
         model: what is simulated.
         seed: of the starts.
+        laws: forces stepped with the simulation.
     """
 
-    def __init__(self, task: VectorTask, model: mujoco.MjModel, seed: int) -> None:
-        self._environment = BatchEnvironment(task, model, 1, seed=seed)
+    def __init__(
+        self,
+        task: VectorTask,
+        model: mujoco.MjModel,
+        seed: int,
+        laws: Sequence[ForceLaw] = (),
+    ) -> None:
+        self._environment = BatchEnvironment(task, model, 1, seed=seed, laws=laws)
         self.episode_steps = self._environment.episode_steps
+
+    def skip(self, episodes: int) -> None:
+        """Let the next episode be that after the first `episodes`."""
+        self._environment.skip(episodes)
 
     def begin(self, start: Start | None) -> np.ndarray:
         """Begin an episode, drawn by the task or as given."""

@@ -16,6 +16,7 @@ from bo_sysid.plants.python_task import PythonMachine, PythonTask
 from bo_sysid.plants.tasks.bare import Bare
 from bo_sysid.plants.tasks.base import Start
 from bo_sysid.recording.value import Recording
+from bo_sysid.simulation.lockstep import ForceLaw
 
 # Returns `n x a` actions in [-1, 1] for `n x o` observations.
 Act = Callable[[np.ndarray], np.ndarray]
@@ -70,6 +71,7 @@ class Plant:
         measured: which of "qpos", "qvel", "act" are recorded, beside the controls.
         budget: most trajectories; no limit by default.
         seed: of starts and noise.
+        laws: forces that the plant has, stepped with it.
 
     Raises:
         PlantError: the budget is not positive.
@@ -91,6 +93,7 @@ class Plant:
         measured: Sequence[str] = KINDS,
         budget: int | None = None,
         seed: int = 0,
+        laws: Sequence[ForceLaw] = (),
     ) -> None:
         if budget is not None and budget < 1:
             raise PlantError(f"{name}: budget is {budget}; at least 1 trajectory is needed")
@@ -99,7 +102,8 @@ class Plant:
         self.task = task if task is not None else Bare(control_timestep or self._sample)
         self._model = compiled(model, self.task, edits, timestep=timestep)
         self._measuring = Measuring(model, self._model, measured, noise, seed)
-        self._machine = _machine(self.task, self._model, seed)
+        self._laws = tuple(laws)
+        self._machine = _machine(self.task, self._model, seed, self._laws)
         self._trajectories: list[Trajectory] = []
         self._evaluations = 0
 
@@ -112,6 +116,14 @@ class Plant:
     def evaluations(self) -> int:
         """The number of evaluation episodes so far, which are not trajectories."""
         return self._evaluations
+
+    def resume(self, trajectories: Sequence[Trajectory]) -> None:
+        """Go on after trajectories that were counted before an interruption.
+
+        The next one is the same as if there had been none.
+        """
+        self._trajectories = list(trajectories)
+        self._machine.skip(len(self._trajectories))
 
     @property
     def control_timestep(self) -> float:
@@ -180,7 +192,8 @@ class Plant:
         if not self.task.rewarded:
             raise PlantError(f"{self.name}: a plant without a task has no reward to evaluate")
         self._evaluations += episodes
-        return episode_returns(make_environment(self.task, self._model, episodes, seed=seed), act)
+        environment = make_environment(self.task, self._model, episodes, seed=seed, laws=self._laws)
+        return episode_returns(environment, act)
 
     def _control(
         self, source: np.ndarray | Act, steps: int | None
@@ -236,7 +249,10 @@ class Plant:
         return recording
 
 
-def _machine(task: Task, model: mujoco.MjModel, seed: int) -> Machine:
+def _machine(
+    task: Task, model: mujoco.MjModel, seed: int, laws: Sequence[ForceLaw] = ()
+) -> Machine:
     if isinstance(task, PythonTask):
+        make_environment(task, model, 1, laws=laws)  # refuses laws
         return PythonMachine(task, model, seed)
-    return VectorMachine(task, model, seed)
+    return VectorMachine(task, model, seed, laws)

@@ -135,6 +135,10 @@ class PythonMachine:
         self._low = np.broadcast_to(spec.minimum, spec.shape).astype(float).ravel()
         self._high = np.broadcast_to(spec.maximum, spec.shape).astype(float).ravel()
 
+    def skip(self, episodes: int) -> None:
+        """Let the next episode be that after the first `episodes`."""
+        self.episodes = episodes
+
     def begin(self, start: Start | None = None) -> np.ndarray:
         """Begin an episode, drawn by the task or from the given positions and velocities."""
         if hasattr(self.task, "_random"):

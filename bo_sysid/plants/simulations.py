@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 from mujoco import batch
 
+from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+
 _BAD_STATE = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -39,6 +41,9 @@ class Simulations:
         self.ctrl = self._batch.bind("ctrl")
         self.goal = np.zeros((n, goal_size))
         self._views: dict[tuple[str, str, str], np.ndarray] = {}
+        self._laws: tuple[ForceLaw, ...] = ()
+        self._lockstep: LockStep | None = None
+        self._lockstep_count = 0
 
     def __len__(self) -> int:
         return int(self._batch.nsim)
@@ -66,6 +71,19 @@ class Simulations:
         """Run simulation i on `models[i]`; the models must share one layout."""
         self._batch.set_models(models)
 
+    def set_laws(self, laws: Sequence[ForceLaw]) -> None:
+        """Step force laws with every simulation, one physics step at a time: slower."""
+        self._laws = tuple(laws)
+        self.begin_laws()
+
+    def begin_laws(self) -> None:
+        """Let the laws forget: those with a memory share one start for all simulations."""
+        if self._laws:
+            views = {name: self._batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
+            views["qfrc_applied"] = self._batch.bind("qfrc_applied")
+            self._lockstep = LockStep(self.model, self._laws, {}, views, None)
+            self._lockstep_count = 0
+
     def restart(self, rows: np.ndarray) -> None:
         """Put simulations `rows` at the model's defaults, without computing anything yet."""
         self._batch.reset(ids=rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
@@ -84,7 +102,13 @@ class Simulations:
                 dm_control does; sensors of acceleration stay those of the last physics step.
         """
         stage = mujoco.mjtStage.mjSTAGE_VEL if fields else mujoco.mjtStage.mjSTAGE_NONE
-        self._batch.step(ids=rows, nstep=steps, stage=int(stage))
+        if self._lockstep is None:
+            self._batch.step(ids=rows, nstep=steps, stage=int(stage))
+            return
+        for _ in range(steps):
+            self._lockstep.apply(self._lockstep_count)
+            self._lockstep_count += 1
+            self._batch.step(ids=rows, nstep=1, stage=int(stage))
 
     def trace(self, steps: int, fields: Sequence[str]) -> dict[str, np.ndarray]:
         """Advance like `advance`; return `n x steps x ...` values after each physics step.
@@ -93,10 +117,20 @@ class Simulations:
 
         A simulation that diverges stops, and its remaining rows repeat the last one.
         """
+        if self._lockstep is not None:
+            return self._traced(steps, ("time", *fields))
         time = int(mujoco.mjtState.mjSTATE_TIME)
         rows: dict[Any, np.ndarray] = self._batch.rollout(steps, record=(*fields, time))
         self._batch.forward(stage=int(mujoco.mjtStage.mjSTAGE_VEL))
         return {"time": rows.pop(time)[:, :, 0], **rows}
+
+    def _traced(self, steps: int, fields: Sequence[str]) -> dict[str, np.ndarray]:
+        rows: dict[str, list[np.ndarray]] = {field: [] for field in fields}
+        for _ in range(steps):
+            self.advance(1)
+            for field, values in rows.items():
+                values.append(self.field(field).copy())
+        return {field: np.stack(values, axis=1) for field, values in rows.items()}
 
     def diverged(self) -> np.ndarray:
         """Return which simulations met a state that is not finite since their restart."""

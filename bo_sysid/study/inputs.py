@@ -2,7 +2,7 @@
 
 import hashlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -46,7 +46,7 @@ def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
     """
     if study.recordings.dataset is not None:
         return load_dataset(study.recordings.dataset).train
-    whole = _read(study, study.train_files, strict)
+    whole = read_files(study, study.train_files, strict)
     if study.recordings.holdout is not None:
         return whole
     return tuple(_part(r, train=True) for r in whole)
@@ -62,8 +62,8 @@ def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]
     if study.recordings.dataset is not None:
         return load_dataset(study.recordings.dataset).holdout
     if study.recordings.holdout is not None:
-        return _read(study, study.holdout_files, strict)
-    return tuple(_part(r, train=False) for r in _read(study, study.train_files, strict))
+        return read_files(study, study.holdout_files, strict)
+    return tuple(_part(r, train=False) for r in read_files(study, study.train_files, strict))
 
 
 def load_function(study: Study, reference: str) -> Callable[..., Any]:
@@ -107,7 +107,12 @@ def load_module(study: Study, file: str) -> ModuleType:
     return module
 
 
-def _read(study: Study, files: tuple[Path, ...], strict: bool) -> tuple[Recording, ...]:
+def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recording, ...]:
+    """Return the recordings in files, read with the study's rules for columns and clocks.
+
+    Raises:
+        RecordingError: a file cannot be read or is wrong.
+    """
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
     return tuple(read_recording(f, columns, clocks, strict=strict) for f in files)

@@ -75,7 +75,17 @@ class Policy(Section):
     algorithm: Literal["trpo"] = "trpo"
     """Learning algorithm."""
     batch: Count = 20_000
-    """Simulated steps per iteration."""
+    """Simulated control steps per iteration."""
+    steps: Count = 1_000_000
+    """Simulated control steps that each policy is learned with, rounded up to whole batches."""
+    start: Literal["fresh", "warm"] = "fresh"
+    """fresh: every policy begins anew; warm: it goes on from the one before, on the new model."""
+    kl: Positive = 0.02
+    """Bound of the KL divergence of an update, averaged over action dimensions."""
+    discount: Annotated[float, Field(gt=0, le=1)] = 0.99
+    """Discount of rewards per control step."""
+    hidden: Annotated[tuple[Count, ...], Field(min_length=1)] = (64, 64)
+    """Units of the hidden layers."""
 
 
 class Learn(Section):
@@ -86,11 +96,18 @@ class Learn(Section):
     stop: Name = "seed"
     """Rule that ends the outer loop."""
     epsilon: Positive = 0.05
-    """Distance between the chosen and the most probable candidate at which the loop may end."""
+    """seed: distance, in shares of the bounds, at which two candidates count as one; zhu: largest
+    expected difference of value, relative."""
     r: Positive = 0.05
     """Largest relative difference of value between neighbouring candidates at the end."""
+    eta: Annotated[float, Field(ge=0, lt=1)] = 0.01
+    """Least probability of a candidate that the stop rule zhu asks for its value."""
     trajectories: Count = 10
     """Most trajectories of the real machine."""
+    episodes: Count = 20
+    """Simulated episodes by which a policy is valued on each model, and on a simulated plant."""
+    models: Literal["chosen", "bootstrap"] = "chosen"
+    """What a policy is learned on: the chosen candidate, or a draw from P_boot every episode."""
     diagnose: Literal["auto", "never"] = "auto"
     """auto: call the diagnosis when no candidate explains the recordings."""
 

@@ -1,0 +1,169 @@
+"""Effects that a plant has and the nominal model lacks.
+
+Those that plain MJCF can say are edits of the plant's spec. Springs, constant forces and cogging,
+which the catalogue edits in, are stepped as force laws here, so that a plant does not owe them to
+the code that looks for them; so are the forces that MJCF cannot say.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from bo_sysid.effects import CATALOGUE, Effect, Force, Machine, Part, Site, load_effects, survey
+from bo_sysid.errors import UserError, nearest
+from bo_sysid.mjcf import Edit, Model
+from bo_sysid.plants.excitation import smooth_random
+from bo_sysid.plants.plant import Plant
+from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+from bo_sysid.study import Study
+
+STEPPED = ("joint_spring", "constant_force", "cogging")
+_SURVEY = 2.0  # [s] of motion that says how large the machine's forces and speeds are
+
+
+@dataclass(frozen=True)
+class Realised:
+    """What makes a plant have its effects.
+
+    Attributes:
+        edits: of its spec.
+        laws: forces that are stepped with it.
+    """
+
+    edits: tuple[Edit, ...] = ()
+    laws: tuple[ForceLaw, ...] = ()
+
+
+def realised(study: Study, model: Model) -> Realised:
+    """Return how the plant of a study gets the effects under `plant.effects`.
+
+    Raises:
+        StudyError: an effect or a site is not there, or the effect is none of a simulated plant:
+            one that adds a joint, changes what a sensor reads, or filters a whole recorded input.
+    """
+    asked = study.plant.effects if study.plant else ()
+    if not asked:
+        return Realised()
+    for file in study.diagnosis.effect_files:
+        load_effects(study.file(file, ("diagnosis", "effect_files")))
+    machine = survey(model.compile(), [_motion(model)])
+    made = [_one(study, model, machine, i) for i in range(len(asked))]
+    return Realised(
+        tuple(edit for one in made for edit in one.edits),
+        tuple(law for one in made for law in one.laws),
+    )
+
+
+def _motion(model: Model) -> Any:
+    """Return a recording of the nominal model under random controls: it gives the scales."""
+    plant, compiled = Plant(model, name="survey"), model.compile()
+    step = plant.control_timestep
+    controls = np.zeros((round(_SURVEY / step), compiled.nu))
+    if compiled.nu and compiled.actuator_ctrllimited.all():
+        controls = smooth_random(compiled, _SURVEY, step)
+    return plant.record(controls)
+
+
+def _one(study: Study, model: Model, machine: Machine, number: int) -> Realised:
+    assert study.plant is not None  # noqa: S101 - the caller looked
+    asked = study.plant.effects[number]
+    key = ("plant", "effects", number)
+    if asked.effect not in CATALOGUE:
+        raise study.error(
+            (*key, "effect"), f"unknown effect {asked.effect!r}; {nearest(asked.effect, CATALOGUE)}"
+        )
+    effect = CATALOGUE[asked.effect]
+    if asked.kind != effect.kind:
+        raise study.error((*key, "kind"), f"{effect.id} acts on a {effect.kind}, not {asked.kind}")
+    site = Site(effect.kind, asked.site or "world")
+    if site.name not in machine.names(effect.kind):
+        near = nearest(site.name, machine.names(effect.kind))
+        raise study.error((*key, "site"), f"no {effect.kind} {site.name!r}; {near}")
+    try:
+        x = magnitudes(effect, site, machine, asked.value, dict(asked.details))
+        return realise(model, effect, site, x, machine)
+    except UserError as error:
+        raise study.error(key, str(error)) from None
+
+
+def magnitudes(
+    effect: Effect, site: Site, machine: Machine, value: float, details: dict[str, float]
+) -> np.ndarray:
+    """Return the magnitudes of an effect, in the order of its components.
+
+    `details` names components. A component that is left out is `value` if it is the first and no
+    component of a vector is given, else 0; a shape that is left out is the catalogue's probe.
+
+    Raises:
+        UserError: a detail is no component, or the effect does not apply at the site.
+    """
+    names = [c.name for c in effect.components]
+    for name in details:
+        if name not in names:
+            raise UserError(f"{effect.id} has no component {name!r}; {nearest(name, names)}")
+    extent = effect.extent(site, machine)
+    if extent is None:
+        raise UserError(f"{effect.id} does not apply to {site}")
+    x = np.zeros(len(names))
+    x[effect.linear :] = extent.probe[effect.linear :]
+    if not set(names[: effect.vector]) & set(details):
+        x[0] = value
+    for name, given in details.items():
+        x[names.index(name)] = given
+    return x
+
+
+def realise(model: Model, effect: Effect, site: Site, x: np.ndarray, machine: Machine) -> Realised:
+    """Return the edits and the laws of one effect.
+
+    Raises:
+        UserError: a simulated plant cannot have it.
+    """
+    if effect.id in STEPPED and effect.force is not None:
+        return Realised(laws=(ForceLaw(site.name, effect.force(site, x, machine)),))
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        effect.write(spec, site, x, machine)
+
+    remaining = effect.write(model.spec(), site, x, machine)
+    _require_same_coordinates(effect, model, edit)
+    laws = tuple(_laws(effect, remaining))
+    _require_no_inputs(effect, model, laws)
+    return Realised((edit,), laws)
+
+
+def _laws(effect: Effect, parts: Sequence[Part]) -> list[ForceLaw]:
+    other = [p for p in parts if not isinstance(p, Force)]
+    if other:
+        what = type(other[0]).__name__.lower()
+        raise UserError(
+            f"{effect.id} is a {what} of recorded data, which a plant that acts on its own cannot "
+            "have; choose an effect that is MJCF or a force (bo-sysid effects lists them)"
+        )
+    return [ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force)]
+
+
+def _require_no_inputs(effect: Effect, model: Model, laws: Sequence[ForceLaw]) -> None:
+    compiled = model.compile()
+    sizes = {"qpos": compiled.nq, "qvel": compiled.nv, "ctrl": compiled.nu}
+    views = {name: np.zeros((1, size)) for name, size in sizes.items()}
+    try:
+        LockStep(
+            compiled, tuple(laws), {}, {**views, "qfrc_applied": views["qvel"] * 0}, None
+        ).apply(0)
+    except KeyError as error:
+        raise UserError(
+            f"{effect.id} reads the recorded input {error}, which a simulated plant does not have"
+        ) from None
+
+
+def _require_same_coordinates(effect: Effect, model: Model, edit: Edit) -> None:
+    nominal, edited = model.compile(), model.compile([edit])
+    if (nominal.nq, nominal.nv, nominal.nu) != (edited.nq, edited.nv, edited.nu):
+        raise UserError(
+            f"{effect.id} adds a joint or an actuator, which a policy would observe; a plant with "
+            "a task cannot have it"
+        )
