@@ -1,5 +1,7 @@
 """The simulation core against MuJoCo's own loop and against analytic solutions."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -143,12 +145,20 @@ def test_a_law_keeps_its_memory_within_one_rollout_only() -> None:
 
 
 @pytest.mark.parametrize("with_law", [False, True])
-def test_divergence_is_a_status_per_window(with_law: bool) -> None:
+def test_divergence_is_a_status_per_window(
+    with_law: bool,
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
     start = State(np.zeros((3, 1)), np.array([[0.0], [1e12], [1.0]]), np.zeros((3, 0)))
     law = (ForceLaw("hinge", lambda inputs: np.zeros_like(inputs.time)),) if with_law else ()
     trajectory = Engine().rollout(pendulum(), start, np.zeros((3, 5, 1)), laws=law)
     np.testing.assert_array_equal(trajectory.diverged, [False, True, False])
     assert np.isfinite(trajectory.qpos).all()
+    assert capfd.readouterr() == ("", "")  # the status is enough
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("with_law", [False, True])

@@ -1,6 +1,7 @@
 """The simulation core: many starts, many models, one call on all cores."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,6 +15,17 @@ from bo_sysid.simulation.state import State, Trajectory
 _STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL | mujoco.mjtState.mjSTATE_ACT
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL
 _CONTROL_AND_FORCE = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Keep MuJoCo's warnings from the terminal and from MUJOCO_LOG.TXT; they are counted anyway."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class Engine:
@@ -56,10 +68,11 @@ class Engine:
         """
         batch = self._prepare(models, start)
         before = batch.warning[:, :, 1].sum(axis=1)
-        if laws:
-            recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors)
-        else:
-            recorded = self._open_loop(batch, ctrl, force, sensors)
+        with quietly():
+            if laws:
+                recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors)
+            else:
+                recorded = self._open_loop(batch, ctrl, force, sensors)
         states, sensordata, failed = recorded
         diverged = failed | (batch.warning[:, :, 1].sum(axis=1) > before)
         return _trajectory(batch.model, start, states, sensordata, diverged)
@@ -85,7 +98,8 @@ class Engine:
             batch.bind("ctrl")[:] = ctrl
         failed = np.zeros(len(start), bool)
         try:
-            batch.step(nstep=steps)
+            with quietly():
+                batch.step(nstep=steps)
         except SimulationError as error:
             failed[error.ids] = True
         first = _offset(batch)
