@@ -26,10 +26,10 @@ from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
 from bo_sysid.proof.case import Case, draw_case
 from bo_sysid.proof.plan import Draw, plan
-from bo_sysid.proof.seal import Seal, digest, file_digest
+from bo_sysid.proof.seal import Seal, digest, file_digest, write_json
 from bo_sysid.proof.suite import LoadedSuite, load_suite
 from bo_sysid.recording.writers import write_recording
-from bo_sysid.runs import Run, atomic, read_json, versions
+from bo_sysid.runs import Run, atomic, read_json, read_record, versions
 
 COMMITMENTS, CASES = "commitments.json", "cases"
 SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
@@ -62,6 +62,20 @@ class Job:
 def seals_of(folder: Path) -> Path:
     """Return where the seals of a run are unless said otherwise: beside it."""
     return folder.parent / f"{folder.name}-sealed"
+
+
+def concealed_run(folder: str | Path) -> Run:
+    """Open a run that `conceal` finished, to answer and reveal it.
+
+    Raises:
+        RunError: it is no such run, or another process writes to it.
+    """
+    folder = Path(folder)
+    record = read_record(folder)
+    if record["command"] != "conceal" or not (folder / COMMITMENTS).is_file():
+        raise RunError(f"{folder}: not a finished run of conceal; make one with bo-sysid conceal")
+    study = yaml.safe_load((folder / "study.yaml").read_text(encoding="utf-8"))
+    return Run.open(folder, study, "conceal", seed=record.get("seed"))
 
 
 def suite_record(path: Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,7 +179,7 @@ def _draw_plan(job: Job) -> list[str]:
         return [d["name"] for d in there["cases"]]
     draws = plan(load_suite(job.suite, job.overrides))
     content = {"suite_sha256": digest(record), "cases": [d.plain() for d in draws]}
-    _write(path, content)
+    write_json(path, content)
     return [d.name for d in draws]
 
 
@@ -176,8 +190,8 @@ def _draw_one(job: Job) -> None:
     case = draw_case(Draw.of(drawn), loaded)
     files = write_case(case, loaded, job.seals / job.name)
     seal = Seal.of({**case.truth, "files": files})
-    _write(job.seals / f"{job.name}.json", seal.plain())
-    _write(job.seals / _PART.format(job.name), {"sha256": seal.commitment, "files": files})
+    write_json(job.seals / f"{job.name}.json", seal.plain())
+    write_json(job.seals / _PART.format(job.name), {"sha256": seal.commitment, "files": files})
 
 
 def _show(seals: Path, cases: Path, names: list[str]) -> None:
@@ -209,10 +223,3 @@ def _only(outcomes: Iterator[Any]) -> list[str]:
     if outcome.error is not None:
         raise StudyError(outcome.error)
     return list(outcome.result)
-
-
-def _write(path: Path, value: Any) -> None:
-    import json
-
-    with atomic(path) as beside:
-        beside.write_text(json.dumps(value, indent=1), encoding="utf-8")

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import mujoco
 import numpy as np
 from jaxtyping import Float
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator, ValidationError, model_validator
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
@@ -65,6 +65,12 @@ class MachineFile(Section):
     """By the actuator's name, how it is moved."""
     parameters: tuple[ParameterEntry, ...] = ()
     """What may be wrong but is modelled, where a suite asks for it."""
+
+    @model_validator(mode="after")
+    def _tied(self) -> "MachineFile":
+        if any(p.each for p in self.parameters):
+            raise ValueError("parameters: one value each; list the addresses apart")
+        return self
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError
-from bo_sysid.runs import plain
+from bo_sysid.runs import atomic, plain
 
 _NONCE = 16  # bytes
 
@@ -73,6 +73,12 @@ def canonical(value: Any) -> bytes:
 def digest(value: Any) -> str:
     """Return SHA-256 of canonical JSON."""
     return hashlib.sha256(canonical(value)).hexdigest()
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON, whole or not at all."""
+    with atomic(path) as beside:
+        beside.write_text(json.dumps(plain(value), indent=1) + "\n", encoding="utf-8")
 
 
 def file_digest(path: Path) -> str:

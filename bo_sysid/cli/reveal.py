@@ -1,0 +1,60 @@
+"""`bo-sysid reveal`: diagnose concealed cases, open the seals, score."""
+
+import argparse
+from pathlib import Path
+
+from bo_sysid.cli.common import Verbs
+from bo_sysid.cli.progress import shown
+
+
+def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = verbs.add_parser(
+        "reveal",
+        help="diagnose concealed cases, open their seals, and score",
+        description="Diagnose the cases of bo-sysid conceal that have no answer yet, freeze the "
+        "answers, check every hash, open the seals, and score. Answers that come after the seals "
+        "were opened do not count. An interrupted run goes on with the same command.",
+    )
+    parser.add_argument("folder", type=Path, metavar="RUN", help="the run folder of conceal")
+    parser.add_argument(
+        "--seals",
+        type=Path,
+        metavar="FOLDER",
+        help="where the answers are kept; <RUN>-sealed otherwise",
+    )
+    parser.add_argument(
+        "--published", metavar="SHA256", help="the hash that conceal printed, to be compared"
+    )
+    parser.add_argument(
+        "--answers-only",
+        action="store_true",
+        help="diagnose and freeze the answers; open nothing",
+    )
+    parser.add_argument(
+        "--threads", type=int, metavar="N", help="number of processes; one a core otherwise"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Answer and reveal, and print the rates."""
+    from bo_sysid.execution import use_threads
+    from bo_sysid.proof.answer import answer
+    from bo_sysid.proof.conceal import concealed_run
+    from bo_sysid.proof.proof import PAGE, prove
+
+    with (
+        use_threads(args.threads),
+        concealed_run(args.folder) as opened,
+        shown("reveal") as progress,
+    ):
+        if args.answers_only:
+            answer(opened, progress=progress)
+            print(f"{args.folder}: every case has an answer, frozen. No seal was opened.")
+            return
+        scores = prove(opened, seals=args.seals, published=args.published, progress=progress)
+    for what, count, of in scores.summary[["what", "count", "of"]].to_numpy():
+        if of:
+            print(f"{count:5d} of {of:<5d} {what}")
+    print(f"{args.folder / PAGE}: all scores")

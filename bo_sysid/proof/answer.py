@@ -1,0 +1,116 @@
+"""Answer: diagnose every case, and freeze each answer before any seal is opened.
+
+Each case is diagnosed in a process of its own, which is given the folder of the case and nothing
+else. When it ends, a record with the hash of every file of the answer and of the commitments is
+written; from then on the answer counts, also where it is an error. An interrupted call goes on with
+the cases that have no record.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bo_sysid.errors import RunError
+from bo_sysid.execution import Progress, Report, map_jobs, silent
+from bo_sysid.proof.conceal import CASES, COMMITMENTS
+from bo_sysid.proof.seal import file_digest, write_json
+from bo_sysid.runs import Run, read_json, versions
+from bo_sysid.study import Study
+
+ANSWERS, OPENED = "answers", "opened.json"
+_NOT_THE_ANSWER = {"run.json", ".lock"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs to answer one case.
+
+    Attributes:
+        folder: of the run.
+        name: of the case.
+    """
+
+    folder: Path
+    name: str
+
+
+def answer(run: Run, *, progress: Report = silent) -> None:
+    """Diagnose the cases of a run that have no answer yet.
+
+    Args:
+        run: with cases and commitments.
+        progress: told after every case.
+
+    Raises:
+        RunError: a case is missing, or the seals were opened and a case has no answer.
+    """
+    names = list(commitments(run.folder)["cases"])
+    done = {n for n in names if run.has(record_of(n))}
+    if len(done) == len(names):
+        return
+    if run.has(OPENED):
+        raise RunError(
+            f"{run.folder}: the seals were opened; {len(names) - len(done)} cases have no answer "
+            "and an answer that is given now does not count"
+        )
+    jobs = {n: Job(run.folder.resolve(), n) for n in names}
+    step = len(done)
+    for outcome in map_jobs(answer_case, jobs, done=done):
+        if outcome.error is not None:  # the process died, or the answer could not be written
+            _freeze(run.folder, outcome.key, 0.0, outcome.error)
+        step += 1
+        progress(Progress(step, len(names), outcome.key))
+
+
+def commitments(folder: Path) -> Mapping[str, Any]:
+    """Return what was published about a run.
+
+    Raises:
+        RunError: nothing was, or it is damaged.
+    """
+    found = read_json(folder, COMMITMENTS)
+    if not isinstance(found, dict) or not isinstance(found.get("cases"), dict):
+        raise RunError(f"{folder / COMMITMENTS}: damaged")
+    return found
+
+
+def record_of(name: str) -> str:
+    """Return the name of the record that freezes an answer."""
+    return f"{ANSWERS}/{name}.json"
+
+
+def answer_case(job: Job) -> None:
+    """Diagnose one case and freeze the answer, an error included."""
+    from bo_sysid.diagnosis import diagnose
+
+    place, began, error = job.folder / ANSWERS / job.name, time.monotonic(), None
+    try:
+        study = Study.load(job.folder / CASES / job.name / "study.yaml")
+        with Run.open(place, study.resolved(relative_to=place), "diagnose") as run:
+            diagnose(study, run)
+    except Exception as failure:  # whatever went wrong is the answer
+        error = f"{type(failure).__name__}: {failure}"
+    _freeze(job.folder, job.name, time.monotonic() - began, error)
+
+
+def answer_files(folder: Path, name: str) -> dict[str, str]:
+    """Return the SHA-256 of every file of an answer."""
+    place = folder / ANSWERS / name
+    files = [f for f in sorted(place.rglob("*")) if f.is_file() and f.name not in _NOT_THE_ANSWER]
+    return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
+
+
+def _freeze(folder: Path, name: str, seconds: float, error: str | None) -> None:
+    record = {
+        "case": name,
+        "frozen": datetime.now(UTC).isoformat(timespec="microseconds"),
+        "commitments": file_digest(folder / COMMITMENTS),
+        "files": answer_files(folder, name),
+        "seconds": round(seconds, 2),
+        "error": error,
+        "versions": versions(),
+    }
+    write_json(folder / record_of(name), record)

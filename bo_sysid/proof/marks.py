@@ -1,0 +1,224 @@
+"""Marking one case: the answer against the truth, as plain comparisons of sets.
+
+An answer is a set of (effect, kind, site). It is right where it equals the concealed set. Where it
+is not, the classes are looked at: the sets that the answer itself calls equivalent. A finding
+about the time step is true of every plant here and counts neither for nor against.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+Named: TypeAlias = frozenset[tuple[str, str, str]]
+
+LEAST = 2.0
+"""Size in sensor sigma below which "cannot tell" is right."""
+
+CONFIDENT = 0.9
+"""Probability from which on a wrong name is a confident wrong name."""
+
+MOST_IN_CLASS = 3
+"""Members of a class of equivalent sets that counts as an answer."""
+
+_NEUTRAL = {"timestep", "unknown"}
+_MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
+
+
+def mark(truth: Mapping[str, Any], answer: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the marks of one case, one value a column.
+
+    Args:
+        truth: the sealed answer.
+        answer: content of `diagnosis.json`; None where the diagnosis failed.
+    """
+    concealed = named(truth["effects"])
+    known = all(e["known"] for e in truth["effects"])
+    size = min((float(e["size"]) for e in truth["effects"]), default=0.0)
+    marks: dict[str, Any] = {
+        "tier": truth["tier"],
+        "machine": truth["machine"],
+        "missing": bool(concealed),
+        "known": known,
+        "concealed": words(concealed),
+        "effects": len(concealed),
+        "grouped": truth["grouped"],
+        "wrong_parameters": bool(truth["parameters"]),
+        "size": float(truth["size"]),
+        "smallest": size,
+        "decade": decade(size) if concealed else "",
+        "answered": answer is not None,
+    }
+    told: Mapping[str, Any] = answer or {"verdict": "failed", "findings": [], "alternatives": []}
+    found = named(told["findings"])
+    classes = equivalents(told["findings"], found)
+    marks |= {
+        "verdict": told["verdict"],
+        "found": words(found),
+        "probability": stated(told),
+        **_set_marks(concealed, found, classes, told),
+        **_unknown_marks(truth, told),
+        **forecast_errors(told),
+    }
+    marks["right"] = _right(marks)
+    marks["acceptable"] = marks["right"] or (0 < size < LEAST and marks["answered"] and not found)
+    return marks
+
+
+def named(entries: Sequence[Mapping[str, Any]]) -> Named:
+    """Return effects and sites of findings or of what was concealed."""
+    return frozenset(
+        (str(e["effect"]), str(e["kind"]), str(e["site"]))
+        for e in entries
+        if e["effect"] not in _NEUTRAL
+    )
+
+
+def words(names: Named) -> str:
+    """Return a set in words, in one order."""
+    return ", ".join(f"{effect} at {site}" for effect, _, site in sorted(names))
+
+
+def decade(size: float) -> str:
+    """Return the class of a size."""
+    return (
+        f"below {LEAST:g}" if size < LEAST else f"{LEAST:g} to 10" if size < 10 else "10 and more"
+    )
+
+
+def equivalents(findings: Sequence[Mapping[str, Any]], found: Named) -> tuple[Named, ...]:
+    """Return the sets that an answer says it cannot tell from its own, itself first.
+
+    An equivalent of a finding may replace that finding or the whole answer; both are readings.
+    """
+    readings: dict[Named, None] = {found: None}
+    for finding in findings:
+        rest = found - named([finding])
+        for other in finding.get("equivalents", ()):
+            whole = named(other)
+            readings.setdefault(whole)
+            readings.setdefault(rest | whole)
+    return tuple(readings)
+
+
+def class_size(findings: Sequence[Mapping[str, Any]]) -> int:
+    """Return how many sets an answer offers as equivalent, itself included."""
+    others = {named(other) for finding in findings for other in finding.get("equivalents", ())}
+    return 1 + len(others - {named(findings)})
+
+
+def stated(told: Mapping[str, Any]) -> float:
+    """Return the probability that an answer gives to the set it names, nothing included."""
+    own = [float(f["probability"]) for f in told["findings"] if f.get("probability") is not None]
+    if own:
+        return min(own)
+    return max(0.0, 1.0 - sum(float(a["probability"]) for a in told.get("alternatives", ())))
+
+
+def forecast_errors(told: Mapping[str, Any]) -> dict[str, float]:
+    """Return the held-out forecast errors of an answer in sensor sigma, NaN where it has none."""
+    errors = (told.get("holdout") or {}).get("forecast") or {}
+    values = {m: errors.get(m) for m in _MODELS}
+    return {m: float("nan") if v is None else float(v) for m, v in values.items()}
+
+
+def _set_marks(
+    concealed: Named, found: Named, classes: Sequence[Named], told: Mapping[str, Any]
+) -> dict[str, Any]:
+    alternatives = [named(a["findings"]) for a in told.get("alternatives", ())]
+    second = next((a for a in alternatives if a != found), None)
+    size = class_size(told["findings"])
+    allowed = frozenset().union(*classes) if size <= MOST_IN_CLASS else found
+    wrong = [
+        f
+        for f in told["findings"]
+        if named([f]) and not named([f]) <= concealed and not (concealed & (allowed - found))
+    ]
+    return {
+        "top1": found == concealed,
+        "top2": concealed in (found, second),
+        "class_size": size,
+        "in_class": size <= MOST_IN_CLASS and concealed in classes,
+        "detected": bool(found) or told["verdict"] == "unknown-physics",
+        "wrong_name": bool(wrong),
+        "confident_wrong": any(float(f.get("probability") or 0.0) >= CONFIDENT for f in wrong),
+    }
+
+
+def _unknown_marks(truth: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return whether the unknown was flagged, located, and its dependence seen."""
+    said = told.get("unexplained") or {}
+    flagged = told["verdict"] == "unknown-physics"
+    sites = {str(e["site"]) for e in truth["effects"] if not e["known"]}
+    depends = {d for e in truth["effects"] if not e["known"] for d in e["depends_on"]}
+    return {
+        "flagged": flagged,
+        "located": flagged and said.get("site") in sites,
+        "dependence": flagged and bool(depends & set(said.get("depends_on", ()))),
+    }
+
+
+def _right(marks: Mapping[str, Any]) -> bool:
+    """Return whether an answer is right as a whole."""
+    if not marks["answered"]:
+        return False
+    if not marks["missing"]:
+        return not marks["detected"]
+    if not marks["known"]:
+        return bool(marks["flagged"]) and not marks["wrong_name"]
+    return bool(marks["top1"] or marks["in_class"])
+
+
+def mark_effects(
+    truth: Mapping[str, Any], answer: Mapping[str, Any] | None
+) -> list[dict[str, Any]]:
+    """Return one row for each effect that was concealed: whether it was found, and how large."""
+    told = [] if answer is None else answer["findings"]
+    rows = []
+    for e in truth["effects"]:
+        hit = next((f for f in told if named([f]) == named([e])), None)
+        row = {
+            "tier": truth["tier"],
+            "machine": truth["machine"],
+            "effect": e["effect"],
+            "site": e["site"],
+            "known": e["known"],
+            "unit": e["unit"],
+            "value": float(e["value"]),
+            "size": float(e["size"]),
+            "decade": decade(float(e["size"])),
+            "found": hit is not None,
+            "named": _nearest_name(e, told, answer),
+            "estimate": float("nan"),
+            "error": float("nan"),
+            "covered": False,
+        }
+        if hit is not None:
+            low, high = (float(x) for x in hit["interval"])
+            row["estimate"] = float(hit["value"])
+            row["error"] = abs(float(hit["value"]) / float(e["value"]) - 1.0)
+            row["covered"] = low <= float(e["value"]) <= high
+        rows.append(row)
+    return rows
+
+
+def _nearest_name(
+    effect: Mapping[str, Any],
+    told: Sequence[Mapping[str, Any]],
+    answer: Mapping[str, Any] | None,
+) -> str:
+    """Return what an answer calls a concealed effect: the finding that is most like it."""
+    if answer is None:
+        return "(failed)"
+    findings = [f for f in told if f["effect"] not in _NEUTRAL]
+    flagged = answer["verdict"] == "unknown-physics"
+    if not findings:
+        return "(unknown)" if flagged else "(nothing)"
+    likeness = [
+        2 * (f["effect"] == effect["effect"]) + (f["site"] == effect["site"]) for f in findings
+    ]
+    best = findings[int(np.argmax(likeness))]
+    if flagged and not effect["known"]:
+        return "(unknown)"
+    where = "" if best["site"] == effect["site"] else " elsewhere"
+    return str(best["effect"]) + where

@@ -1,0 +1,106 @@
+"""The oracle: the forecast error of the nominal model with exactly what was concealed put into it.
+
+It uses the catalogue's own edits and the same forecast as the diagnosis, so that it says what is
+left when every name, site and magnitude is right: sensor noise carried through, the form of the
+plant that no name describes (presliding, other integrators), and starts estimated from the past.
+"""
+
+from collections.abc import Mapping
+from math import cos, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.diagnosis.diagnose import gather
+from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.locate import Evidence
+from bo_sysid.effects import CATALOGUE, Machine, Site
+from bo_sysid.mjcf import Address, Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_holdout, load_train
+
+
+def oracle_error(case: Path, truth: Mapping[str, Any]) -> float | None:
+    """Return the held-out forecast error of the truth in sensor sigma.
+
+    Args:
+        case: folder of the case.
+        truth: its answer.
+
+    Returns:
+        None where the catalogue does not have what was concealed.
+    """
+    study = Study.load(case / "study.yaml")
+    evidence = gather(study, load_train(study))
+    hypothesis = _hypothesis(study, evidence, truth)
+    if hypothesis is None:
+        return None
+    problem, past = forecast_problem(
+        evidence.model,
+        evidence.machine,
+        load_holdout(study),
+        evidence.sigma,
+        past=PAST,
+        ahead=AHEAD,
+        timestep=float(evidence.machine.model.opt.timestep),
+        engine=evidence.engine,
+    )
+    return float(forecast(problem, past, hypothesis).ahead)
+
+
+def _hypothesis(study: Study, evidence: Evidence, truth: Mapping[str, Any]) -> Hypothesis | None:
+    """Return the truth as the diagnosis would write it, at the finer time step."""
+    members, values = [], []
+    for e in truth["effects"]:
+        candidate = _candidate(e, evidence.machine)
+        if candidate is None:
+            return None
+        members.append(candidate)
+        values.append(candidate.point[: candidate.size])
+    off = tuple(
+        np.array([truth["parameters"][p.name] - _nominal(p, evidence.model)])
+        for p in study.parameter_set(evidence.model)
+    )
+    return Hypothesis(tuple(members), tuple(values), evidence.nuisances, off, numerics=1.0)
+
+
+def _nominal(parameter: Parameter, model: Model) -> float:
+    """Return what the nominal model has, from which changes are counted."""
+    fixed = {"scale": 1.0, "add": 0.0}.get(parameter.apply)
+    if fixed is not None:
+        return fixed
+    return float(np.mean([Address.parse(a).read(model) for a in parameter.addresses]))
+
+
+def _candidate(e: Mapping[str, Any], machine: Machine) -> Candidate | None:
+    """Return an effect of the truth as a candidate of the catalogue at its true magnitudes."""
+    effect = CATALOGUE.get(e["effect"])
+    if effect is None or effect.hidden:
+        return None
+    site = Site(effect.kind, e["site"])
+    extent = effect.extent(site, machine)
+    point = _magnitudes(e, machine)
+    if extent is None or len(point) != len(effect.components):
+        return None
+    return Candidate(effect, site, extent, np.array(point, float))
+
+
+def _magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]:
+    """Return the magnitudes as the catalogue's function takes them."""
+    value, details = float(e["value"]), e["details"]
+    match e["effect"]:
+        case "stribeck_friction":
+            return value, details["coulomb"], details["speed"]
+        case "joint_spring":
+            return value, value * details["rest angle"]
+        case "cogging":
+            phase = details["phase"]
+            return value * cos(phase), value * sin(phase), details["periods"]
+        case "gravity_tilt":
+            return details["about x"], details["about y"]
+        case "actuator_saturation":
+            return (machine.actuators[e["site"]].force_max - details["largest torque"],)
+    return (value,)

@@ -1,0 +1,134 @@
+"""The scores as one self-contained HTML page."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.proof.score import Scores
+from bo_sysid.proof.statistics import Reliability
+
+_STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem }
+table { border-collapse: collapse; margin: .6rem 0 1.6rem; font-variant-numeric: tabular-nums }
+th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
+th:first-child, td:first-child { text-align: left }
+td.text { text-align: left; max-width: 26rem }
+tr.wrong td { background: #fdecea }
+.wide { overflow-x: auto }
+code { font-size: .85em; overflow-wrap: anywhere }
+"""
+_DIGITS = 3
+_PLOT = 260  # [px]
+_TEXT_CELL = '<td class="text">{}</td>'
+_TEXT = {"concealed", "found", "verdict", "machine", "failure", "what", "named"}
+
+
+def page(scores: Scores, facts: Mapping[str, Any]) -> str:
+    """Return the page.
+
+    Args:
+        scores: of a run.
+        facts: about the run, by name: hashes, versions, times.
+    """
+    shown = scores.cases[_COLUMNS].reset_index()
+    wrong = ~scores.cases["acceptable"].to_numpy(bool)
+    calibration = scores.calibration
+    parts = [
+        "<h1>Proof on concealed data</h1>",
+        _facts(facts),
+        "<h2>Rates</h2>",
+        "<p>Counts with exact 95 % intervals (Clopper and Pearson); the last column is the "
+        "one-sided 95 % upper bound.</p>",
+        _table(scores.summary),
+        "<h2>By tier</h2>", _table(scores.by_tier.reset_index()),
+        "<h2>By size, in sensor sigma</h2>", _table(scores.by_decade.reset_index()),
+        "<h2>By effect, from 2 sigma</h2>", _table(scores.by_effect.reset_index()),
+        "<h2>What concealed effects were called</h2>", _table(scores.confusion.reset_index()),
+        "<h2>Magnitudes</h2>", _table(scores.magnitudes.reset_index()),
+        "<h2>Held-out forecast errors, medians in sensor sigma</h2>",
+        _table(scores.forecasts.reset_index(names="cases")),
+        "<h2>Stated probabilities</h2>",
+        f"<p>{calibration.cases} cases; calibration error {calibration.error:.3f}, of which "
+        f"{calibration.expected:.3f} would be there under perfect calibration.</p>",
+        _diagram(calibration), _table(calibration.bins),
+        "<h2>Cases</h2>", _table(shown, wrong),
+    ]  # fmt: skip
+    body = "\n".join(parts)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f"<title>Proof on concealed data</title><style>{_STYLE}</style></head>\n"
+        f"<body>\n{body}\n</body></html>\n"
+    )
+
+
+_COLUMNS = [
+    "tier", "machine", "concealed", "size", "verdict", "found", "probability", "class_size",
+    "right", "nominal", "refitted", "repaired", "noise_floor", "seconds", "failure",
+]  # fmt: skip
+
+
+def _facts(facts: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f'<tr><td>{escape(str(k))}</td><td class="text"><code>{escape(str(v))}</code></td></tr>'
+        for k, v in facts.items()
+    )
+    return f"<table>{rows}</table>"
+
+
+def _table(frame: pd.DataFrame, marked: np.ndarray | None = None) -> str:
+    """Return a DataFrame as an HTML table, every cell escaped."""
+    if frame.empty:
+        return "<p>None.</p>"
+    head = "".join(f"<th>{escape(_title(c))}</th>" for c in frame.columns)
+    rows = []
+    for i, values in enumerate(frame.itertuples(index=False)):
+        cells = "".join(
+            _TEXT_CELL.format(escape(_cell(v)))
+            if str(c) in _TEXT
+            else f"<td>{escape(_cell(v))}</td>"
+            for c, v in zip(frame.columns, values, strict=True)
+        )
+        kind = ' class="wrong"' if marked is not None and marked[i] else ""
+        rows.append(f"<tr{kind}>{cells}</tr>")
+    return f'<div class="wide"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def _title(column: object) -> str:
+    return str(column).replace("_", " ")
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and np.isnan(value)):
+        return "–"
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.{_DIGITS}g}"
+    return str(value)
+
+
+def _diagram(r: Reliability) -> str:
+    """Return the reliability diagram as SVG: stated along, right up, the diagonal is perfect."""
+    if r.bins.empty:
+        return ""
+    marks = []
+    for stated, right, lower, upper in r.bins[["stated", "right", "lower", "upper"]].to_numpy():
+        x, y = _at(stated), _PLOT - _at(right)
+        low, high = _PLOT - _at(lower), _PLOT - _at(upper)
+        marks.append(
+            f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#888"/>'
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#1f5fa8"/>'
+        )
+    return (
+        f'<svg width="{_PLOT}" height="{_PLOT}" viewBox="0 0 {_PLOT} {_PLOT}" role="img" '
+        'aria-label="stated probability against share right">'
+        f'<rect width="{_PLOT}" height="{_PLOT}" fill="none" stroke="#bbb"/>'
+        f'<line x1="0" y1="{_PLOT}" x2="{_PLOT}" y2="0" stroke="#ccc"/>{"".join(marks)}</svg>'
+    )
+
+
+def _at(share: float) -> float:
+    return float(share) * _PLOT

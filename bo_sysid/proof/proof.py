@@ -1,0 +1,102 @@
+"""From a suite to scores: conceal, answer, reveal, each resumable."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.execution import Progress, Report, map_jobs, silent
+from bo_sysid.proof.answer import OPENED, answer
+from bo_sysid.proof.conceal import CASES, COMMITMENTS
+from bo_sysid.proof.page import page
+from bo_sysid.proof.reveal import Revealed, reveal
+from bo_sysid.proof.score import Scores, score
+from bo_sysid.proof.seal import digest, file_digest
+from bo_sysid.runs import Run
+
+CASE_TABLE, EFFECT_TABLE, PAGE = "cases.parquet", "effects.parquet", "proof.html"
+_ORACLE = "oracle.json"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a process needs for the oracle's error on one case.
+
+    Attributes:
+        case: folder of the case.
+        truth: its answer.
+    """
+
+    case: Path
+    truth: Mapping[str, Any]
+
+
+def prove(
+    run: Run,
+    *,
+    seals: str | Path | None = None,
+    published: str | None = None,
+    progress: Report = silent,
+) -> Scores:
+    """Answer what is unanswered in a concealed run, open the seals, score, and write the scores.
+
+    The run then holds `cases.parquet` and `effects.parquet`, a row for each case and for each
+    concealed effect, and `proof.html`.
+
+    Args:
+        run: made by `conceal`.
+        seals: folder of the seals; beside the run where left out.
+        published: SHA-256 of `commitments.json`, where it was published elsewhere.
+        progress: told after every case.
+
+    Raises:
+        RunError: a hash differs, or an answer came after the seals were opened.
+    """
+    answer(run, progress=progress)
+    revealed = reveal(run, seals=seals, published=published)
+    scores = _with_oracle(score(revealed), _oracle(run, revealed, progress))
+    run.write_frame(CASE_TABLE, scores.cases)
+    run.write_frame(EFFECT_TABLE, scores.effects)
+    run.write_text(PAGE, page(scores, _facts(run, revealed)))
+    return scores
+
+
+def _oracle(run: Run, revealed: tuple[Revealed, ...], progress: Report) -> dict[str, float]:
+    """Return the oracle's error by case, computed once; NaN where there is none."""
+    kept: dict[str, float | None] = run.read_json(_ORACLE) if run.has(_ORACLE) else {}
+    folder = run.folder.resolve()
+    jobs = {r.name: Job(folder / CASES / r.name, r.truth) for r in revealed}
+    done = set(kept)
+    for step, outcome in enumerate(map_jobs(_oracle_of, jobs, done=done), len(done) + 1):
+        kept[outcome.key] = None if outcome.error else outcome.result
+        run.write_json(_ORACLE, kept)
+        progress(Progress(step, len(jobs), f"oracle {outcome.key}"))
+    return {name: float("nan") if e is None else float(e) for name, e in kept.items()}
+
+
+def _oracle_of(job: Job) -> float | None:
+    from bo_sysid.proof.oracle import oracle_error
+
+    return oracle_error(job.case, job.truth)
+
+
+def _with_oracle(scores: Scores, errors: Mapping[str, float]) -> Scores:
+    """Return the scores with the oracle's error beside the others."""
+    from bo_sysid.proof.score import forecasts
+
+    cases = scores.cases.assign(oracle=[errors.get(n, np.nan) for n in scores.cases.index])
+    return replace(scores, cases=cases, forecasts=forecasts(cases))
+
+
+def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
+    opened, said = run.read_json(OPENED), run.read_json(COMMITMENTS)
+    return {
+        "cases": len(revealed),
+        "seals opened": opened["opened"],
+        "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),
+        "SHA-256 of the frozen answers": digest(opened["answers"]),
+        "SHA-256 of the suite": said["suite_sha256"],
+        "versions": ", ".join(f"{k} {v}" for k, v in said["versions"].items()),
+    }

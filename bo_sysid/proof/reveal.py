@@ -1,0 +1,156 @@
+"""Reveal: check every hash, then open the seals, then score.
+
+Opening is recorded twice, in the run and beside the seals, together with the hash of the record of
+every answer. An answer that is not in that list came too late. What the checks catch is said in
+the message; the first thing that is wrong ends the reveal.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bo_sysid.errors import RunError
+from bo_sysid.proof.answer import ANSWERS, OPENED, answer_files, commitments, record_of
+from bo_sysid.proof.conceal import CASES, COMMITMENTS, seals_of
+from bo_sysid.proof.seal import Seal, file_digest, write_json
+from bo_sysid.runs import Run, read_json
+
+
+@dataclass(frozen=True)
+class Revealed:
+    """A case with its answer and the truth, both as they were sealed and frozen.
+
+    Attributes:
+        name: of the case.
+        truth: what was concealed.
+        answer: content of `diagnosis.json`; None where the diagnosis failed.
+        error: why it failed.
+        seconds: that the diagnosis took.
+    """
+
+    name: str
+    truth: Mapping[str, Any]
+    answer: Mapping[str, Any] | None
+    error: str | None
+    seconds: float
+
+
+def reveal(
+    run: Run, *, seals: str | Path | None = None, published: str | None = None
+) -> tuple[Revealed, ...]:
+    """Check a run and open its seals.
+
+    Args:
+        run: with every case answered.
+        seals: folder of the seals; beside the run where left out.
+        published: SHA-256 of `commitments.json`, where it was published elsewhere.
+
+    Raises:
+        RunError: anything that is hashed differs, an answer is missing, or an answer came after
+            the seals were opened.
+    """
+    folder = run.folder
+    held = Path(seals) if seals else seals_of(folder.resolve())
+    said = commitments(folder)
+    if published is not None and file_digest(folder / COMMITMENTS) != published.strip().lower():
+        raise RunError(f"{folder / COMMITMENTS}: not the commitments that were published")
+    _check_shown(folder, said["cases"])
+    records = {name: _checked_record(folder, name) for name in said["cases"]}
+    _open(folder, held, records)
+    found = []
+    for name, record in records.items():
+        truth = _opened_seal(folder, held, name, said["cases"][name])
+        told = None if record["error"] else read_json(folder, f"{ANSWERS}/{name}/diagnosis.json")
+        found.append(Revealed(name, truth, told, record["error"], float(record["seconds"])))
+    return tuple(found)
+
+
+def _check_shown(folder: Path, cases: Mapping[str, Any]) -> None:
+    """Refuse where what is shown is not what was published."""
+    there = {p.name for p in (folder / CASES).iterdir()} if (folder / CASES).is_dir() else set()
+    for name in sorted(there ^ set(cases)):
+        what = "was not published" if name in there else "is missing"
+        raise RunError(f"{folder / CASES / name}: this case {what}")
+    for name, case in cases.items():
+        place = folder / CASES / name
+        shown = {p.relative_to(place).as_posix() for p in place.rglob("*") if p.is_file()}
+        for file in sorted(shown ^ set(case["files"])):
+            what = "was not published" if file in shown else "is missing"
+            raise RunError(f"{place / file}: this file {what}")
+        for file, sha256 in case["files"].items():
+            _require(file_digest(place / file) == sha256, place / file, "was changed since")
+
+
+def _checked_record(folder: Path, name: str) -> Mapping[str, Any]:
+    """Return the record that froze an answer, after comparing it with the answer.
+
+    Raises:
+        RunError: there is none, or it is not about this answer.
+    """
+    path = folder / record_of(name)
+    if not path.is_file():
+        raise RunError(f"{path}: case {name} has no answer; nothing is opened before all have one")
+    record: Mapping[str, Any] = read_json(folder, record_of(name))
+    known = {"case", "frozen", "commitments", "files", "seconds", "error"}
+    _require(known <= set(record) and record["case"] == name, path, "is damaged")
+    same = record["commitments"] == file_digest(folder / COMMITMENTS)
+    _require(same, path, "answers other commitments than those of this run")
+    now = answer_files(folder, name)
+    for file in sorted(set(now) ^ set(record["files"])):
+        raise RunError(
+            f"{folder / ANSWERS / name / file}: not as it was when the answer was frozen"
+        )
+    for file, sha256 in record["files"].items():
+        changed = folder / ANSWERS / name / file
+        _require(now[file] == sha256, changed, "was changed after the answer was frozen")
+    if record["error"] is None:
+        _require("diagnosis.json" in now, path, "says that there is an answer; there is none")
+    return record
+
+
+def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
+    """Record the opening, or compare with what was recorded when the seals were opened."""
+    frozen = {name: file_digest(folder / record_of(name)) for name in records}
+    places = [p for p in (folder / OPENED, seals / OPENED) if p.is_file()]
+    if not places:
+        now = datetime.now(UTC).isoformat(timespec="microseconds")
+        for name, record in records.items():
+            early = str(record["frozen"]) <= now
+            _require(early, folder / record_of(name), "is frozen at a time that is yet to come")
+        content = {"opened": now, "commitments": file_digest(folder / COMMITMENTS)}
+        for place in (seals, folder):
+            write_json(place / OPENED, {**content, "answers": frozen})
+        return
+    if len(places) == 1:
+        raise RunError(
+            f"{places[0]}: says that the seals were opened, and the copy of it in "
+            f"{folder if places[0].parent != folder else seals} is gone"
+        )
+    one, other = (read_json(p.parent, OPENED) for p in places)
+    _require(one == other, places[0], "differs from its copy beside the seals")
+    _require(
+        one["commitments"] == file_digest(folder / COMMITMENTS), places[0], "is of another run"
+    )
+    for name, sha256 in frozen.items():
+        late = one["answers"].get(name) != sha256
+        _require(not late, folder / record_of(name), "came after the seals were opened")
+
+
+def _opened_seal(
+    folder: Path, seals: Path, name: str, case: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """Return the truth of a case, after comparing it with its commitment."""
+    path = seals / f"{name}.json"
+    seal = Seal.read(path)
+    _require(seal.commitment == case["sha256"], path, "is not what was committed to")
+    _require(seal.answer.get("name") == name, path, "is the seal of another case")
+    same = seal.answer.get("files") == case["files"]
+    _require(same, folder / CASES / name, "is not the case that was sealed")
+    return seal.answer
+
+
+def _require(holds: bool, path: Path, what: str) -> None:
+    if not holds:
+        raise RunError(f"{path}: {what}; nothing is scored")

@@ -1,0 +1,166 @@
+"""Scores over the cases of a revealed run; every table is a DataFrame."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from bo_sysid.proof.marks import LEAST, mark, mark_effects
+from bo_sysid.proof.reveal import Revealed
+from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability, upper_bound
+
+FORECAST_GOAL = 1.15
+"""Repaired forecast error over the noise floor that counts as repaired."""
+
+MODELS = ("nominal", "refitted", "repaired", "learned_residual", "oracle", "noise_floor")
+_SCORES = ("top1", "top2", "right", "acceptable", "confident_wrong")
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What a run is worth.
+
+    Attributes:
+        cases: one row a case: what was concealed, what was found, how it is marked.
+        effects: one row for each concealed effect.
+        summary: the headline rates, each with its count and 95 % interval.
+        by_tier: rates of the cases with physics missing, by tier.
+        by_effect: rates by effect, from 2 sigma up.
+        by_decade: rates by size.
+        confusion: concealed effects (rows) and what they were called (columns), counts.
+        magnitudes: error of magnitudes and coverage of intervals, by effect.
+        forecasts: medians of the held-out errors of each model, by tier.
+        calibration: stated probabilities and how often they were right.
+    """
+
+    cases: pd.DataFrame
+    effects: pd.DataFrame
+    summary: pd.DataFrame
+    by_tier: pd.DataFrame
+    by_effect: pd.DataFrame
+    by_decade: pd.DataFrame
+    confusion: pd.DataFrame
+    magnitudes: pd.DataFrame
+    forecasts: pd.DataFrame
+    calibration: Reliability
+
+    def rate(self, name: str) -> float:
+        """Return a rate of the summary."""
+        return float(self.summary.rate[self.summary.what == name].iloc[0])
+
+
+def score(revealed: Sequence[Revealed]) -> Scores:
+    """Score a revealed run."""
+    cases = pd.DataFrame(
+        [
+            {"case": r.name, **mark(r.truth, r.answer), "seconds": r.seconds, "failure": r.error}
+            for r in revealed
+        ]
+    ).set_index("case")
+    rows = [{"case": r.name, **e} for r in revealed for e in mark_effects(r.truth, r.answer)]
+    effects = pd.DataFrame(rows, columns=_EFFECT_COLUMNS).set_index("case")
+    missing = cases[cases.missing]
+    tellable = effects[effects.known & (effects["size"] >= LEAST)]
+    answered = cases[cases.answered & (cases.known | ~cases.missing)]
+    return Scores(
+        cases,
+        effects,
+        _summary(cases, effects),
+        _rates(missing, "tier", _SCORES),
+        _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
+        _rates(missing[missing.known], "decade", _SCORES),
+        pd.crosstab(effects.effect, effects.named),
+        _magnitudes(effects),
+        forecasts(cases),
+        reliability(answered.probability.to_numpy(float), answered["right"].to_numpy(bool)),
+    )
+
+
+_EFFECT_COLUMNS = [
+    "case", "tier", "machine", "effect", "site", "known", "unit", "value", "size", "decade",
+    "found", "named", "estimate", "error", "covered",
+]  # fmt: skip
+
+
+def _summary(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
+    """Return the rates that the proof is about."""
+    missing, nothing = cases[cases.missing], cases[~cases.missing]
+    known = missing[missing.known & (missing.smallest >= LEAST)]
+    unknown = missing[~missing.known & (missing.smallest >= LEAST)]
+    two = known[known.tier == 2]
+    found = effects[effects.found]
+    ratio = known.repaired / known.noise_floor
+    rows = [
+        _rate("names and sites right, class counted, from 2 sigma", known["right"]),
+        _rate("the same in tier 2", two["right"]),
+        _rate("names and sites right without a class, from 2 sigma", known.top1),
+        _rate("right among the first two sets, from 2 sigma", known.top2),
+        _rate("cannot tell or right, below 2 sigma", missing[missing.smallest < LEAST].acceptable),
+        _rate("false alarms where nothing is missing", nothing.detected),
+        _rate("unknown physics flagged", unknown.flagged),
+        _rate("unknown physics located", unknown.located),
+        _rate("unknown physics with its dependence", unknown.dependence),
+        _rate("confident wrong names", cases.confident_wrong),
+        _rate("known physics flagged as unknown", known.flagged),
+        _rate("truth within the 95 % interval", found.covered),
+        _rate(f"repaired forecast within {FORECAST_GOAL:g} of the noise floor",
+              (ratio <= FORECAST_GOAL)[ratio.notna()]),
+        _rate("diagnoses that failed", ~cases.answered),
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _rate(what: str, happened: pd.Series) -> dict[str, object]:
+    count, of = int(happened.sum()), len(happened)
+    low, high = clopper_pearson(count, of) if of else (float("nan"), float("nan"))
+    return {
+        "what": what,
+        "count": count,
+        "of": of,
+        "rate": count / of if of else float("nan"),
+        "low": low,
+        "high": high,
+        "upper_bound": upper_bound(count, of) if of else float("nan"),
+    }
+
+
+def _rates(cases: pd.DataFrame, by: str, columns: Sequence[str]) -> pd.DataFrame:
+    """Return count and rates of `columns` by the values of a column."""
+    grouped = cases.groupby(by, sort=True)
+    table = grouped.size().rename("n").to_frame()
+    for column in columns:
+        table[column] = grouped[column].mean()
+    first = grouped[columns[0] if len(columns) == 1 else "right"]
+    counts = first.sum().astype(int)
+    bounds = [clopper_pearson(int(c), int(n)) for c, n in zip(counts, table.n, strict=True)]
+    table["low"], table["high"] = [b[0] for b in bounds], [b[1] for b in bounds]
+    return table
+
+
+def _magnitudes(effects: pd.DataFrame) -> pd.DataFrame:
+    found = effects[effects.found & effects.known]
+    grouped = found.groupby("effect", sort=True)
+    return pd.DataFrame(
+        {
+            "n": grouped.size(),
+            "median error": grouped.error.median(),
+            "90 % of errors below": grouped.error.quantile(0.9),
+            "interval covers": grouped.covered.mean(),
+        }
+    )
+
+
+def forecasts(cases: pd.DataFrame) -> pd.DataFrame:
+    """Return medians of the held-out errors, and of the repaired over the noise floor."""
+    told = cases[cases.answered].assign(ratio=lambda c: c.repaired / c.noise_floor)
+    columns = [m for m in (*MODELS, "ratio") if m in told]
+    groups: list[tuple[str, Callable[[pd.DataFrame], pd.Series]]] = [
+        ("nothing missing", lambda c: ~c.missing),
+        ("tier 2", lambda c: c.missing & (c.tier == 2)),
+        ("tier 3", lambda c: c.missing & (c.tier == 3)),
+        ("tier 4", lambda c: c.missing & (c.tier == 4)),
+    ]
+    rows = {name: told[pick(told)] for name, pick in groups}
+    table = pd.DataFrame({name: part[columns].median() for name, part in rows.items()}).T
+    table.insert(0, "n", [len(part) for part in rows.values()])
+    return table
