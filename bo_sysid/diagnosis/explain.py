@@ -7,8 +7,7 @@ import numpy as np
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
-from bo_sysid.diagnosis.refit import Effort
-from bo_sysid.diagnosis.search import regrouped
+from bo_sysid.diagnosis.search import FINAL
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 
 _WORDS = {
@@ -100,13 +99,5 @@ def _said(unknown: Unknown) -> Unexplained:
 
 def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
     keep = np.flatnonzero(kept)
-    members = tuple(fit.members[k] for k in keep)
-    labels = regrouped(members, [fit.groups[k] for k in keep], located.search.candidates)
-    return located.search.fit(
-        members,
-        tuple(fit.x[k] for k in keep),
-        labels=labels,
-        start=fit.start,
-        guess=fit.hypothesis,
-        effort=Effort(iterations=5, gain=1.0, final=True),
-    )
+    members, x = tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
+    return located.search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)

@@ -8,8 +8,9 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate
-from bo_sysid.effects import Machine, unit_at
+from bo_sysid.effects import Machine, Site, unit_at
 
+_SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _TIME = 0.3e-3  # [s] the same for times
@@ -123,7 +124,7 @@ def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
 
 def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
     """Return a finding in words: what, where, how much, how sure."""
-    site, amount = spoken(candidate.site.name), _amount(quantity)
+    site, amount = spoken(candidate.site), _amount(quantity)
     if before and candidate.effect.kind == "joint":
         now = _amount(
             Quantity(
@@ -138,9 +139,13 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
     return text[0].upper() + text[1:]
 
 
-def spoken(site: str) -> str:
-    """Return the name of a site as it is said: "the elbow"."""
-    return f"the {site.replace('_', ' ')}" if not site.lower().startswith("the ") else site
+def spoken(site: Site) -> str:
+    """Return a site as it is said: "the elbow", "joint x"."""
+    name = site.name.replace("_", " ")
+    if site.kind == "world":
+        return "the machine"
+    plain = len(name) > _SHORT and name.replace(" ", "").isalpha()
+    return f"the {name}" if plain else f"{site.kind} {site.name}"
 
 
 def _amount(quantity: Quantity) -> str:

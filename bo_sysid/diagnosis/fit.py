@@ -56,9 +56,11 @@ class Fit:
 
     @property
     def size(self) -> int:
-        """Number of effects, a group counted as one."""
-        alone = sum(g is None for g in self.groups)
-        return alone + len({g for g in self.groups if g is not None})
+        """Number of effects, a group counted as one and a refinement as two."""
+        units = {
+            (g or i): c for i, (c, g) in enumerate(zip(self.members, self.groups, strict=True))
+        }
+        return sum(c.effect.weight for c in units.values())
 
     @property
     def key(self) -> frozenset[tuple[object, ...]]:
@@ -139,7 +141,8 @@ def _sandwich(
     centred = g - g.mean(axis=0)
     meat = centred.T @ centred * blocks / max(blocks - 1, 1)
     robust, white = inverse @ meat @ inverse, inverse * variance
-    grow = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    least = np.diag(white) / np.maximum(np.diag(robust), 1e-12 * np.diag(white) + 1e-300)
+    grow = np.sqrt(np.clip(np.nan_to_num(least, posinf=1e12), 1.0, 1e12))
     return np.asarray(robust * np.outer(grow, grow))
 
 

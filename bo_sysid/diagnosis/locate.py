@@ -10,9 +10,9 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem, pose
-from bo_sysid.diagnosis.refit import Effort
 from bo_sysid.diagnosis.rules import admissible, ranked
 from bo_sysid.diagnosis.search import (
+    FINAL,
     Search,
     carried,
     eliminate,
@@ -32,6 +32,7 @@ _GROWTH = 2.2
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _WINDOWS = 24  # in the search; all of them in the final fits
 _FINALISTS = 5
+_POLISH = 2  # times that the leader is linearised anew on all windows
 _CARRIED = 4
 
 
@@ -145,19 +146,20 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
     problem = _problem(evidence, horizon, step, everything=True)
     prepared = prepare(problem, order[0].hypothesis)
     final = Search.on(prepared, search.candidates, search.most, order[0].hypothesis)
-    if order[0].members:
-        leader = _again(final, order[0], order[0].hypothesis)
+    leader = order[0]
+    for _ in range(_POLISH if leader.members else 0):
+        leader = _again(final, leader, leader.hypothesis)
         prepared = prepare(problem, leader.hypothesis)
         final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
     for f in chosen:
         if f.members:
-            _again(final, f, f.hypothesis)
+            begin = leader if f is order[0] else f
+            _again(final, begin, begin.hypothesis)
     return final
 
 
 def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:
-    effort = Effort(iterations=5, gain=1.0, final=True)
-    return search.fit(fit.members, fit.x, labels=fit.groups, guess=guess, again=True, effort=effort)
+    return search.fit(fit.members, fit.x, guess=guess, again=True, effort=FINAL)
 
 
 def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:

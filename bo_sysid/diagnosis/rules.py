@@ -36,8 +36,14 @@ class Prior:
             return log(0.5)
         grouped = len({g for g in fit.groups if g is not None})
         alone = fit.size - grouped
+        rare = sum(log(c.effect.prior) for c in fit.members)
         ways = comb(max(self.groups, 1), min(grouped, max(self.groups, 1))) if grouped else 1
-        return log(0.125) - log(ways) - log(comb(max(self.singles, 1), min(alone, self.singles)))
+        return (
+            log(0.125)
+            + rare
+            - log(ways)
+            - log(comb(max(self.singles, 1), min(alone, self.singles)))
+        )
 
 
 def inflation(fits: Iterable[Fit]) -> float:

@@ -78,7 +78,6 @@ class Search:
         members: Sequence[Candidate],
         x: Sequence[Float[np.ndarray, " l"]],
         *,
-        labels: tuple[str | None, ...] | None = None,
         start: State | None = None,
         guess: Hypothesis | None = None,
         again: bool = False,
@@ -90,7 +89,7 @@ class Search:
         if known is not None and not again:
             return known
         effort = effort or Effort(rival=self.least)
-        groups_of = regrouped(members, labels or (None,) * len(members), self.candidates)
+        labels = grouped_labels(members, self.candidates)
         first = [x] + ([] if again else self._other_starts(members, x))
         found = known
         for k, begin in enumerate(first):
@@ -102,7 +101,7 @@ class Search:
                 [self._begin(c, v) for c, v in zip(members, begin, strict=True)]
                 if not again
                 else begin,
-                groups=groups_of,
+                groups=labels,
                 start=start or self.prepared.start,
                 guess=guess,
                 columns=self._first_jacobian(members) if not again else None,
@@ -116,6 +115,7 @@ class Search:
 
     def round(self, base: Fit) -> None:
         """Linearise at a fit and try what could be added to it, exchanged or left out."""
+        _simplified(self, base)
         self._refine(base)
         table = self._linearise(base)
         if not base.members:
@@ -123,8 +123,7 @@ class Search:
             return
         if not clean(base):  # with the response to the start at this fit
             again = self.fit(
-                base.members, base.x, labels=base.groups, start=base.start,
-                guess=base.hypothesis, again=True,
+                base.members, base.x, start=base.start, guess=base.hypothesis, again=True,
             )  # fmt: skip
             if again.rms < 0.97 * base.rms:
                 return self.round(again)
@@ -151,34 +150,35 @@ class Search:
         fixed = [self.candidates.index(c) for c in base.members]
         now = dict(zip(fixed, base.x, strict=True))
         units = groups(self.candidates) if not clean(base) else ()
-        found = search(table.gram(fixed, now), min(room, 2), units, paired=60)
+        found = search(table.gram(fixed, now), room, units, deepest=2, paired=60)
         need = max(0.7 * MARGIN, 0.5 * SHARE * np.sqrt(base.excess))
         self._run(_alone(found[1]), 3, base, need=need)
         self._run(_with_group(found[1]), 2, base, need=need)
         if room > 1 and not clean(base):
-            self._run(_alone(found[2]), 2, base, need=need)
+            self._run(_alone(found.get(2, [])), 2, base, need=need)
 
     def _exchange(self, table: "_Table", base: Fit, unit: tuple[int, ...]) -> None:
         """Try others in the place of one unit of a fit."""
         rest = [k for k in range(len(base.members)) if k not in unit]
-        kept = _subset(base, rest)
-        fixed = [self.candidates.index(c) for c in kept[0]]
-        now = dict(zip(fixed, kept[1], strict=True))
+        members, x = _subset(base, rest)
+        fixed = [self.candidates.index(c) for c in members]
+        now = dict(zip(fixed, x, strict=True))
         without = table.without([base.members[k] for k in unit], [base.x[k] for k in unit])
         many = len(units_of(base)) < 3 and not clean(base)
         units = groups(self.candidates) if not clean(base) else ()
-        found = search(without.gram(fixed, now), 2 if many else 1, units, paired=60)
+        room = self.most - base.size + base.members[unit[0]].effect.weight
+        deepest = 2 if many else 1
+        found = search(without.gram(fixed, now), room, units, deepest=deepest, paired=60)
         self._run(_alone(found[1]), 2 if clean(base) else 3, base, rest)
         self._run(_with_group(found[1]), 1, base, rest)
         if many:
-            self._run(_alone(found[2]), 1, base, rest)
+            self._run(_alone(found.get(2, [])), 1, base, rest)
 
     def _drop(self, base: Fit, unit: tuple[int, ...]) -> None:
         sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
         for out in sets:
             rest = [k for k in range(len(base.members)) if k not in out]
-            members, x, labels = _subset(base, rest)
-            self.fit(members, x, labels=labels, start=base.start, again=True)
+            self.fit(*_subset(base, rest), start=base.start, again=True)
 
     def _run(
         self,
@@ -191,7 +191,7 @@ class Search:
         """Fit the best of the scored sets, on top of the kept members of a fit."""
         seen: set[frozenset[tuple[str, str]]] = set()
         dof = self.prepared.problem.dof
-        held: tuple[Sequence[Candidate], Sequence[np.ndarray], Sequence[str | None]] = ((), (), ())
+        held: tuple[Sequence[Candidate], Sequence[np.ndarray]] = ((), ())
         if base is not None:
             held = _subset(base, range(len(base.members)) if kept is None else kept)
         for s in scored:
@@ -205,11 +205,9 @@ class Search:
             if clashes([*held[0], *members]):
                 continue
             x = np.split(s.x, np.cumsum([c.size for c in members])[:-1])
-            labels = [u.group for u in s.units for _ in u.members]
             self.fit(
                 (*held[0], *members),
                 (*held[1], *x),
-                labels=(*held[2], *labels),
                 start=base.start if base is not None else None,
             )
 
@@ -321,7 +319,7 @@ def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
     new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
     for f in ranked(search.fits.values(), search.prior)[:count]:
         if f.members:
-            new.fit(f.members, f.x, labels=f.groups, guess=f.hypothesis)
+            new.fit(f.members, f.x, guess=f.hypothesis)
     return new
 
 
@@ -338,22 +336,25 @@ def stripped(search: Search) -> None:
             weakest = int(np.argmin(f.unique))
             if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
                 rest = [k for k in range(len(f.members)) if k != weakest]
-                members, x, labels = _subset(f, rest)
-                search.fit(members, x, labels=labels, start=f.start, again=True)
+                search.fit(*_subset(f, rest), start=f.start, again=True)
         if len(search.fits) == before:
             return
 
 
-def _simplified(search: Search, f: Fit) -> None:
+def _simplified(search: Search, f: Fit, effort: Effort | None = None) -> None:
+    """Fit a set with the simpler effect in the place of each that contains one."""
     for k, c in enumerate(f.members):
-        if c.effect.nested is None or f.unique[k] >= 1.0:
-            continue
-        plain = [d for d in search.candidates if d.key == (c.effect.nested, c.site.name)]
-        if plain:
-            members = (*f.members[:k], plain[0], *f.members[k + 1 :])
+        plain = _plainer(search, c) if f.unique[k] < 1.0 or effort else None
+        if plain is not None:
+            members = (*f.members[:k], plain, *f.members[k + 1 :])
             x = (*f.x[:k], f.x[k][1:], *f.x[k + 1 :])
             if not clashes(members):
-                search.fit(members, x, labels=f.groups, start=f.start)
+                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=effort)
+
+
+def _plainer(search: Search, c: Candidate) -> Candidate | None:
+    wanted = (c.effect.nested, c.site.name)
+    return next((d for d in search.candidates if d.key == wanted), None)
 
 
 def eliminate(search: Search, steps: int = 14) -> None:
@@ -364,17 +365,18 @@ def eliminate(search: Search, steps: int = 14) -> None:
             weak = [k for k, u in enumerate(f.unique) if u < need]
             if not weak:
                 return
-            rest = _without_weak(f, weak)
-            members, x, labels = _subset(f, rest)
-            if set_key(members) in search.fits:
-                continue
-            search.fit(members, x, labels=labels, start=f.start, effort=_FINAL)
-            break
+            before = len(search.fits)
+            _simplified(search, f, FINAL)
+            members, x = _subset(f, _without_weak(f, weak))
+            if set_key(members) not in search.fits:
+                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+            if len(search.fits) > before:
+                break
         else:
             return
 
 
-_FINAL = Effort(iterations=5, gain=1.0, final=True)
+FINAL = Effort(iterations=5, gain=1.0, final=True)
 
 
 def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
@@ -384,25 +386,17 @@ def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
     return [k for k in range(len(f.members)) if k not in out]
 
 
-def regrouped(
-    members: Sequence[Candidate], labels: Sequence[str | None], candidates: Sequence[Candidate]
+def grouped_labels(
+    members: Sequence[Candidate], candidates: Sequence[Candidate]
 ) -> tuple[str | None, ...]:
-    """Return labels; a group stays one with at least two members and half of its sites."""
+    """Return the effect of each member's group: found on at least two, and half, of its sites."""
     sites = {u.group: len(u.members) for u in groups(candidates)}
-    size = {g: sum(label == g for label in labels) for g in labels}
-    return tuple(
-        g if g is not None and size[g] >= max(2.0, 0.5 * sites.get(g, 0)) else None for g in labels
-    )
+    held = [c.effect.id for c in members]
+    return tuple(e if held.count(e) >= max(2.0, 0.5 * sites.get(e, np.inf)) else None for e in held)
 
 
-def _subset(
-    fit: Fit, keep: Sequence[int]
-) -> tuple[tuple[Candidate, ...], tuple[np.ndarray, ...], tuple[str | None, ...]]:
-    return (
-        tuple(fit.members[k] for k in keep),
-        tuple(fit.x[k] for k in keep),
-        tuple(fit.groups[k] for k in keep),
-    )
+def _subset(fit: Fit, keep: Sequence[int]) -> tuple[tuple[Candidate, ...], tuple[np.ndarray, ...]]:
+    return tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
 
 
 def _alone(scored: Sequence[Scored]) -> list[Scored]:

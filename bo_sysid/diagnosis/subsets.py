@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from bo_sysid.diagnosis.hypothesis import Candidate
 
 PAIRED, TRIPLED = 170, 60  # how many units are combined in twos and in threes
+_BESIDE_GROUPS = 20  # single candidates tried beside two groups
 _PER_SITE = 3  # variants of one effect at one site that are combined
 _DEAD = 1e-3  # of a column's square that projection must leave
 _SILENT = 3.0  # [sigma, over all observations] that a candidate must be able to move
@@ -167,29 +168,35 @@ def groups(candidates: Sequence[Candidate]) -> tuple[Unit, ...]:
 
 
 def search(
-    table: Gram, most: int, grouped: Sequence[Unit] = (), paired: int = PAIRED
+    table: Gram,
+    most: int,
+    grouped: Sequence[Unit] = (),
+    *,
+    deepest: int = 3,
+    paired: int = PAIRED,
 ) -> dict[int, list[Scored]]:
     """Score singles, then sets of two and three of the promising ones, best first.
 
     Args:
         table: the inner products.
-        most: largest set.
+        most: how many effects a set may count as.
         grouped: groups to consider beside the single candidates.
+        deepest: most units in a set.
         paired: how many candidates are combined in twos.
 
     Returns:
         The scored sets by size.
     """
-    living = table.living()
+    living = [i for i in table.living() if table.candidates[i].effect.weight <= most]
     singles = table.score([(Unit((i,)),) for i in living])
     whole = [_within_bounds(table, u) for u in grouped]
     some = table.score([(u,) for u in whole if u is not None])
     found = {1: _ranked(singles + some)}
-    if most < 2:
+    if min(most, deepest) < 2:
         return found
     units = _promising(table, found[1], living, paired) + [s.units[0] for s in some]
-    found[2] = _ranked(table.score(_combined(table, units, 2)))
-    if most < 3:
+    found[2] = _ranked(table.score(_combined(table, units, 2, most)))
+    if min(most, deepest) < 3:
         return found
     best: dict[Unit, float] = {}
     for s in found[2]:
@@ -199,9 +206,9 @@ def search(
     loners = [u for u in leaders if u.group is None][:TRIPLED]
     found[3] = _ranked(
         table.score(
-            _combined(table, loners, 3)
-            + _combined(table, [u for u in leaders if u.group is not None], 3)
-            + _mixed(table, [u for u in leaders if u.group is not None], loners)
+            _combined(table, loners, 3, most)
+            + _combined(table, [u for u in leaders if u.group is not None], 3, most)
+            + _mixed(table, [u for u in leaders if u.group is not None], loners, most)
         )
     )
     return found
@@ -233,18 +240,39 @@ def _promising(
     return [Unit((i,)) for i in (keep + rest)[:most]]
 
 
-def _combined(table: Gram, units: Sequence[Unit], size: int) -> list[tuple[Unit, ...]]:
-    return [s for s in combinations(units, size) if not _clash(table, s)]
+def _combined(table: Gram, units: Sequence[Unit], size: int, most: int) -> list[tuple[Unit, ...]]:
+    """Return the sets of `size` units that do not clash and count as at most `most`."""
+    index = np.array(list(combinations(range(len(units)), size)), int).reshape(-1, size)
+    weight = np.array([table.candidates[u.members[0]].effect.weight for u in units])
+    clash = _clash_matrix(table, units)
+    good = weight[index].sum(axis=1) <= most
+    for i, j in combinations(range(size), 2):
+        good &= ~clash[index[:, i], index[:, j]]
+    return [tuple(units[i] for i in row) for row in index[good].tolist()]
 
 
-def _mixed(table: Gram, grouped: Sequence[Unit], singles: Sequence[Unit]) -> list[tuple[Unit, ...]]:
+def _mixed(
+    table: Gram, grouped: Sequence[Unit], singles: Sequence[Unit], most: int
+) -> list[tuple[Unit, ...]]:
     """Return two groups with one single candidate."""
-    sets = [(*pair, s) for pair in combinations(grouped, 2) for s in singles[:20]]
-    return [s for s in sets if not _clash(table, s)]
+    held = [*grouped, *singles[:_BESIDE_GROUPS]]
+    sets = _combined(table, held, 3, most)
+    return [s for s in sets if sum(u.group is not None for u in s) == 2]
 
 
-def _clash(table: Gram, units: Sequence[Unit]) -> bool:
-    return clashes(table.candidates[i] for u in units for i in u.members)
+def _clash_matrix(table: Gram, units: Sequence[Unit]) -> Bool[np.ndarray, "u u"]:
+    """Return which units name one effect at one site, or an effect and one that contains it."""
+    keys: list[set[tuple[str, str]]] = []
+    within: list[set[tuple[str, str]]] = []
+    for u in units:
+        held = [table.candidates[i] for i in u.members]
+        keys.append({c.key for c in held})
+        within.append({(c.effect.nested, c.site.name) for c in held if c.effect.nested})
+    out = np.zeros((len(units), len(units)), bool)
+    for i, j in combinations(range(len(units)), 2):
+        clash = keys[i] & keys[j] or within[i] & keys[j] or within[j] & keys[i]
+        out[i, j] = out[j, i] = bool(clash)
+    return out
 
 
 def _within_bounds(table: Gram, unit: Unit) -> Unit | None:

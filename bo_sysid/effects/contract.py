@@ -189,6 +189,10 @@ class Effect:
         nominal: the quantity that the effect changes, as the model has it.
         family: which verdict a finding leads to.
         grouped: whether it can be missing on all sites at once, each with its own magnitude.
+        weight: how many effects it counts as: a refinement, such as a difference between
+            directions, counts as two.
+        prior: relative prior probability; below 1 for an effect that recordings can hardly tell
+            from a more common one, so that the common name is answered and this one beside it.
         threshold: whether it acts beyond a threshold only, so that a fit must begin at a point of
             the grid and not at the linear estimate.
         nested: id of the simpler effect that remains where the first component is 0, if any.
@@ -215,6 +219,8 @@ class Effect:
     nominal: Callable[[Site, Machine], float] = lambda site, machine: 0.0
     family: Family = "physics"
     grouped: bool = False
+    weight: int = 1
+    prior: float = 1.0
     threshold: bool = False
     nested: str | None = None
     force: Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]] | None = None

@@ -214,6 +214,7 @@ def _friction_difference(site: Site, x: Magnitudes, machine: Machine) -> Callabl
 
 @effect(
     "asymmetric_friction",
+    weight=2,
     kind="joint",
     components=(Component("difference", "N m"),),
     extent=_asymmetric_friction_extent,
@@ -241,6 +242,7 @@ def _damping_difference(site: Site, x: Magnitudes, machine: Machine) -> Callable
 
 @effect(
     "asymmetric_damping",
+    weight=2,
     kind="joint",
     components=(Component("difference", "N m s/rad"),),
     extent=_asymmetric_damping_extent,
