@@ -80,18 +80,21 @@ def test_spread_is_that_of_the_estimator():
 
 
 def test_interval_covers_the_truth_at_its_rate():
-    """Linear-Gaussian recordings: a 90 % interval holds the truth in 81 to 97 % of 150 cases."""
+    """Linear-Gaussian recordings: of 300 intervals of 90 % between 85 and 95 % hold the truth.
+
+    The hyperparameters are those of the first case; P_boot takes nothing else from the surrogate.
+    """
     rng = np.random.default_rng(0)
+    surrogate = surrogate_of(*location_problem(rng, 0.0))
     covered = 0
-    for _ in range(150):
+    for _ in range(300):
         truth = rng.uniform(-0.2, 0.2)
         candidates, rows, contributions, weights = location_problem(rng, truth)
-        surrogate = surrogate_of(candidates, rows, contributions, weights)
-        belief = bootstrap_argmin(surrogate, candidates, rows, contributions, weights, samples=512)
+        belief = bootstrap_argmin(surrogate, candidates, rows, contributions, weights, samples=400)
         low, high = credible_interval(candidates, belief.probabilities, 0.9)[:, 0]
         half = 0.5 * (candidates[1, 0] - candidates[0, 0])
         covered += low - half <= truth <= high + half
-    assert 0.81 <= covered / 150 <= 0.97
+    assert 0.85 <= covered / 300 <= 0.95
 
 
 def test_belief_narrows_where_bootstrap_does_not():

@@ -8,19 +8,24 @@ References:
     Hennig & Schuler (2012), Entropy search for information-efficient global optimization.
 """
 
+from collections.abc import Callable
+
 import torch
 from botorch.models.model import Model
+from scipy.special import xlogy
 from torch import Tensor
 
 from bo_sysid.acquisition.context import SelectionContext
-from bo_sysid.acquisition.rows import RowAcquisition
+from bo_sysid.acquisition.rows import RowAcquisition, Values, fantasised
+from bo_sysid.arrays import Rows
 
 
 class ArgminEntropyContribution(RowAcquisition):
     """`−P log P` over a discrete set, in nats.
 
     P is a property of the whole set, so it is computed once, here, and `forward` looks it up.
-    Pending rows have the value -inf: their contribution will be resolved by their evaluation.
+    Pending rows have the value -inf: their contribution will be resolved by their evaluation. What
+    they do to the contributions of the others is told by `pending`.
     """
 
     def __init__(
@@ -29,6 +34,7 @@ class ArgminEntropyContribution(RowAcquisition):
         candidates: Tensor,
         probabilities: Tensor | None = None,
         samples: int = 1024,
+        pending: Callable[[Rows], Tensor] | None = None,
     ) -> None:
         """Compute the values.
 
@@ -38,6 +44,8 @@ class ArgminEntropyContribution(RowAcquisition):
             probabilities: `N` values of P; by default counted in joint samples of the model's
                 posterior over all candidates at once.
             samples: number of joint samples.
+            pending: returns the `N` values while rows of B are pending; by default they do not
+                change.
         """
         if probabilities is None:
             if model is None:
@@ -48,7 +56,8 @@ class ArgminEntropyContribution(RowAcquisition):
                 f"probabilities {tuple(probabilities.shape)} do not belong to candidates "
                 f"{tuple(candidates.shape)}"
             )
-        super().__init__(candidates, -torch.xlogy(probabilities, probabilities), model)
+        values = -torch.xlogy(probabilities, probabilities)
+        super().__init__(candidates, values, model, pending)
 
 
 def _count_minima(model: Model, candidates: Tensor, samples: int) -> Tensor:
@@ -60,7 +69,17 @@ def _count_minima(model: Model, candidates: Tensor, samples: int) -> Tensor:
     return shares.mean(dim=0)
 
 
+def table(context: SelectionContext) -> Values:
+    """Return `−P log P` of each candidate."""
+    P = context.belief.probabilities
+    return -xlogy(P, P)
+
+
 def build(context: SelectionContext) -> ArgminEntropyContribution:
     """Return the acquisition for the belief of the context."""
-    probabilities = torch.tensor(context.belief.probabilities)
-    return ArgminEntropyContribution(None, context.choices, probabilities)
+    return ArgminEntropyContribution(
+        None,
+        context.choices,
+        torch.tensor(context.belief.probabilities),
+        pending=fantasised(context, table),
+    )

@@ -5,9 +5,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.arrays import Points, Rows
-from bo_sysid.belief.argmin import ArgminBelief
+from bo_sysid.belief.argmin import ArgminBelief, argmin_probability, evaluated_rows
+from bo_sysid.belief.joint import posterior_moments
 from bo_sysid.belief.surrogate import Surrogate
 
 if TYPE_CHECKING:
@@ -45,6 +47,39 @@ class SelectionContext:
         import torch
 
         return torch.tensor(self.candidates, dtype=torch.float64)
+
+    def moments(self) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, "M N"]]:
+        """Return mean and standard deviation of log Δ of each member at the candidates."""
+        surrogate = self.surrogate
+        x = surrogate.unit(self.candidates)
+        values = surrogate.standardise(surrogate.log_deviations)
+        known, known_values = evaluated_rows(surrogate, self.candidates)
+        found = [
+            posterior_moments(member, x, values, known, known_values)
+            for member in surrogate.members
+        ]
+        mean = surrogate.shift + surrogate.scale * np.array([m.mean for m in found])
+        return mean, surrogate.scale * np.sqrt([m.variance for m in found])
+
+    def after(self, rows: Rows, seed: int) -> "SelectionContext":
+        """Return the context as it may be once pending rows have been evaluated.
+
+        Their log Δ is drawn from the joint posterior (a fantasy), the surrogate is conditioned on
+        it and the belief computed again.
+        """
+        points = self.candidates[rows]
+        rng = np.random.default_rng((self.seed, seed, len(self.evaluated)))
+        member = self.surrogate.members[
+            rng.choice(len(self.surrogate.members), p=self.surrogate.weights)
+        ]
+        values = self.surrogate.standardise(self.surrogate.log_deviations)
+        draw = member.draw(self.surrogate.unit(points), values, rng)
+        surrogate = self.surrogate.conditioned(
+            points, self.surrogate.shift + self.surrogate.scale * draw
+        )
+        belief = argmin_probability(surrogate, self.candidates, seed=self.seed)
+        evaluated = np.append(self.evaluated, rows)
+        return SelectionContext(surrogate, belief, self.candidates, evaluated, self.seed)
 
     def generator(self) -> np.random.Generator:
         """Return the random generator of this step of the search."""

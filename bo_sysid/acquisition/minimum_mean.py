@@ -1,12 +1,17 @@
 """The candidate whose expected log Δ is least, `α(β) = −E[log Δ(β)]`."""
 
-import torch
+import numpy as np
 
 from bo_sysid.acquisition.context import SelectionContext
-from bo_sysid.acquisition.rows import RowAcquisition
+from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
+
+
+def table(context: SelectionContext) -> Values:
+    """Return minus the mean of log Δ over the ensemble."""
+    mean, _ = context.moments()
+    return np.asarray(-context.surrogate.weights @ mean)
 
 
 def build(context: SelectionContext) -> RowAcquisition:
     """Return the acquisition for the surrogate of the context."""
-    mean, _ = context.surrogate.moments(context.candidates)
-    return RowAcquisition(context.choices, -torch.tensor(mean))
+    return from_table(context, table)

@@ -15,10 +15,16 @@ Factory = Callable[[SelectionContext], "AcquisitionFunction"]
 # name -> module; its `build` makes the acquisition. Imported on use: torch takes seconds to load.
 _BUILT_IN = {
     "argmin-entropy": "argmin_entropy",
+    "entropy-reduction": "entropy_reduction",
+    "full-grid": "full_grid",
     "greedy": "greedy",
+    "knowledge-gradient": "knowledge_gradient",
+    "log-expected-improvement": "log_expected_improvement",
+    "max-value-entropy": "max_value_entropy",
     "minimum-mean": "minimum_mean",
     "random": "random_order",
     "sobol": "sobol_order",
+    "thompson": "thompson",
 }
 _ADDED: dict[str, Factory] = {}
 

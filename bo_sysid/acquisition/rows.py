@@ -1,16 +1,24 @@
 """Acquisitions over a discrete set: values by row, and the choice of the best row."""
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 import torch
 from botorch.acquisition import AcquisitionFunction
 from botorch.models.model import Model
 from botorch.optim import optimize_acqf_discrete
 from botorch.utils.transforms import t_batch_mode_transform
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from bo_sysid.acquisition.context import SelectionContext
 from bo_sysid.arrays import Points, Rows
 from bo_sysid.belief.rows import RowIndex
+
+Values: TypeAlias = Float[np.ndarray, " N"]
+
+FANTASIES = 4  # outcomes of pending evaluations that are averaged over
 
 
 class RowAcquisition(AcquisitionFunction):
@@ -20,19 +28,38 @@ class RowAcquisition(AcquisitionFunction):
     candidates, not the result of a transform. Pending rows have the value -inf.
     """
 
-    def __init__(self, candidates: Tensor, values: Tensor, model: Model | None = None) -> None:
+    def __init__(
+        self,
+        candidates: Tensor,
+        values: Tensor,
+        model: Model | None = None,
+        pending: Callable[[Rows], Tensor] | None = None,
+    ) -> None:
         """Keep the table.
 
         Args:
             candidates: `N x d`, the set B.
             values: `N` values of the acquisition.
             model: the model behind the values, where there is one.
+            pending: returns the `N` values while rows of B are pending; by default `values`.
         """
         super().__init__(model=model)
         self.register_buffer("candidates", candidates)
         self.register_buffer("values", values.to(candidates))
         self._index = RowIndex.of(candidates.detach().cpu().double().numpy())
+        self._pending = pending
         self.set_X_pending(None)
+
+    def set_X_pending(self, X_pending: Tensor | None = None) -> None:  # noqa: N802 - BoTorch's name
+        """Take note of points `m x d` that are being evaluated; None for none."""
+        super().set_X_pending(X_pending)
+        self._present = self.values
+        if self.X_pending is None:
+            return
+        rows = self.rows(self.X_pending)
+        if self._pending is not None:
+            self._present = self._pending(rows.cpu().numpy()).to(self.values)
+        self._present = self._present.index_fill(0, rows, -torch.inf)
 
     def rows(self, X: Tensor) -> Tensor:
         """Return the rows of B that the points `... x d` are.
@@ -52,12 +79,28 @@ class RowAcquisition(AcquisitionFunction):
     @t_batch_mode_transform(expected_q=1, assert_output_shape=False)  # type: ignore[untyped-decorator]
     def forward(self, X: Tensor) -> Tensor:
         """Return the values of rows of B: `b x 1 x d` → `b`."""
-        values = self.values
-        if self.X_pending is not None:
-            values = values.clone()
-            values[self.rows(self.X_pending)] = -torch.inf
-        found: Tensor = values[self.rows(X).squeeze(-1)]
+        found: Tensor = self._present[self.rows(X).squeeze(-1)]
         return found
+
+
+def fantasised(
+    context: SelectionContext, table: Callable[[SelectionContext], Values]
+) -> Callable[[Rows], Tensor]:
+    """Return what gives the table while rows are pending: its mean over what they may turn out."""
+
+    def pending(rows: Rows) -> Tensor:
+        tables = [table(context.after(rows, seed)) for seed in range(FANTASIES)]
+        return torch.tensor(np.mean(tables, axis=0))
+
+    return pending
+
+
+def from_table(
+    context: SelectionContext, table: Callable[[SelectionContext], Values]
+) -> RowAcquisition:
+    """Return the acquisition whose values at all rows follow from the context."""
+    values = torch.tensor(table(context))
+    return RowAcquisition(context.choices, values, pending=fantasised(context, table))
 
 
 def pick(acquisition: AcquisitionFunction, candidates: Points, excluded: Rows) -> int:

@@ -1,12 +1,13 @@
 """The belief: the probability of each candidate to be the arg-min of Δ over B."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Points, Probabilities
-from bo_sysid.belief.joint import contest
+from bo_sysid.belief.joint import Contest, contest
 from bo_sysid.belief.rows import RowIndex
 from bo_sysid.belief.surrogate import Surrogate
 
@@ -76,6 +77,16 @@ def evaluated_rows(
     return rows[keep], surrogate.standardise(surrogate.log_deviations)[place[keep]]
 
 
+def contests(surrogate: Surrogate, candidates: Points, seed: int = 0) -> Iterator[Contest]:
+    """Yield the joint posterior of each member over the candidates that may be the arg-min."""
+    x = surrogate.unit(candidates)
+    values = surrogate.standardise(surrogate.log_deviations)
+    known, known_values = evaluated_rows(surrogate, candidates)
+    for number, member in enumerate(surrogate.members):
+        rng = np.random.default_rng((seed, number))
+        yield contest(member, x, values, known, known_values, rng)
+
+
 def allot(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:
     """Return how many of `samples` each member gets, in proportion to its weight."""
     edges = np.round(np.cumsum(weights) / weights.sum() * samples).astype(int)
@@ -86,20 +97,17 @@ def _distinct(
     surrogate: Surrogate, candidates: Points, samples: int, seed: int
 ) -> tuple[Probabilities, float, bool]:
     """Return P over distinct candidates, the bound on the mass lost, and whether P is exact."""
-    x = surrogate.unit(candidates)
-    values = surrogate.standardise(surrogate.log_deviations)
-    known, known_values = evaluated_rows(surrogate, candidates)
-    counts, lost, exact = np.zeros(len(x)), 0.0, True
+    counts, lost, exact = np.zeros(len(candidates)), 0.0, True
     shares = allot(surrogate.weights, samples)
-    for number, (member, share) in enumerate(zip(surrogate.members, shares, strict=True)):
-        rng = np.random.default_rng((seed, number))
-        field = contest(member, x, values, known, known_values, rng)
+    fields = contests(surrogate, candidates, seed)
+    for number, (field, share) in enumerate(zip(fields, shares, strict=True)):
+        rng = np.random.default_rng((seed, number, 1))
         lost += field.lost * share / samples
         exact &= field.exact
         step = 2 * max(1, CELLS // max(len(field.rows), 1))
         for start in range(0, share, step):
             size = min(step, share - start)
             noise = rng.standard_normal(((size + 1) // 2, len(field.factor))) @ field.factor
-            counts += field.tally(field.mean + noise, len(x))
-            counts += field.tally(field.mean - noise[: size // 2], len(x))
+            counts += field.tally(field.mean + noise, len(counts))
+            counts += field.tally(field.mean - noise[: size // 2], len(counts))
     return counts / counts.sum(), lost, exact

@@ -151,8 +151,8 @@ def _open_rows(
 ) -> tuple[Int[np.ndarray, " s"], float]:
     """Return the uncertain rows that may be an arg-min, and a bound on the mass of the others.
 
-    In each bootstrap a candidate is the arg-min only if it is below the best evaluated candidate or,
-    where none is known in this set, below a level that the minimum almost surely does not exceed.
+    In each bootstrap a candidate is the arg-min only if it is below the best evaluated candidate
+    or, where none is known in this set, below a level that the minimum hardly ever exceeds.
     """
     uncertain = np.setdiff1d(np.arange(len(x)), known_rows)
     blocks = [uncertain[i : i + CHUNK] for i in range(0, len(uncertain), CHUNK)]

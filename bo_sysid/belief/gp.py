@@ -11,7 +11,7 @@ References:
     5.9, algorithm 2.1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -133,6 +133,26 @@ class Conditional:
     points: Float[np.ndarray, "n d"]
     chol: Float[np.ndarray, "n n"]
 
+    def extended(
+        self, x: Float[np.ndarray, "k d"], noise: Float[np.ndarray, " k"]
+    ) -> "Conditional":
+        """Return the process conditioned on values at further points `x` as well."""
+        V = self.whitened(x)
+        corner = np.linalg.cholesky(self.covariance(x, x) - V.T @ V + np.diag(noise))
+        n, k = V.shape
+        chol = np.zeros((n + k, n + k))
+        chol[:n, :n], chol[n:, :n], chol[n:, n:] = self.chol, V.T, corner
+        return replace(self, points=np.concatenate([self.points, x]), chol=chol)
+
+    def rescaled(self, shift: float, scale: float) -> "Conditional":
+        """Return the process of `shift + scale · y`."""
+        return replace(
+            self,
+            outputscale=self.outputscale * scale**2,
+            mean=shift + scale * self.mean,
+            chol=self.chol * scale,
+        )
+
     def covariance(
         self, a: Float[np.ndarray, "m d"], b: Float[np.ndarray, "k d"]
     ) -> Float[np.ndarray, "m k"]:
@@ -153,6 +173,19 @@ class Conditional:
         return np.asarray(
             solve_triangular(self.chol, values - self.mean, lower=True, check_finite=False)
         )
+
+    def draw(
+        self,
+        x: Float[np.ndarray, "m d"],
+        values: Float[np.ndarray, " n"],
+        rng: np.random.Generator,
+    ) -> Float[np.ndarray, " m"]:
+        """Return one joint posterior sample at `x`, given the values at the points."""
+        V = self.whitened(x)
+        covariance = self.covariance(x, x) - V.T @ V
+        eigenvalues, vectors = np.linalg.eigh(covariance)
+        noise = vectors @ (np.sqrt(np.maximum(eigenvalues, 0.0)) * rng.standard_normal(len(x)))
+        return np.asarray(self.mean + self.residual(values) @ V + noise)
 
     def variance(self, V: Float[np.ndarray, "n m"]) -> Float[np.ndarray, " m"]:
         """Return the posterior variances at the points whose whitened covariances are `V`."""

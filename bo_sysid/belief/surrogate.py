@@ -1,6 +1,6 @@
 """The Gaussian-process surrogate of log Δ over B, averaged over its hyperparameters."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -74,6 +74,43 @@ class Surrogate:
         spread = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
         return self.shift + self.scale * mean, self.scale**2 * spread
 
+    def only(self, member: int) -> "Surrogate":
+        """Return the surrogate of one member alone."""
+        return replace(self, members=(self.members[member],), weights=np.ones(1))
+
+    def conditioned(self, points: Points, log_deviations: Float[np.ndarray, " k"]) -> "Surrogate":
+        """Return the surrogate that would know log Δ at further points, without a new fit.
+
+        The processes stay what they are in units of log Δ; members are weighed by how well they had
+        predicted the new values.
+
+        Args:
+            points: `k x d` parameter vectors, none of them evaluated before.
+            log_deviations: `k` values of log Δ there.
+        """
+        x, k = self.unit(points), len(points)
+        y = np.append(self.log_deviations, log_deviations)
+        shift, scale = _standard(y)
+        noise = np.append(self.noise, np.full(k, self.noise.min()))
+        members, evidence = [], []
+        for member in self.members:
+            grown = member.extended(x, noise[-k:])
+            tail = grown.residual(self.standardise(y))[-k:]
+            evidence.append(-0.5 * tail @ tail - np.log(np.diag(grown.chol)[-k:]).sum())
+            members.append(grown.rescaled((self.shift - shift) / scale, self.scale / scale))
+        weights = self.weights * np.exp(np.array(evidence) - max(evidence))
+        return replace(
+            self,
+            points=np.concatenate([self.points, points]),
+            log_deviations=y,
+            variance=None if self.variance is None else np.append(self.variance, np.zeros(k)),
+            noise=noise * (self.scale / scale) ** 2,
+            shift=shift,
+            scale=scale,
+            members=tuple(members),
+            weights=weights / weights.sum(),
+        )
+
     @cached_property
     def models(self) -> "tuple[SingleTaskGP, ...]":
         """The members as BoTorch models of log Δ over B's own units, in float64."""
@@ -126,8 +163,7 @@ def fit_surrogate(
     points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
     _check(points, deviations, bounds, variance)
     y = log_deviation(deviations)
-    spread = float(y.std(ddof=1)) if len(y) > 1 else 1.0
-    shift, scale = float(y.mean()), spread if spread > 1e-8 else 1.0
+    shift, scale = _standard(y)
     x = (points - bounds[0]) / (bounds[1] - bounds[0])
     raw = np.zeros_like(y) if variance is None else np.asarray(variance, dtype=float)
     noise = np.maximum(raw, NOISE * max(1.0, scale**2)) / scale**2
@@ -142,6 +178,12 @@ def fit_surrogate(
         evidence = next(e for e in evidences if e.kernel == draw.kernel)
         ensemble.append(condition(evidence, draw.theta, x, rng))
     return Surrogate(points, y, variance, bounds, noise, shift, scale, tuple(ensemble), weights)
+
+
+def _standard(y: Deviations) -> tuple[float, float]:
+    """Return mean and standard deviation as BoTorch's `Standardize` takes them."""
+    spread = float(y.std(ddof=1)) if len(y) > 1 else 1.0
+    return float(y.mean()), spread if spread > 1e-8 else 1.0
 
 
 def default_prior(d: int) -> Prior:
