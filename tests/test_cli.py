@@ -173,7 +173,7 @@ def test_errors_have_exit_codes(
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("bo_sysid.study.check.check", fail)
+    monkeypatch.setattr("bo_sysid.checks.check.check", fail)
     found, _, err = say("check", "arm.yaml")
     assert found == code
     assert expected in err
@@ -183,7 +183,9 @@ def test_errors_have_exit_codes(
 def test_check_tells_what_fits_what(folder: Path, say: Say) -> None:
     code, out, err = say("check", "arm.yaml")
     assert (code, err) == (0, "")
-    rows = {line.split()[0]: line.split() for line in out.splitlines() if line.strip()}
+    rows: dict[str, list[str]] = {}
+    for line in filter(str.strip, out.splitlines()):
+        rows.setdefault(line.split()[0], line.split())
     expected = ["in", "the", "model", "1", "of", "1", "60", "10", "0", "0.975"]
     assert rows["qpos.hinge"][1:11] == expected
     assert "estimated from qpos" in " ".join(rows["qvel.hinge"])

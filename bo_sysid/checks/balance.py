@@ -2,7 +2,7 @@ r"""The balance of forces along recorded motion, without simulating and without 
 
 For each degree of freedom j, at each instant,
 
-    M a + bias - passive - constraint = g · actuators + b v + c tanh(v / v₀) + residual
+    M a + bias - passive - constraint = g · actuators - b v - c tanh(v / v₀) + residual
 
 where the left side is MuJoCo's inverse dynamics at the smoothed motion, and g (within 0.6 and
 1.67), b and c (not negative) stand for a wrong gain, viscous and dry friction: what is physics and
@@ -57,7 +57,7 @@ class Terms:
     @property
     def needed(self) -> Float[np.ndarray, "n nv"]:
         """The force that the recorded motion needs."""
-        return self.inertial + self.rest
+        return np.asarray(self.inertial + self.rest)
 
 
 class Dynamics:
@@ -166,7 +166,7 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
     """
     needed, count = terms.needed, len(actuated)
     columns = np.empty((count, 3, *needed.shape))
-    columns[:, 0], columns[:, 1], columns[:, 2] = actuated, terms.velocity, terms.dry
+    columns[:, 0], columns[:, 1], columns[:, 2] = actuated, -terms.velocity, -terms.dry
     gram = np.einsum("danj,dbnj->djab", columns, columns)
     right = np.einsum("danj,nj->dja", columns, needed)
     x = _bounded(gram, right)
@@ -179,7 +179,7 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
 def _bounded(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return the least-squares coefficients within their bounds, by coordinate descent.
 
-    The friction that a joint has opposes its motion: the force needed is larger, not smaller.
+    Friction that the model lacks takes from what the actuators give, and never adds to it.
     """
     low, high = (GAIN[0], 0.0, 0.0), (GAIN[1], np.inf, np.inf)
     x = np.zeros_like(right)

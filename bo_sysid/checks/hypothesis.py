@@ -10,9 +10,13 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
+from bo_sysid.simulation import Law, LawInputs
 
 _FLOOR = 1e-3  # what the model may leave unexplained of any balance
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+Laws = Mapping[str, tuple[Law, tuple[str, ...]]]
+"""By actuator, the law that computes its control and the channels that it reads."""
 
 Units = Sequence[tuple[str, float]]
 ANGLES: Units = (("deg", pi / 180), ("mrad", 1e-3), ("turn", 2 * pi), ("ticks", 2 * pi / 4096))
@@ -77,10 +81,14 @@ class Evidence:
         model: the compiled model, of hinges and slides.
         traces: of the recordings; channels that are not there are left out of every balance.
         most: number of instants to use.
+        laws: by actuator, the law that computes its control and the channels that it reads.
     """
 
-    def __init__(self, model: mujoco.MjModel, traces: Traces, most: int = 400) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, traces: Traces, most: int = 400, laws: Laws | None = None
+    ) -> None:
         self.traces = traces
+        self.laws = laws or {}
         self.dynamics = Dynamics(model)
         self.joints = [model.joint(j).name for j in range(model.njnt)]
         self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == _HINGE}
@@ -88,11 +96,12 @@ class Evidence:
         self._reference = np.array(model.qpos0)
         step = max(traces.count // most, 1)
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
-        self.recorded = {n for r in traces.recordings for n in r.channels}
-        self.inputs = {f"ctrl.{a}" for a in self.actuators if f"ctrl.{a}" in self.recorded}
-        self._driven = {f"ctrl.{n}": _joint_of(model, a) for a, n in enumerate(self.actuators)}
+        self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
+        self.inputs = {n for n in map(self._input, self.actuators) if n in self.recorded}
+        self._driven = {self._input(n): _joint_of(model, a) for a, n in enumerate(self.actuators)}
         self._servo = {
-            f"ctrl.{n}": bool(model.actuator_biasprm[a, 1]) for a, n in enumerate(self.actuators)
+            self._input(n): bool(model.actuator_biasprm[a, 1]) or n in self.laws
+            for a, n in enumerate(self.actuators)
         }
         self.weights = self._weights(model)
         self._terms: dict[tuple[Wire | None, ...], Terms] = {}
@@ -140,19 +149,45 @@ class Evidence:
         """Return the controls at the instants less a delay."""
         out = np.zeros((int(self.rows.sum()), len(self.actuators)))
         for k, name in enumerate(self.actuators):
-            wire = hypothesis.wires.get(f"ctrl.{name}")
-            if wire is not None:
-                raw = self.traces.column(wire.source, held=True, delay=delay)[self.rows]
-                out[:, k] = wire.sign * wire.scale * raw + wire.offset
+            if name in self.laws:
+                out[:, k] = self._computed(name, hypothesis, delay)
+            elif f"ctrl.{name}" in hypothesis.wires:
+                out[:, k] = self.value(hypothesis, f"ctrl.{name}", held=True, delay=delay)
         return out
 
     def value(
-        self, hypothesis: Hypothesis, name: str, *, held: bool = False
+        self, hypothesis: Hypothesis, name: str, *, held: bool = False, delay: float = 0.0
     ) -> Float[np.ndarray, " n"]:
         """Return a channel at the instants, as a hypothesis reads it."""
-        wire = hypothesis.wires[name]
-        raw = self.traces.column(wire.source, held=held)[self.rows]
-        return wire.sign * wire.scale * raw + wire.offset
+        wire = hypothesis.wires.get(name, Wire(name))
+        raw = self.traces.column(wire.source, held=held, delay=delay)[self.rows]
+        return np.asarray(wire.sign * wire.scale * raw + wire.offset)
+
+    def _computed(
+        self, actuator: str, hypothesis: Hypothesis, delay: float
+    ) -> Float[np.ndarray, " n"]:
+        """Return what a law makes of the smoothed channels, each instant by itself."""
+        law, uses = self.laws[actuator]
+        wires = self._measured(hypothesis)
+        qpos, qvel = self._motion(wires, 0).T, self._motion(wires, 1).T
+        zero = np.zeros(qpos.shape[1])
+        late = {n: delay if n == f"goal.{actuator}" else 0.0 for n in uses}
+        return np.asarray(
+            law(
+                LawInputs(
+                    zero,
+                    dict(zip(self.joints, qpos, strict=True)),
+                    dict(zip(self.joints, qvel, strict=True)),
+                    dict.fromkeys(self.actuators, zero),
+                    {n: self.value(hypothesis, n, held=True, delay=late[n]) for n in uses},
+                    float(self.dynamics.model.opt.timestep),
+                )
+            )
+        )
+
+    def _input(self, actuator: str) -> str:
+        """Return the channel that commands an actuator: its control, or its law's goal."""
+        return f"goal.{actuator}" if actuator in self.laws else f"ctrl.{actuator}"
 
     def driven(self, name: str) -> str:
         """Return the joint that the actuator of a control channel drives; empty where none."""
@@ -181,15 +216,16 @@ class Evidence:
     def _weights(self, model: mujoco.MjModel) -> Float[np.ndarray, " nv"]:
         """Return 1 for degrees of freedom with a balance: recorded, moving, all inputs known."""
         weights = np.zeros(model.nv)
-        driven = self.dynamics.terms(
-            *(np.zeros((1, model.nv)) + self._reference * (k == 0) for k in range(3))
-        ).moment[0]
+        still = np.zeros((1, model.nv))
+        terms = self.dynamics.terms(self._reference[None], still, still)
+        felt = (terms.moment * terms.gain[..., None])[0] != 0
         for k, joint in enumerate(self.joints):
             name = f"qpos.{joint}"
             if name not in self.recorded:
                 continue
             known = all(
-                f"ctrl.{a}" in self.inputs or not driven[i, k] for i, a in enumerate(self.actuators)
+                self._input(a) in self.inputs or a in self.laws or not felt[i, k]
+                for i, a in enumerate(self.actuators)
             )
             moved = float(self.traces.column(name, held=False).std())
             weights[k] = float(known and moved > 0)

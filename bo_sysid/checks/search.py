@@ -19,6 +19,7 @@ SUSPICIOUS = 0.08
 """J of a degree of freedom from which on its channels are doubted."""
 MARGIN = 0.8
 """Least gain of the score per fault."""
+_TIE = 0.05  # of the score, within which two hypotheses are alike
 _STEPS = (0.012, 0.002, 0.0003)  # [s] of the delays tried; a stiff servo tells 0.3 ms
 _REACH = 9  # steps to either side
 _DELAYS = tuple(_STEPS[0] * np.arange(-_REACH, _REACH + 1))
@@ -26,8 +27,13 @@ _BEAM = 3
 _MOST = 4  # faults at once
 
 
-def search(evidence: Evidence) -> Hypothesis:
-    """Return the hypothesis that the recordings support, with the fewest faults."""
+def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    """Return the hypothesis that the recordings support, with the fewest faults, and its twins.
+
+    Twins are others with as many faults that the recordings support as well: those of a machine
+    that is its own mirror image, for instance.
+    """
+    twins: tuple[Hypothesis, ...] = ()
     best = _timed(evidence, evidence.identity())
     seen = {best[1].key}
     beam = [best]
@@ -44,7 +50,8 @@ def search(evidence: Evidence) -> Hypothesis:
         if not beam or beam[0][0] > best[0]:
             break
         best = beam[0]
-    return _pruned(evidence, best)
+        twins = tuple(h for score, h in beam[1:] if score < best[0] + _TIE)
+    return _pruned(evidence, best), twins
 
 
 def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesis]:
@@ -56,7 +63,10 @@ def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesi
         k = int(np.argmin(scores))
         if scores[k] < best:
             best, delay = float(scores[k]), float(delays[k])
-    return best + MARGIN * len(hypothesis.causes), replace(hypothesis, delay=delay)
+    # a command's sign is likelier wrong than an encoder's, where both say the same
+    turned = sum(w.sign < 0 and n not in evidence.inputs for n, w in hypothesis.wires.items())
+    paid = MARGIN * len(hypothesis.causes) + 0.1 * _TIE * turned
+    return best + paid, replace(hypothesis, delay=delay)
 
 
 def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
@@ -89,7 +99,7 @@ def moves(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
 
 def _signs(h: Hypothesis) -> Iterator[Hypothesis]:
     for name, wire in h.wires.items():
-        turned = replace(wire, sign=-wire.sign, offset=-wire.offset)
+        turned = replace(wire, sign=-wire.sign, offset=0.0 - wire.offset)
         yield h.with_wires({name: turned}, f"sign of {name}")
 
 
@@ -123,8 +133,8 @@ def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
 
 def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
     """Yield exchanges of two channels of a kind, and the orders that the data propose."""
-    for kind in ("qpos", "ctrl"):
-        names = [n for n in h.wires if n.startswith(f"{kind}.")]
+    positions = [n for n in h.wires if n not in evidence.inputs]
+    for kind, names in (("qpos", positions), ("ctrl", sorted(evidence.inputs))):
         for a, b in combinations(names, 2):
             yield h.with_wires({a: h.wires[b], b: h.wires[a]}, f"order of {kind}")
     for kind, order in (("ctrl", _control_order(evidence, h)), ("qpos", _joint_order(evidence, h))):
@@ -134,7 +144,7 @@ def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
 
 def _control_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
     """Return the order of the controls that balances the degrees of freedom best."""
-    names = [n for n in h.wires if n.startswith("ctrl.") and evidence.driven(n)]
+    names = [n for n in h.wires if n in evidence.inputs and evidence.driven(n)]
     if len(names) < 3:
         return {}
     cost = np.empty((len(names), len(names)))
@@ -147,7 +157,7 @@ def _control_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
 
 def _joint_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
     """Return the order of the positions that follows the servos' goals best."""
-    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n.startswith("ctrl.")]
+    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n in evidence.inputs]
     pairs = [(q, u) for q, u in pairs if q in h.wires and evidence.servo(u)]
     if len(pairs) < 3:
         return {}
@@ -173,7 +183,7 @@ def _assigned(
 
 def _confusions(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
     """Yield exchanges of commands and positions, of one joint and of all."""
-    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n.startswith("ctrl.")]
+    pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n in evidence.inputs]
     pairs = [(q, u) for q, u in pairs if q in h.wires]
     groups = [[p] for p in pairs] + ([pairs] if len(pairs) > 1 else [])
     for group in groups:
@@ -213,7 +223,7 @@ def zero_groups(
     turn = [k * pi / 6 for k in range(-5, 7)]
     for joint in evidence.joints:
         position = f"qpos.{joint}"
-        servos = [n for n in h.wires if n.startswith("ctrl.") and evidence.servo(n)]
+        servos = [n for n in h.wires if n in evidence.inputs and evidence.servo(n)]
         servos = [n for n in servos if evidence.driven(n) == joint]
         if position not in h.wires:
             continue

@@ -1,13 +1,13 @@
 """What the wiring of a log comes to, in words."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.estimate import Estimate
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.hypothesis import Hypothesis, Wire
 from bo_sysid.checks.speeds import ALIKE
 
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
@@ -26,6 +26,20 @@ def wire_flags(wires: Mapping[str, Wire], balance: pd.DataFrame) -> list[Flag]:
         told = "; ".join(_told(n, wires[n], kind) for n in names)
         flags.append(Flag("wrong", kind, tuple(names), f"{what}: {told}. {support}"))
     return flags
+
+
+def twin_flags(twins: Sequence[Hypothesis]) -> list[Flag]:
+    """Return other faults that would explain the recordings as well."""
+    return [
+        Flag(
+            "look",
+            "sign",
+            (),
+            f"As well supported: {'; '.join(h.causes)}. These recordings cannot tell which; look "
+            "at the machine.",
+        )
+        for h in twins
+    ]
 
 
 def _support(balance: pd.DataFrame) -> str:

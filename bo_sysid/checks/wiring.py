@@ -10,10 +10,10 @@ import pandas as pd
 
 from bo_sysid.checks import estimate
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Wire
+from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
 from bo_sysid.checks.search import search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
-from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, wire_flags
+from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.checks.traces import Traces
 from bo_sysid.recording import Recording
 
@@ -21,9 +21,9 @@ _LATE = 2.5e-3  # [s] a delay below is not worth a word
 _SURE = 4.0  # standard deviations that a delay, and
 _SURE_ZERO = 6.0  # that a zero must differ from nothing
 _LEAST_ZERO = 0.015  # [rad] or [m]
-_LEAST_GAIN = 0.25  # of the score, that a zero must bring
+_LEAST_GAIN = 0.5  # of the score, that a zero must bring
 _FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
-_MOST = 1500
+_MOST, _LEAST = 1500, 60  # instants that are looked at
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,15 @@ class Wiring:
     flags: tuple[Flag, ...]
 
 
-def find_wiring(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Wiring:
+def find_wiring(
+    model: mujoco.MjModel, recordings: Sequence[Recording], laws: Laws | None = None
+) -> Wiring:
     """Find out what the channels of some recordings are.
 
     Args:
         model: the compiled nominal model; it is not changed.
         recordings: as read with the study's column rules.
+        laws: by actuator, the law that computes its control and the channels that it reads.
     """
     scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
@@ -58,10 +61,12 @@ def find_wiring(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Wirin
     if not all(int(t) in scalar for t in model.jnt_type) or not measured:
         return _untested("a joint is neither a hinge nor a slide, or none was recorded")
     traces = Traces(recordings, measured, _MOST)
-    coarse = Evidence(copy.copy(model), traces)
-    fine = Evidence(copy.copy(model), traces, _MOST)
+    if traces.count < _LEAST:
+        return _untested("the recordings are too short")
+    coarse = Evidence(copy.copy(model), traces, laws=laws)
+    fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()
-    found = search(coarse)
+    found, twins = search(coarse)
     found, late = _timed(fine, found)
     found = _zeroed(fine, found)
     found, late = _timed(fine, found)
@@ -87,7 +92,7 @@ def find_wiring(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Wirin
     )
     value = delay.value if certain else 0.0
     flags = [*wire_flags(wires, balance), *clock_flags(value, delay, late)]
-    flags += [*speed_flags(alike), *balance_flags(balance)]
+    flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
     return Wiring(wires, value, table, balance, tuple(flags))
 
 
@@ -107,7 +112,7 @@ def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, 
 
 def _telling(evidence: Evidence, control: str) -> bool:
     """Whether a control drives a joint whose balance is known."""
-    return bool(evidence.driven(control)) and evidence.weights[evidence.dof(control)] > 0
+    return bool(evidence.driven(control) and evidence.weights[evidence.dof(control)] > 0)
 
 
 def _common(late: Mapping[str, estimate.Estimate]) -> estimate.Estimate:

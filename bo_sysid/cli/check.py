@@ -1,19 +1,26 @@
-"""`bo-sysid check`: what model, recordings and parameters are, before anything is fitted."""
+"""`bo-sysid check`: what is wrong with a log, before anything is fitted."""
 
 import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bo_sysid.cli.common import Verbs, add_study, load_study
+from bo_sysid.cli.common import Verbs, add_out, add_study, load_study
+
+if TYPE_CHECKING:
+    from bo_sysid.checks.check import Checked
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "check",
-        help="match recordings and parameters with the model, without fitting",
-        description="Load the model and the recordings of a study and print how they fit together. "
-        "Nothing is fitted, nothing is written.",
+        help="wiring, clocks, excitation and what can be identified, without fitting",
+        description="Load the model and the recordings of a study and say how they fit together: "
+        "signs, units, order, zeros, clocks, excitation, what the recordings can say about the "
+        "parameters. Nothing is fitted; a folder is written only with --out.",
     )
     add_study(parser)
+    add_out(parser)
     parser.set_defaults(run=run)
 
 
@@ -21,7 +28,37 @@ def run(args: argparse.Namespace) -> None:
     """Check, and print what was found."""
     study = load_study(args)
 
-    from bo_sysid.report.text import check_text
-    from bo_sysid.study.check import check
+    from bo_sysid.checks.check import check
+    from bo_sysid.report.check_text import checked_text
 
-    print(check_text(check(study, strict=args.strict)))
+    found = check(study, strict=args.strict)
+    print(checked_text(found))
+    if args.out is None:
+        print("\n--out FOLDER writes the tables and a picture of each recording.")
+    else:
+        write(found, args.out)
+        print(f"\n{args.out}: the tables, and a picture of each recording.")
+
+
+def write(found: "Checked", folder: Path) -> None:
+    """Write what was found: the text, tables, the proposal and a picture of each recording."""
+    from bo_sysid.report.check_figures import recording_figure
+    from bo_sysid.report.check_text import checked_text
+    from bo_sysid.report.figures import save
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "check.txt").write_text(checked_text(found) + "\n", encoding="utf-8")
+    tables = {
+        "motion": found.motion,
+        "delays": found.wiring.delays,
+        "balance": found.wiring.balance,
+        "parameters": found.parameters,
+        "step": found.step,
+    }
+    for name, table in tables.items():
+        table.to_csv(folder / f"{name}.csv", index=False)
+    if found.proposal:
+        (folder / "recordings.yaml").write_text(found.proposal + "\n", encoding="utf-8")
+    flagged = {n for f in found.flags if f.level != "note" for n in f.channels}
+    for recording in found.recordings:
+        save(recording_figure(recording, flagged), folder / f"{recording.name}.png")

@@ -1,0 +1,179 @@
+"""All checks of a study, before anything is fitted."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.checks.flags import Flag
+from bo_sysid.checks.hypothesis import Laws
+from bo_sysid.checks.motion import channel_flags, excitation, excitation_flags, sampling_flags
+from bo_sysid.checks.numerics import contact_flags, step_effect, step_flags
+from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns
+from bo_sysid.checks.rewired import rewired
+from bo_sysid.checks.sensitivity import in_words, information
+from bo_sysid.checks.wiring import Wiring, find_wiring
+from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording, sensor_noise
+from bo_sysid.simulation import Controller, Engine, MujocoSimulator, Windows, cut
+from bo_sysid.study import Study
+from bo_sysid.study.check import Check, nominal
+from bo_sysid.study.check import check as check_study
+from bo_sysid.study.inputs import load_function, load_model, load_train
+
+_WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
+_WINDOWS = 40  # that are simulated
+_LEAST = 1e-3  # of a channel's spread, that no model predicts better
+_ORDER = {"wrong": 0, "look": 1, "note": 2}
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What a study is made of, and what is to be said about it.
+
+    Attributes:
+        summary: model, channels and parameters.
+        flags: what was found, the most serious first.
+        wiring: what the channels really are.
+        columns: rules to be put under ``recordings: columns:``; empty where nothing is wrong.
+        clocks: rules to be put under ``recordings: clocks:``.
+        motion: one row a recording and joint: how it moved.
+        parameters: one row a parameter: what these recordings can say about it at best.
+        step: one row a channel: change of predictions with half the step.
+        recordings: as they should be read, for pictures.
+    """
+
+    summary: Check
+    flags: tuple[Flag, ...]
+    wiring: Wiring
+    columns: Mapping[str, Rule]
+    clocks: Mapping[str, Rule]
+    motion: pd.DataFrame
+    parameters: pd.DataFrame
+    step: pd.DataFrame
+    recordings: tuple[Recording, ...]
+
+    @property
+    def proposal(self) -> str:
+        """The corrected blocks as YAML; empty where nothing is to be corrected."""
+        return as_yaml(self.columns, self.clocks)
+
+
+def check(study: Study, *, strict: bool = False) -> Checked:
+    """Check a study: wiring, clocks, excitation, identifiability, noise; nothing is fitted.
+
+    Args:
+        study: the study.
+        strict: refuse messy recordings.
+
+    Raises:
+        UserError: something is wrong or does not fit together.
+    """
+    summary = check_study(study, strict=strict)
+    model = load_model(study)
+    read = load_train(study, strict=strict)
+    laws: Laws = {
+        name: (load_function(study, a.law), a.uses) for name, a in study.actuators.items()
+    }
+    wraps = find_wraps(read)
+    whole = unwrapped(read, wraps)
+    compiled = model.compile()
+    wiring = find_wiring(compiled, whole, laws)
+    kind = "goal" if laws else "ctrl"
+    right = rewired(whole, wiring.wires, wiring.delay, kind)
+    motion = excitation(right, model.joints)
+    noise = _noise(study, right)
+    windows = _windows(model, right, laws, None)
+    parameters = study.parameter_set(model)
+    simulator = MujocoSimulator(
+        model, parameters, Engine(1), tuple(Controller(n, law) for n, (law, _) in laws.items())
+    )
+    point = np.array([nominal(model, p) for p in parameters])
+    step = step_effect(
+        simulator, point, windows, _windows(model, right, laws, 0.5 * windows.timestep)
+    )
+    known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
+    flags = [*wrap_flags(wraps), *wiring.flags, *excitation_flags(motion), *weak]
+    flags += [*channel_flags(compiled, read), *sampling_flags(read)]
+    flags += [*step_flags(step, noise, windows.timestep), *contact_flags(compiled, right)]
+    written = study.resolved()["recordings"]
+    return Checked(
+        summary,
+        tuple(sorted(flags, key=lambda f: _ORDER[f.level])),
+        wiring,
+        proposed_columns(written.get("columns", {}), wiring.wires, wraps),
+        proposed_clocks(written.get("clocks", {}), kind, wiring.delay),
+        motion,
+        known,
+        step,
+        right,
+    )
+
+
+def _noise(study: Study, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return the deviation of each measured channel that counts: stated, or its noise.
+
+    A sensor may be better than any model: at least a thousandth of the recorded spread counts.
+    """
+    estimates: dict[str, list[float]] = {}
+    for r in recordings:
+        for name, sigma in sensor_noise(r).items():
+            floor = _LEAST * float(r.channels[name].values.std())
+            estimates.setdefault(name, []).append(max(sigma, floor))
+    stated = study.recordings.noise
+    return {
+        n: stated.get(n, stated.get(n.split(".", 1)[0], float(np.median(s))))
+        for n, s in estimates.items()
+    }
+
+
+def _windows(
+    model: Model, recordings: Sequence[Recording], laws: Laws, timestep: float | None
+) -> Windows:
+    """Return windows of 0.3 s, spread over the recordings."""
+    steps = [np.median(np.diff(c.time)) for r in recordings for c in r.of_kind("qpos").values()]
+    shortest = min(len(c.time) for r in recordings for c in r.of_kind("qpos").values())
+    horizon = int(np.clip(round(_WINDOW / float(np.median(steps))), 1, max(shortest // 3, 1)))
+    windows = cut(
+        model,
+        recordings,
+        horizon=horizon,
+        timestep=timestep,
+        signals=sorted({n for _, uses in laws.values() for n in uses}),
+        controlled=tuple(laws),
+    )
+    chosen = np.unique(np.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).astype(int))
+    return windows.rows(chosen)
+
+
+def _identifiability(
+    simulator: MujocoSimulator,
+    parameters: Sequence[Parameter],
+    point: np.ndarray,
+    windows: Windows,
+    noise: Mapping[str, float],
+    recordings: Sequence[Recording],
+) -> tuple[pd.DataFrame, list[Flag]]:
+    """Return what the recordings say about each parameter at best, and what they do not say."""
+    if not parameters:
+        return pd.DataFrame({"name": [], "unit": [], "sigma": [], "of_range": []}), []
+    seconds = sum(r.span[1] - r.span[0] for r in recordings)
+    length = float((windows.step[:, -1] + windows.fraction[:, -1]).mean() * windows.timestep)
+    share = max(seconds / (length * len(windows)), 1.0)  # all windows say so much more
+    found = information(simulator, point, windows, noise)
+    found = type(found)(found.parameters, found.fisher * share)
+    flags = [
+        Flag(
+            "look",
+            "identifiability",
+            tuple(names),
+            f"These recordings do not determine {in_words(names)}: at best within "
+            f"±{196 * min(sigma, 0.5):.0f} % of the range.",
+            {"sigma_of_range": sigma, **names},
+        )
+        for sigma, names in found.weakest()
+    ]
+    return found.table(), flags

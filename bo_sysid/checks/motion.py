@@ -1,0 +1,217 @@
+"""What the channels did: how joints moved, noise, resolution, saturation, clocks that stumble."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import pandas as pd
+from scipy.signal import welch
+
+from bo_sysid.checks.flags import Flag
+from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
+from bo_sysid.recording.alignment import GAP
+
+_TOLD = 10.0  # a joint must move by so many standard deviations of its noise
+_BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
+_HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
+_STUCK = 0.25  # [s] of one and the same value while the channel otherwise changes, and
+_RUNS = 15.0  # so many times its typical run
+_THAW = 3.0  # times the usual step, that a frozen channel jumps at least
+_JITTER = 0.2  # of the interval
+
+
+def excitation(recordings: Sequence[Recording], joints: Sequence[str]) -> pd.DataFrame:
+    """Return one row a recording and joint: how it moved.
+
+    Columns: recording, joint, range, speed (root mean square), fastest, reversals, low_hz and
+    high_hz (between them lie 90 % of the power of the speed), noise, unit.
+    """
+    rows = []
+    for r in recordings:
+        for joint in joints:
+            channel = r.channels.get(f"qpos.{joint}")
+            if channel is not None:
+                rows.append({"recording": r.name, "joint": joint, **_moved(channel)})
+    return pd.DataFrame(rows)
+
+
+def _moved(channel: Channel) -> dict[str, object]:
+    dt = float(np.median(np.diff(channel.time)))
+    grid = np.arange(channel.time[0], channel.time[-1], dt)
+    q = np.interp(grid, channel.time, channel.values)
+    noise = noise_sigma(channel.time, channel.values)
+    width = max(round(0.02 / dt), 1)
+    smooth = np.convolve(q, np.ones(width) / width, mode="valid")
+    speed = np.diff(smooth) / dt
+    frequency, power = welch(speed, 1 / dt, nperseg=min(len(speed), round(8 / dt) or 1))
+    share = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    low, high = (float(frequency[np.searchsorted(share, b).clip(0, len(share) - 1)]) for b in _BAND)
+    return {
+        "range": float(np.ptp(channel.values)),
+        "speed": float(np.sqrt(np.mean(speed**2))),
+        "fastest": float(np.abs(speed).max()),
+        "reversals": _reversals(smooth, max(5 * noise, 0.01 * float(np.ptp(smooth)))),
+        "low_hz": low,
+        "high_hz": high,
+        "noise": noise,
+        "unit": channel.unit,
+    }
+
+
+def _reversals(q: np.ndarray, least: float) -> int:
+    """Return how often a position turned back by more than `least`."""
+    count, direction, extreme = 0, 0, q[0]
+    for x in q:
+        if (direction >= 0 and x > extreme) or (direction <= 0 and x < extreme):
+            extreme = x
+        if abs(x - extreme) > least:
+            turned = 1 if x > extreme else -1
+            count += direction != 0
+            direction, extreme = turned, x
+        elif direction == 0 and abs(x - q[0]) > least:
+            direction = 1 if x > q[0] else -1
+    return count
+
+
+def excitation_flags(table: pd.DataFrame) -> list[Flag]:
+    """Return the joints that hardly moved in any recording."""
+    flags = []
+    for joint, part in table.groupby("joint", sort=False):
+        k = int(np.argmax(part["range"].to_numpy()))
+        moved, noise = (float(part[c].to_numpy()[k]) for c in ("range", "noise"))
+        if moved < max(_TOLD * noise, 1e-9):
+            unit = "mm" if part["unit"].to_numpy()[k] == "m" else "mrad"
+            flags.append(
+                Flag(
+                    "look",
+                    "excitation",
+                    (str(joint),),
+                    f"{joint} moved by {1e3 * moved:.2g} {unit}, its noise is "
+                    f"{1e3 * noise:.2g} {unit}: nothing can be said about it.",
+                    {"range": moved, "noise": noise},
+                )
+            )
+        elif int(part["reversals"].sum()) == 0:
+            flags.append(
+                Flag(
+                    "look",
+                    "excitation",
+                    (str(joint),),
+                    f"{joint} never turns back: dry friction and a constant force look alike.",
+                    {"reversals": 0},
+                )
+            )
+    return flags
+
+
+def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
+    """Return saturated, frozen and coarse channels."""
+    limits = {
+        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[a])
+        for a in range(model.nu)
+        if model.actuator_ctrllimited[a]
+    }
+    flags: list[Flag] = []
+    for r in recordings:
+        for name, channel in r.channels.items():
+            kind = name.split(".", 1)[0]
+            if kind == "ctrl":
+                flags += _saturated(r.name, name, channel, limits.get(name))
+            elif channel.hold == "none":
+                flags += _frozen(r.name, name, channel)
+    return flags
+
+
+def _saturated(
+    recording: str, name: str, channel: Channel, limits: tuple[float, float] | None
+) -> list[Flag]:
+    values, spent = channel.values[:-1], np.diff(channel.time)
+    flags = []
+    if len(np.unique(values)) > 20:  # a command of few levels is meant to stay at them
+        for side, extreme in (("largest", values.max()), ("smallest", values.min())):
+            share = float(spent[values == extreme].sum() / spent.sum())
+            if share > _HELD_AT_LIMIT:
+                flags.append(
+                    Flag(
+                        "note",
+                        "saturation",
+                        (name,),
+                        f"{recording}: {name} stays at its {side} value {extreme:.4g} for "
+                        f"{100 * share:.0f} % of the time: the drive saturates there.",
+                        {"value": float(extreme), "share": share},
+                    )
+                )
+    if limits and (values.min() < limits[0] - 1e-9 or values.max() > limits[1] + 1e-9):
+        beyond = float(spent[(values < limits[0]) | (values > limits[1])].sum() / spent.sum())
+        flags.append(
+            Flag(
+                "look",
+                "saturation",
+                (name,),
+                f"{recording}: {name} leaves the model's control range [{limits[0]:g}, "
+                f"{limits[1]:g}] for {100 * beyond:.0f} % of the time; the model will clip it.",
+                {"share": beyond},
+            )
+        )
+    return flags
+
+
+def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:
+    """Return a stretch in which a channel repeats one value while what it measures goes on.
+
+    A joint that rests does so, too; what was frozen jumps when it thaws.
+    """
+    steps = np.diff(channel.values)
+    changed = np.flatnonzero(steps != 0)
+    if len(changed) < 10:
+        return []
+    first, last = changed[:-1] + 1, changed[1:]  # samples of each run of one value
+    runs = channel.time[last] - channel.time[first]
+    usual = float(np.quantile(np.abs(steps[changed]), 0.95))
+    frozen = (runs > max(_STUCK, _RUNS * float(np.quantile(runs, 0.95)))) & (
+        np.abs(steps[last]) > _THAW * usual
+    )
+    if not frozen.any():
+        return []
+    k = int(np.argmax(np.where(frozen, runs, 0.0)))
+    return [
+        Flag(
+            "look",
+            "frozen",
+            (name,),
+            f"{recording}: {name} repeats one value for {runs[k]:.3g} s from "
+            f"{channel.time[first[k]]:.4g} s on and then jumps: a frozen sensor or a lost "
+            "connection.",
+            {"seconds": float(runs[k]), "start": float(channel.time[first[k]])},
+        )
+    ]
+
+
+def sampling_flags(recordings: Sequence[Recording]) -> list[Flag]:
+    """Return clocks that jitter or lose samples; channels of one clock are told once."""
+    flags = []
+    for r in recordings:
+        clocks: dict[bytes, list[str]] = {}
+        for name, channel in r.channels.items():
+            if channel.hold == "none":
+                clocks.setdefault(channel.time.tobytes(), []).append(name)
+        for names in clocks.values():
+            s = Sampling.of(r.channels[names[0]].time)
+            told = []
+            if s.gaps:
+                told.append(
+                    f"{s.gaps} gap{'s' * (s.gaps > 1)} longer than {GAP:g} x "
+                    f"{1e3 * s.median_dt:.3g} ms, about {s.missing} samples lost"
+                )
+            if s.jitter > _JITTER * s.median_dt:
+                told.append(
+                    f"intervals jitter by {1e3 * s.jitter:.2g} ms about {1e3 * s.median_dt:.3g} ms"
+                )
+            if told:
+                listed = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
+                flags.append(
+                    Flag(
+                        "note", "sampling", tuple(names), f"{r.name}: {listed}: {'; '.join(told)}."
+                    )
+                )
+    return flags

@@ -1,0 +1,111 @@
+"""What the simulation itself adds: its time step, and whether anything touches."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+from bo_sysid.arrays import Point
+from bo_sysid.checks.flags import Flag
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import MujocoSimulator, Windows
+
+_WORTH = 1.0  # standard deviations that a step may cost
+_INSTANTS = 400
+
+
+def step_effect(
+    simulator: MujocoSimulator, point: Point, coarse: Windows, fine: Windows
+) -> pd.DataFrame:
+    """Return how much predictions change with half the step.
+
+    Args:
+        simulator: at the model's step.
+        point: the parameter values.
+        coarse: windows cut for the model's step.
+        fine: the same windows cut for half of it.
+
+    Returns:
+        One row a channel: channel, change (root mean square, in the channel's unit).
+    """
+    half = replace(simulator, timestep=fine.timestep)
+    a = next(iter(simulator.predictions(point[None], coarse)))
+    b = next(iter(half.predictions(point[None], fine)))
+    good = ~(a.diverged | b.diverged)
+    change = np.where(np.isfinite(coarse.observed), a.values - b.values, np.nan)[good]
+    rms = (
+        np.sqrt(np.nanmean(change**2, axis=(0, 1)))
+        if good.any()
+        else np.full(len(coarse.channels), np.nan)
+    )
+    return pd.DataFrame({"channel": coarse.channels, "change": rms})
+
+
+def step_flags(table: pd.DataFrame, noise: dict[str, float], timestep: float) -> list[Flag]:
+    """Return a flag where half the step changes predictions by more than the noise."""
+    ratio = {
+        n: c / noise[n] for n, c in zip(table["channel"], table["change"], strict=True)
+        if n.startswith("qpos.") and noise.get(n) and np.isfinite(c)
+    }  # fmt: skip
+    worst = max(ratio, key=ratio.__getitem__, default="")
+    if not worst or ratio[worst] < _WORTH:
+        return []
+    return [
+        Flag(
+            "look",
+            "step",
+            (worst,),
+            f"Half the model's step of {1e3 * timestep:g} ms changes the prediction of {worst} by "
+            f"{ratio[worst]:.2g} times what can be told apart: too coarse for small effects.",
+            {"ratio": ratio[worst]},
+        )
+    ]
+
+
+def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
+    """Return which geoms touch along the recorded positions, and for how much of the time."""
+    if model.ngeom < 2:
+        return []
+    data = mujoco.MjData(model)
+    names = [model.joint(j).name for j in range(model.njnt)]
+    if any(int(t) < int(mujoco.mjtJoint.mjJNT_SLIDE) for t in model.jnt_type):
+        return _floating(model)
+    touched: dict[tuple[str, str], int] = {}
+    count = 0
+    for r in recordings:
+        first, last = r.span
+        for t in np.linspace(first, last, max(_INSTANTS // len(recordings), 10)):
+            for j, name in enumerate(names):
+                channel = r.channels.get(f"qpos.{name}")
+                if channel is not None:
+                    value = np.interp(t, channel.time, channel.values)
+                    data.qpos[model.jnt_qposadr[j]] = value
+            mujoco.mj_fwdPosition(model, data)
+            count += 1
+            for pair in {_pair(model, data, c) for c in range(data.ncon)}:
+                touched[pair] = touched.get(pair, 0) + 1
+    return [
+        Flag(
+            "note",
+            "contact",
+            pair,
+            f"{pair[0]} touches {pair[1]} during {100 * n / count:.0f} % of the recordings.",
+            {"share": n / count},
+        )
+        for pair, n in sorted(touched.items(), key=lambda item: -item[1])[:5]
+    ]
+
+
+def _floating(model: mujoco.MjModel) -> list[Flag]:
+    if not model.geom_contype.any():
+        return []
+    sentence = "The model floats and can touch: windows with contact tell less about it."
+    return [Flag("note", "contact", (), sentence)]
+
+
+def _pair(model: mujoco.MjModel, data: mujoco.MjData, contact: int) -> tuple[str, str]:
+    first, second = (int(g) for g in data.contact[contact].geom)
+    names = sorted(model.geom(g).name or f"geom_{g}" for g in (first, second))
+    return names[0], names[1]

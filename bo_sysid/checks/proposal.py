@@ -1,0 +1,90 @@
+"""The `columns:` and `clocks:` that a log should be read with, from what was found in it."""
+
+from collections.abc import Mapping
+from math import isclose, pi
+from typing import Any
+
+from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.wraps import Wrap
+from bo_sysid.recording.units import UNITS
+
+Rule = dict[str, Any]
+
+
+def proposed_columns(
+    written: Mapping[str, Mapping[str, Any]],
+    wires: Mapping[str, Wire],
+    wraps: Mapping[str, Wrap],
+) -> dict[str, Rule]:
+    """Return the rules that should replace those of a study.
+
+    Args:
+        written: the study's ``columns:``, as a mapping with ``from``.
+        wires: what the channels really are, of what these rules read.
+        wraps: channels that jump.
+
+    Returns:
+        Rules of the channels that change, as they stand in a study.
+    """
+    out = {}
+    for name in dict.fromkeys([*wires, *wraps]):
+        wire = wires.get(name, Wire(name))
+        rule = dict(written.get(wire.source, {}))
+        column = rule.pop("from", None) or wire.source
+        sign, scale, offset = (
+            rule.pop(k, d) for k, d in (("sign", 1), ("scale", 1), ("offset", 0))
+        )
+        if wire.unit in UNITS and UNITS[wire.unit].factor and "unit" not in rule and scale == 1:
+            rule["unit"] = wire.unit
+        else:
+            scale *= wire.scale
+            if wire.unit == "ticks":
+                rule["unit"] = "ticks"
+        made: Rule = {} if column == name else {"from": column}
+        made |= {k: v for k, v in rule.items() if k in ("unit", "hold", "clock", "missing")}
+        if sign * wire.sign < 0:
+            made["sign"] = -1
+        if scale != 1:
+            made["scale"] = _rounded(scale)
+        shift = wire.sign * wire.scale * offset + wire.offset
+        if shift:
+            made["offset"] = _rounded(shift, 4)
+        if wire.source in wraps or rule.get("unwrap"):
+            period = wraps[wire.source].period * wire.scale if wire.source in wraps else 2 * pi
+            made["unwrap"] = True if isclose(period, 2 * pi, rel_tol=1e-3) else _rounded(period)
+        out[name] = made
+    return out
+
+
+def proposed_clocks(
+    written: Mapping[str, Mapping[str, Any]], kind: str, delay: float
+) -> dict[str, Rule]:
+    """Return the clock of the controls with `delay` [s] more in its shift."""
+    if not delay:
+        return {}
+    rule = dict(written.get(kind, {}))
+    rule["shift"] = _rounded(rule.get("shift", 0.0) + delay, 3)
+    return {kind: rule}
+
+
+def as_yaml(columns: Mapping[str, Rule], clocks: Mapping[str, Rule]) -> str:
+    """Return the two blocks as they stand under ``recordings:`` of a study."""
+    lines = []
+    for title, block in (("columns", columns), ("clocks", clocks)):
+        if block:
+            lines.append(f"{title}:")
+            lines += [f"  {name}: {flow(rule)}" for name, rule in block.items()]
+    return "\n".join(lines)
+
+
+def flow(rule: Mapping[str, Any]) -> str:
+    """Return a rule on one line of YAML."""
+    import yaml
+
+    return str(
+        yaml.safe_dump(dict(rule), default_flow_style=True, sort_keys=False, width=1000)
+    ).strip()
+
+
+def _rounded(value: float, digits: int = 6) -> float:
+    return float(f"{value:.{digits}g}")

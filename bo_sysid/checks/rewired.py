@@ -1,0 +1,34 @@
+"""Recordings as they should be read."""
+
+from collections.abc import Mapping, Sequence
+
+from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.recording import HELD_KINDS, Channel, Recording
+from bo_sysid.recording.value import Hold
+
+
+def rewired(
+    recordings: Sequence[Recording], wires: Mapping[str, Wire], delay: float, kind: str = "ctrl"
+) -> tuple[Recording, ...]:
+    """Return recordings whose channels are what they are called.
+
+    Args:
+        recordings: as they were read.
+        wires: by channel, what it really is.
+        delay: added to the stamps of the controls, in [s].
+        kind: of the channels that are delayed: "ctrl" or "goal".
+    """
+    return tuple(_rewired(r, wires, delay, kind) for r in recordings)
+
+
+def _rewired(recording: Recording, wires: Mapping[str, Wire], delay: float, kind: str) -> Recording:
+    channels = {}
+    for name, own in recording.channels.items():
+        wire = wires.get(name, Wire(name))
+        c = recording.channels[wire.source]
+        held = name.split(".", 1)[0] in HELD_KINDS
+        hold: Hold = own.hold if wire.source == name else ("zero" if held else "none")
+        time = c.time + delay if name.startswith(f"{kind}.") else c.time
+        values = wire.sign * wire.scale * c.values + wire.offset
+        channels[name] = Channel(time, values, own.unit, c.source, hold)
+    return Recording(recording.name, channels, recording.notes)

@@ -1,0 +1,167 @@
+r"""What recordings can say about parameters, through the simulator.
+
+Windows are predicted at the nominal point and at points beside it. With S the whitened change of
+all predictions with the parameters and J₀ that with the start of each window, the start is a
+nuisance: S is projected on what J₀ cannot do, window by window, and F = Sᵀ S is the Fisher
+information of white sensor noise. F⁻¹ bounds the variance of any unbiased estimate (Cramér, Rao).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from bo_sysid.arrays import Point
+from bo_sysid.parameters import Parameter
+from bo_sysid.simulation import Simulator, State, Windows
+
+_STEP = 1e-3  # of a parameter's range
+_MOVE = (1e-6, 1e-4)  # of positions in [rad] or [m], of velocities
+_WEAK, _UNKNOWN = 0.1, 0.5  # of the range: a standard deviation that is weak, that says nothing
+_DEAD = 1e-9
+
+
+@dataclass(frozen=True)
+class Information:
+    """Fisher information about d parameters, in units of their ranges.
+
+    Attributes:
+        parameters: the parameters.
+        fisher: `d x d`, for parameters scaled so that low to high is 1.
+    """
+
+    parameters: tuple[Parameter, ...]
+    fisher: Float[np.ndarray, "d d"]
+
+    @property
+    def sigma(self) -> Float[np.ndarray, " d"]:
+        """Least standard deviation of each parameter, in units of its range; at most 1."""
+        # the range itself is known: a uniform prior has a variance of 1/12
+        return np.asarray(
+            np.sqrt(np.diag(np.linalg.inv(self.fisher + 12 * np.eye(len(self.fisher)))))
+        )
+
+    def table(self) -> pd.DataFrame:
+        """Return one row a parameter: name, unit, sigma, share of the range, verdict."""
+        share = self.sigma
+        width = np.array([p.high - p.low for p in self.parameters])
+        verdict = np.where(
+            share < _WEAK, "determined", np.where(share < _UNKNOWN / np.sqrt(3), "weakly", "not")
+        )
+        return pd.DataFrame(
+            {
+                "name": [p.name for p in self.parameters],
+                "unit": [p.unit for p in self.parameters],
+                "sigma": share * width,
+                "of_range": share,
+                "determined": np.where(verdict == "determined", "yes", verdict),
+            }
+        )
+
+    def weakest(self) -> list[tuple[float, dict[str, float]]]:
+        """Return combinations that the recordings hardly determine.
+
+        Each is its standard deviation in units of the range, and the share of each parameter in
+        it; combinations better than a tenth of the range are left out.
+        """
+        values, vectors = np.linalg.eigh(self.fisher + 12 * np.eye(len(self.fisher)))
+        out = []
+        for value, vector in zip(values, vectors.T, strict=True):
+            sigma = float(value**-0.5)
+            if sigma < _WEAK:
+                break
+            vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+            names = {
+                p.name: float(x)
+                for p, x in zip(self.parameters, vector, strict=True)
+                if abs(x) > 0.25
+            }
+            out.append((sigma, names))
+        return out
+
+
+def information(
+    simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
+) -> Information:
+    """Return what windows say about the simulator's parameters at a point.
+
+    Args:
+        simulator: predicts.
+        point: the parameter values, within their bounds.
+        windows: W windows.
+        noise: standard deviation of each observed channel, in its unit.
+    """
+    projected = sensitivities(simulator, point, windows, noise)
+    flat = projected.reshape(-1, projected.shape[-1])
+    return Information(simulator.parameters, flat.T @ flat)
+
+
+def sensitivities(
+    simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
+) -> Float[np.ndarray, "W m d"]:
+    """Return the whitened change of predictions per range of each parameter, starts projected."""
+    weight = np.array([1.0 / noise[n] if noise.get(n) else 0.0 for n in windows.channels])
+    low = np.array([p.low for p in simulator.parameters])
+    width = np.array([p.high for p in simulator.parameters]) - low
+    inside = np.clip(point, low + _STEP * width, low + (1 - _STEP) * width)
+    points = [inside]
+    for row in np.diag(_STEP * width):
+        points += [inside + row, inside - row]
+    values = [
+        _whitened(p.values, windows, weight)
+        for p in simulator.predictions(np.array(points), windows)
+    ]
+    effect = np.stack(
+        [(a - b) / (2 * _STEP) for a, b in zip(values[1::2], values[2::2], strict=True)], axis=-1
+    )
+    start = _start_effect(simulator, inside, windows, weight, values[0])
+    return np.stack([_without(e, s) for e, s in zip(effect, start, strict=True)])
+
+
+def _start_effect(
+    simulator: Simulator, point: Point, windows: Windows, weight: np.ndarray, base: np.ndarray
+) -> Float[np.ndarray, "W m k"]:
+    dof = windows.start.qvel.shape[1]
+    size = np.repeat(_MOVE, dof)
+    starts: list[State] = [
+        simulator.moved(windows.start, np.tile(row, (len(windows), 1))) for row in np.diag(size)
+    ]
+    points = np.repeat(point[None], len(starts), axis=0)
+    moved = simulator.predictions(points, windows, starts)
+    columns = [
+        (_whitened(p.values, windows, weight) - base) / h for p, h in zip(moved, size, strict=True)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def _whitened(values: np.ndarray, windows: Windows, weight: np.ndarray) -> np.ndarray:
+    seen = np.isfinite(windows.observed)
+    return np.asarray(np.where(seen, values * weight, 0.0).reshape(len(windows), -1))
+
+
+def _without(effect: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
+    """Return `m x d` columns projected on what `m x k` nuisances cannot do."""
+    scale = np.linalg.norm(nuisance, axis=0)
+    alive = nuisance[:, scale > _DEAD * max(float(scale.max()), 1e-300)]
+    q, _ = np.linalg.qr(alive / np.linalg.norm(alive, axis=0))
+    return np.asarray(effect - q @ (q.T @ effect))
+
+
+def in_words(combination: Mapping[str, float]) -> str:
+    """Return a combination of parameters as a sentence's subject."""
+    names = list(combination)
+    if len(names) == 1:
+        return names[0]
+    up = [n for n in names if combination[n] > 0]
+    down = [n for n in names if combination[n] < 0]
+    if not down:
+        return f"{_listed(up)} rising together"
+    if not up:
+        return f"{_listed(down)} falling together"
+    return f"{_listed(up)} rising while {_listed(down)} fall{'s' * (len(down) == 1)}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,51 @@
+"""What `check` found, in words and tables."""
+
+import pandas as pd
+
+from bo_sysid.checks.check import Checked
+from bo_sysid.checks.flags import Flag
+from bo_sysid.report.text import check_text, table
+
+_TITLES = {
+    "wrong": "To be corrected before anything is fitted:",
+    "look": "To be looked at:",
+    "note": "Good to know:",
+}
+_MOST = 12  # remarks of one level that are shown
+
+
+def checked_text(found: Checked) -> str:
+    """Return all that was checked, the most serious last, where the eye is."""
+    parts = [check_text(found.summary)]
+    if len(found.motion):
+        parts += ["", "How the joints moved (speed: root mean square):", table(_motion(found))]
+    if len(found.wiring.delays):
+        shown = found.wiring.delays.rename(
+            columns={"delay": "delay [ms]", "sigma": "± (68 %) [ms]"}
+        )
+        parts += ["", "When the controls act, after their stamps:", table(shown)]
+    if len(found.parameters):
+        shown = found.parameters.rename(
+            columns={"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
+        )
+        parts += ["", "What these recordings can say at best:", table(shown)]
+    for level in ("note", "look", "wrong"):
+        flags = [f for f in found.flags if f.level == level]
+        if flags:
+            parts += ["", _TITLES[level], *_listed(flags)]
+    if found.proposal:
+        indented = "\n".join(f"  {line}" for line in found.proposal.splitlines())
+        parts += ["", "Put this into the study:", "recordings:", indented]
+    elif not any(f.level == "wrong" for f in found.flags):
+        parts += ["", "Signs, units, order, zeros and clocks: nothing to correct."]
+    return "\n".join(parts)
+
+
+def _motion(found: Checked) -> pd.DataFrame:
+    columns = {"low_hz": "from [Hz]", "high_hz": "to [Hz]"}
+    return found.motion.rename(columns=columns)
+
+
+def _listed(flags: list[Flag]) -> list[str]:
+    more = [f"- and {len(flags) - _MOST} more"] if len(flags) > _MOST else []
+    return [*(f"- {f.sentence}" for f in flags[:_MOST]), *more]

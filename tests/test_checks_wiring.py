@@ -1,0 +1,191 @@
+"""The wiring of logs that were spoilt on purpose, and of one that was not."""
+
+import functools
+from collections.abc import Callable
+from math import pi
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.checks.balance import Dynamics, unexplained
+from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.wiring import Wiring, find_wiring
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation import Engine, LawInputs, State
+
+ARM = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="shoulder" axis="0 1 0" damping=".05"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/>
+      <body pos="0 0 -.3"><joint name="elbow" axis="0 1 0" damping=".05"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".018" mass=".6"/></body></body>
+  </worldbody>
+  <actuator><motor name="a" joint="shoulder"/><motor name="b" joint="elbow"/></actuator>
+</mujoco>
+"""
+SERVO = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="hinge" axis="0 1 0" damping=".02" armature=".002"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".5"/></body>
+  </worldbody>
+  <actuator><{kind} joint="hinge" name="m"/></actuator>
+</mujoco>
+"""
+
+
+def tones(time: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    parts = [np.sin(2 * pi * f * time + rng.uniform(0, 6)) for f in rng.uniform(0.2, 2.2, 6)]
+    return np.sum(parts, axis=0) / 3
+
+
+@functools.cache
+def recorded() -> Recording:
+    """Return a log of the arm with 10 % more mass than the model's, sampled every 4 ms."""
+    model = Model.from_xml(ARM)
+    heavier = model.compile([lambda spec: [setattr(g, "mass", 1.1 * g.mass) for g in spec.geoms]])
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(heavier, start, np.repeat(ctrl, 4, axis=0)[None])
+    noise = 3e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    qpos, qvel = run.qpos[0, ::4][:-1] + noise, run.qvel[0, ::4][:-1]
+    return Recording.from_arrays(
+        time,
+        qpos={"shoulder": qpos[:, 0], "elbow": qpos[:, 1]},
+        qvel={"shoulder": qvel[:, 0], "elbow": qvel[:, 1]},
+        ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+
+
+def spoilt(change: Callable[[dict[str, np.ndarray]], None], late: float = 0.0) -> Wiring:
+    """Return the wiring of the arm's log after `change`, commands stamped `late` too early."""
+    log = recorded()
+    values = {n: np.array(c.values) for n, c in log.channels.items()}
+    change(values)
+    channels = {
+        n: Channel(c.time - (late if n.startswith("ctrl.") else 0.0), values[n], c.unit, n, c.hold)
+        for n, c in log.channels.items()
+    }
+    return find_wiring(Model.from_xml(ARM).compile(), [Recording("log", channels)])
+
+
+def test_a_log_as_it_should_be_draws_no_alarm() -> None:
+    found = spoilt(lambda values: None)
+    assert found.wires == {}
+    assert found.delay == 0.0
+    assert [f for f in found.flags if f.level == "wrong"] == []
+    assert found.balance["after"].max() < 0.05
+
+
+def test_a_sign() -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.b"] *= -1
+
+    found = spoilt(change)
+    assert found.wires == {"ctrl.b": Wire("ctrl.b", sign=-1)}
+    assert [f.kind for f in found.flags] == ["sign"]
+    assert "ctrl.b" in found.flags[0].sentence
+
+
+def test_degrees_of_one_encoder_and_its_speed() -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["qpos.elbow"] *= 180 / pi
+        values["qvel.elbow"] *= 180 / pi
+
+    found = spoilt(change)
+    assert set(found.wires) == {"qpos.elbow", "qvel.elbow"}
+    assert found.wires["qpos.elbow"] == Wire("qpos.elbow", scale=pi / 180, unit="deg")
+    assert found.wires["qvel.elbow"].unit == "deg/s"
+
+
+def test_an_order_and_a_late_clock_at_once() -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.a"], values["ctrl.b"] = values["ctrl.b"].copy(), values["ctrl.a"].copy()
+
+    found = spoilt(change, late=0.043)
+    assert found.wires == {"ctrl.a": Wire("ctrl.b"), "ctrl.b": Wire("ctrl.a")}
+    assert found.delay == pytest.approx(0.043, abs=0.0015)
+    assert {f.kind for f in found.flags if f.level == "wrong"} == {"order", "clock"}
+
+
+def test_commands_in_the_place_of_positions() -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        for q, u in (("qpos.shoulder", "ctrl.a"), ("qpos.elbow", "ctrl.b")):
+            values[q], values[u] = values[u].copy(), values[q].copy()
+
+    found = spoilt(change)
+    assert found.wires["qpos.elbow"] == Wire("ctrl.b")
+    assert found.wires["ctrl.a"] == Wire("qpos.shoulder")
+    assert {f.kind for f in found.flags if f.level == "wrong"} == {"swap"}
+
+
+@pytest.mark.parametrize("zero", [-0.3, 0.08])
+def test_the_zero_of_an_encoder(zero: float) -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["qpos.shoulder"] += zero
+
+    found = spoilt(change)
+    assert set(found.wires) == {"qpos.shoulder"}
+    assert found.wires["qpos.shoulder"].offset == pytest.approx(-zero, abs=0.01)
+
+
+def test_inverse_dynamics_balance_exactly_along_a_simulated_motion() -> None:
+    model = Model.from_xml(ARM).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = (0.4, -0.9), (1.1, -2.0), (0.7, -0.3)
+    mujoco.mj_forward(model, data)
+    terms = Dynamics(Model.from_xml(ARM).compile()).terms(
+        data.qpos[None].copy(), data.qvel[None].copy(), data.qacc[None].copy()
+    )
+    assert terms.needed == pytest.approx(terms.actuated(np.array([[0.7, -0.3]])), abs=1e-10)
+
+
+def test_gain_and_friction_are_physics_and_not_wiring() -> None:
+    rng = np.random.default_rng(3)
+    terms = Dynamics(Model.from_xml(ARM).compile()).terms(*rng.standard_normal((3, 200, 2)))
+    friction = 0.7 * terms.velocity + 0.2 * terms.dry
+    share = unexplained(terms, ((terms.needed + friction * [1, -1]) / [1.3, 1.0])[None])[0]
+    assert share[0] == pytest.approx(0.0, abs=1e-6)
+    assert share[1] > 1e-3  # friction that drives would be no friction
+    share = unexplained(terms, -terms.needed[None])[0]
+    assert (share > 0.5).all()
+
+
+def test_a_law_is_checked_with_the_goal_that_it_reads() -> None:
+    gain = 4.0
+    servo = Model.from_xml(SERVO.format(kind=f'position kp="{gain}"'))
+    time = np.arange(0.0, 12.0, 0.004)
+    goal = 0.8 * tones(time, 5)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(servo.compile(), start, np.repeat(goal, 4)[None, :, None])
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+    log = Recording.from_arrays(
+        time, qpos={"hinge": run.qpos[0, ::4, 0][:-1] + noise}, goal={"m": -goal}
+    )
+
+    def law(now: LawInputs) -> np.ndarray:
+        return gain * (now.signals["goal.m"] - now.qpos["hinge"])
+
+    motor = Model.from_xml(SERVO.format(kind="motor"))
+    found = find_wiring(motor.compile(), [log], {"m": (law, ("goal.m",))})
+    assert found.wires == {"goal.m": Wire("goal.m", sign=-1)}
+    assert found.balance["after"].max() < 0.05
+
+
+def test_what_cannot_be_tested_is_said() -> None:
+    free = Model.from_xml(
+        "<mujoco><worldbody><body><freejoint name='root'/><geom size='.1'/></body></worldbody>"
+        "</mujoco>"
+    )
+    time = np.arange(0.0, 1.0, 0.01)
+    log = Recording.from_arrays(time, qpos={"root": np.ones((100, 7))})
+    (flag,) = find_wiring(free.compile(), [log]).flags
+    assert flag.level == "note"
+    assert "not tested" in flag.sentence
