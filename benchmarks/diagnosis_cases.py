@@ -6,7 +6,7 @@ projected rms difference over windows of 0.3 s, in units of the sensor noise.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -23,6 +23,7 @@ from bo_sysid.simulation import Engine
 
 MODELS = Path(__file__).parents[1] / "studies" / "diagnosis"
 FINER = 8
+_TRIES = 40  # draws until every effect of a case can be sized
 
 
 @dataclass(frozen=True)
@@ -299,6 +300,7 @@ def sized(
     channels = {n: sigma for n in nominal.channels if n.startswith("qpos.")}
     problem = pose(model, machine, [nominal], channels, (), horizon=150, stride=3, engine=Engine(1))
     prepared = prepare(problem)
+    problem = replace(prepared.problem, correction=None)
     base = problem.residual(nothing(problem), prepared.start)
 
     def moved(x: np.ndarray) -> float:
@@ -339,7 +341,9 @@ def draw(
     machine = survey(model.compile(), [nominal])
     found: list[Planted] = []
     pool = candidates([CATALOGUE[i] for i in ids], machine)
-    while len(found) < count:
+    for _ in range(_TRIES):
+        if len(found) == count:
+            break
         effect = ids[int(rng.integers(len(ids)))]
         options = [c for c in pool if c.effect.id == effect]
         if not options or any(p.effect == effect for p in found):

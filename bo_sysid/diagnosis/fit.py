@@ -50,7 +50,7 @@ class Fit:
         return self.hypothesis.members
 
     @property
-    def x(self) -> tuple[Float[np.ndarray, " l"], ...]:
+    def x(self) -> tuple[Float[np.ndarray, " _"], ...]:
         """The magnitudes of each member."""
         return self.hypothesis.x
 

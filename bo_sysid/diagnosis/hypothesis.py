@@ -89,13 +89,13 @@ class Hypothesis:
     """
 
     members: tuple[Candidate, ...] = ()
-    x: tuple[Float[np.ndarray, " l"], ...] = ()
+    x: tuple[Float[np.ndarray, " _"], ...] = ()
     nuisances: tuple[Candidate, ...] = ()
-    nuisance_x: tuple[Float[np.ndarray, " l"], ...] = ()
+    nuisance_x: tuple[Float[np.ndarray, " _"], ...] = ()
     numerics: float = 0.0
 
     @property
-    def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " l"]], ...]:
+    def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " _"]], ...]:
         """Candidates with magnitudes, parameters first: their edits set what effects change."""
         pairs = zip((*self.nuisances, *self.members), (*self.nuisance_x, *self.x), strict=True)
         return tuple(pairs)

@@ -361,7 +361,7 @@ def _points(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: 
         state,
         ctrl[:, inputs].reshape(-1, macro, ctrl.shape[-1]),
         signals,
-        np.zeros((0, 0)),
+        np.zeros((len(state), 2 * len(s.coordinates.qvel) + len(s.coordinates.act))),
     )
     return replace(points, base=points.stepped())
 

@@ -112,7 +112,7 @@ def settle(
 def refit(
     frame: Linear,
     members: Sequence[Candidate],
-    x: Sequence[Float[np.ndarray, " l"]],
+    x: Sequence[Float[np.ndarray, " _"]],
     *,
     groups: tuple[str | None, ...] | None = None,
     start: State | None = None,

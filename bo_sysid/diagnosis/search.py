@@ -76,7 +76,7 @@ class Search:
     def fit(
         self,
         members: Sequence[Candidate],
-        x: Sequence[Float[np.ndarray, " l"]],
+        x: Sequence[Float[np.ndarray, " _"]],
         *,
         start: State | None = None,
         guess: Hypothesis | None = None,

@@ -79,7 +79,7 @@ class Gram:
     low: Float[np.ndarray, " p"]
     high: Float[np.ndarray, " p"]
     alive: Bool[np.ndarray, " p"]
-    columns: tuple[Int[np.ndarray, " l"], ...]
+    columns: tuple[Int[np.ndarray, " _"], ...]
 
     def living(self) -> list[int]:
         """Return the candidates with a column that says something."""
@@ -116,7 +116,7 @@ def gram(
     G: Float[np.ndarray, "a a"],
     b: Float[np.ndarray, " a"],
     owner: Int[np.ndarray, " a"],
-    now: dict[int, Float[np.ndarray, " l"]],
+    now: dict[int, Float[np.ndarray, " _"]],
     fixed: Sequence[int] = (),
 ) -> Gram:
     """Eliminate the nuisances and normalise.

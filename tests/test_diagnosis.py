@@ -1,0 +1,128 @@
+"""The diagnosis from a study to the repaired model, on recordings of a plant with a finer step."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import mujoco
+import pytest
+import yaml
+from diagnosis_helpers import ARM, NAMES, record
+
+from bo_sysid.diagnosis import Diagnosis, diagnose
+from bo_sysid.errors import UserError
+from bo_sysid.runs import Run, plain
+from bo_sysid.study import Study
+
+FRICTION = [("dry_friction", "joint", "elbow", [0.03])]
+
+
+def write_study(folder: Path, missing=(), **more) -> Study:
+    for name, seed, duration in (("train", 1, 8.0), ("holdout", 2, 4.0)):
+        frame = record(missing, seed=seed, duration=duration).to_frame()
+        frame.to_parquet(folder / f"{name}.parquet")
+    content = {
+        "version": 1,
+        "name": "arm",
+        "model": str(ARM),
+        "recordings": {"train": ["train.parquet"], "holdout": ["holdout.parquet"]},
+        "diagnosis": {"effects": list(NAMES)},
+        **more,
+    }
+    (folder / "arm.yaml").write_text(yaml.safe_dump(content))
+    return Study.load(folder / "arm.yaml")
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory) -> tuple[Diagnosis, Path]:
+    folder = tmp_path_factory.mktemp("friction")
+    study = write_study(folder, FRICTION)
+    with Run.open(folder / "run", study.resolved(folder / "run"), "diagnose") as run:
+        return diagnose(study, run), folder / "run"
+
+
+def test_dry_friction_is_found_at_the_elbow_and_nothing_else(diagnosed) -> None:
+    result, _ = diagnosed
+    assert result.verdict == "missing-physics"
+    (finding,) = result.answer.findings
+    assert (finding.effect, finding.kind, finding.site) == ("dry_friction", "joint", "elbow")
+    assert finding.quantity.value == pytest.approx(0.03, rel=0.02)
+    assert finding.quantity.interval[0] < 0.03 < finding.quantity.interval[1]
+    assert finding.sentence.startswith("The elbow has dry friction of 0.030")
+    assert finding.sentence.endswith("N m that the model lacks.")
+
+
+def test_the_forecast_error_falls_to_the_noise(diagnosed) -> None:
+    result, _ = diagnosed
+    floor = result.holdout.error("forecast", 0.08, "noise_floor")
+    assert result.holdout.error("forecast", 0.08, "repaired") < 1.15 * floor
+    assert result.holdout.error("forecast", 0.08, "refitted") > 3 * floor
+    assert "falls from" in result.sentences[-1]
+
+
+def test_the_repaired_model_loads_and_holds_the_friction(diagnosed) -> None:
+    result, folder = diagnosed
+    model = mujoco.MjModel.from_xml_path(str(folder / "model_repaired.xml"))
+    value = result.answer.findings[0].quantity.value
+    assert model.joint("elbow").frictionloss[0] == pytest.approx(value, rel=1e-5)
+    assert model.joint("shoulder").frictionloss[0] == 0
+
+
+def test_the_repaired_study_is_a_study_with_the_finding_as_parameter(diagnosed) -> None:
+    _, folder = diagnosed
+    study = Study.load(folder / "study_repaired.yaml")
+    (parameter,) = study.parameters
+    assert parameter.address == ("joint[elbow].frictionloss",)
+    assert parameter.low < 0.03 < parameter.high
+    assert study.train_files
+
+
+def test_the_answer_was_hashed_before_the_holdout_was_read(diagnosed) -> None:
+    result, folder = diagnosed
+    content = json.loads((folder / "diagnosis.json").read_text())
+    answer = {k: v for k, v in content.items() if k not in ("holdout", "sha256")}
+    text = json.dumps(plain(answer), sort_keys=True, separators=(",", ":"))
+    assert content["sha256"] == hashlib.sha256(text.encode()).hexdigest() == result.sha256
+
+
+def test_the_json_has_the_keys_of_the_contract(diagnosed) -> None:
+    _, folder = diagnosed
+    content = json.loads((folder / "diagnosis.json").read_text())
+    assert list(content) == [
+        "verdict", "findings", "alternatives", "located", "holdout", "unexplained",
+        "next_experiment", "model", "study", "sha256",
+    ]  # fmt: skip
+    assert set(content["findings"][0]) == {
+        "effect", "kind", "site", "value", "unit", "interval", "before", "after", "details",
+        "group", "probability", "equivalents", "sentence",
+    }  # fmt: skip
+    forecast = content["holdout"]["forecast"]
+    assert forecast["unit"] == "sensor sigma"
+    assert {"nominal", "refitted", "repaired", "learned_residual", "noise_floor"} < set(forecast)
+    assert content["located"][0]["site"] == "elbow"
+
+
+def test_nothing_missing_is_nothing_found(tmp_path: Path) -> None:
+    result = diagnose(write_study(tmp_path))
+    assert result.verdict == "nothing-missing"
+    assert result.findings.empty
+    assert result.sentences[0].startswith("Nothing")
+
+
+def test_a_wrong_parameter_is_no_missing_physics(tmp_path: Path) -> None:
+    study = write_study(
+        tmp_path,
+        [("link_mass", "body", "forearm", [0.05])],
+        parameters=[
+            {"address": "geom[forearm].mass", "low": 0.4, "high": 0.8, "name": "forearm mass"}
+        ],
+    )
+    assert diagnose(study).verdict == "nothing-missing"
+
+
+def test_a_recording_without_the_joint_is_refused(tmp_path: Path) -> None:
+    study = write_study(tmp_path)
+    frame = record(duration=2.0).to_frame().drop(columns="qpos.elbow")
+    frame.to_parquet(tmp_path / "train.parquet")
+    with pytest.raises(UserError, match=r"qpos\.elbow"):
+        diagnose(study)

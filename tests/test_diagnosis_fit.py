@@ -1,0 +1,81 @@
+"""Fits through the simulator recover what the plant has; their statistics against brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_helpers import candidate, posed, record
+
+from bo_sysid.diagnosis.fit import assess
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.windowing import prepare
+
+TRUTH = [("dry_friction", "joint", "elbow", [0.02]), ("payload", "body", "forearm", [0.02])]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    problem, machine = posed(record(TRUTH, duration=5.0), horizon=60)
+    ready = prepare(problem)
+    held = [candidate(machine, "dry_friction", "elbow"), candidate(machine, "payload", "forearm")]
+    fit = refit(ready.linear, held, [c.probe for c in held], effort=Effort(12, 0.5, final=True))
+    return ready, held, fit
+
+
+def test_magnitudes_are_recovered_and_the_residual_is_noise(fitted) -> None:
+    _, _, fit = fitted
+    assert fit.rms == pytest.approx(1.0, abs=0.06)
+    for x, (_, _, _, truth), k in zip(fit.x, TRUTH, (0, 1), strict=True):
+        assert x[0] == pytest.approx(truth[0], rel=0.03)
+        assert abs(x[0] - truth[0]) < 4 * np.sqrt(fit.covariance[k, k]) + 0.01 * truth[0]
+
+
+def test_leaving_a_block_out_equals_solving_without_it(fitted) -> None:
+    ready, _, fit = fitted
+    S, y = (
+        project(ready.linear.Q, fit.jacobian.astype(float)),
+        project(ready.linear.Q, fit.residual),
+    )
+    S = S / np.sqrt((S**2).sum(axis=(0, 1)))
+    out = ready.problem.block == 3
+    solve = lambda rows: np.linalg.solve(  # noqa: E731
+        sum(A.T @ A for A in S[rows]) + 0.02 * np.eye(S.shape[-1]),
+        sum(A.T @ z for A, z in zip(S[rows], y[rows], strict=True)),
+    )
+    step = solve(~out) - solve(np.ones_like(out))
+    assert fit.cv[3] == pytest.approx(((y[out] - S[out] @ step) ** 2).sum(), rel=1e-4)
+
+
+def test_unique_size_is_what_no_other_column_can_take_over(fitted) -> None:
+    ready, _, fit = fitted
+    S = project(ready.linear.Q, fit.jacobian.astype(float)).reshape(-1, fit.jacobian.shape[-1])
+    own = S[:, 0] * fit.x[0][0]
+    rest = np.delete(S, 0, axis=1)
+    left = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
+    assert fit.unique[0] == pytest.approx(np.sqrt(left @ left / ready.problem.dof), rel=1e-3)
+
+
+def test_a_member_that_does_nothing_has_no_unique_size(fitted) -> None:
+    ready, _, fit = fitted
+    x = (fit.x[0], np.zeros(1))
+    made = assess(
+        ready.problem, ready.linear.Q, replace(fit.hypothesis, x=x), (None, None), fit.start,
+        fit.residual, fit.jacobian,
+    )  # fmt: skip
+    assert made.unique[1] == 0.0
+    assert made.size == 2
+
+
+def test_bounds_hold(fitted) -> None:
+    ready, held, _ = fitted
+    fit = refit(ready.linear, [held[0]], [np.array([1e9])], effort=Effort(3))
+    assert held[0].low[0] <= fit.x[0][0] <= held[0].high[0]
+
+
+def test_a_finer_step_is_a_nuisance_and_not_a_finding(fitted) -> None:
+    ready, _, fit = fitted
+    assert ready.correction_rms > 0.05
+    assert 0.4 < fit.hypothesis.numerics < 2.0
+    assert Hypothesis().numerics == 0.0

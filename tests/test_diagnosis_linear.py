@@ -1,0 +1,92 @@
+"""Signatures against brute force: the simulator run with and without the effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_helpers import candidate, posed, record
+
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.linear import linearise, project
+from bo_sysid.diagnosis.windowing import prepare
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    problem, machine = posed(record(duration=4.0))
+    return prepare(problem), machine
+
+
+@pytest.mark.parametrize(
+    ("effect", "site", "component"),
+    [
+        ("dry_friction", "elbow", 0),
+        ("viscous_damping", "shoulder", 0),
+        ("joint_spring", "elbow", 0),
+        ("joint_spring", "elbow", 1),
+        ("armature", "shoulder", 0),
+        ("payload", "forearm", 0),
+        ("link_mass", "upper", 0),
+        ("actuator_gain", "elbow", 0),
+        ("actuator_delay", "shoulder", 0),
+        ("actuator_lag", "elbow", 0),
+        ("encoder_offset", "shoulder", 0),
+        ("sensor_delay", "qpos.elbow", 0),
+        ("gravity_tilt", "world", 1),
+        ("cogging", "elbow", 0),
+        ("stribeck_friction", "elbow", 1),
+    ],
+)
+def test_signature_equals_the_difference_of_two_simulations(
+    prepared, effect: str, site: str, component: int
+) -> None:
+    ready, machine = prepared
+    c = candidate(machine, effect, site)
+    signature = ready.linear.signatures([c])[..., component].astype(float)
+    x = np.zeros(c.size)
+    x[component] = 0.3 * c.point[component]
+    problem = replace(ready.problem, correction=None)
+    before = problem.residual(Hypothesis(), ready.start)
+    after = problem.residual(Hypothesis((c,), (x,)), ready.start)
+    exact = project(ready.linear.Q, before - after) / x[component]
+    cosine = (signature * exact).sum() / np.linalg.norm(signature) / np.linalg.norm(exact)
+    assert cosine > 0.99
+    assert np.linalg.norm(signature) == pytest.approx(np.linalg.norm(exact), rel=0.1)
+
+
+def test_a_change_of_start_is_projected_out(prepared) -> None:
+    ready, _ = prepared
+    problem = replace(ready.problem, correction=None)
+    rng = np.random.default_rng(0)
+    small = 1e-4 * rng.normal(size=(len(ready.start), 4))
+    moved = ready.start.moved(problem.machine.model, small)
+    change = problem.residual(Hypothesis(), ready.start) - problem.residual(Hypothesis(), moved)
+    left = project(ready.linear.Q, change)
+    assert np.linalg.norm(left) < 0.02 * np.linalg.norm(change)
+
+
+def test_linear_response_to_the_start_equals_finite_differences(prepared) -> None:
+    ready, _ = prepared
+    problem = replace(ready.problem, correction=None)
+    base = problem.residual(Hypothesis(), ready.start)
+    for k in range(4):
+        step = np.zeros((len(ready.start), 4))
+        step[:, k] = 1e-4
+        moved = ready.start.moved(problem.machine.model, step)
+        exact = (base - problem.residual(Hypothesis(), moved)) / 1e-4
+        np.testing.assert_allclose(ready.linear.J[..., k], exact, atol=0.03 * np.abs(exact).max())
+
+
+def test_signatures_hold_at_a_hypothesis_that_is_not_nominal(prepared) -> None:
+    ready, machine = prepared
+    friction = candidate(machine, "dry_friction", "elbow")
+    damping = candidate(machine, "viscous_damping", "shoulder")
+    at = Hypothesis((friction,), (np.array([0.02]),))
+    problem = replace(ready.problem, correction=None)
+    linear = linearise(problem, at, ready.start)
+    x = 0.3 * damping.probe
+    both = Hypothesis((friction, damping), (np.array([0.02]), x))
+    exact = problem.residual(at, ready.start) - problem.residual(both, ready.start)
+    exact = project(linear.Q, exact).ravel() / x[0]
+    signature = linear.signatures([damping])[..., 0].ravel()
+    assert signature @ exact / np.linalg.norm(signature) / np.linalg.norm(exact) > 0.99
