@@ -8,9 +8,10 @@ from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
 from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import multisine, smooth_random
+from bo_sysid.plants.limits import limit_edits, limited
 from bo_sysid.plants.load import Task, load_task
 from bo_sysid.plants.plant import Plant
-from bo_sysid.plants.python_task import class_task
+from bo_sysid.plants.python_task import PythonTask, class_task
 from bo_sysid.recording import Recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_function, load_model
@@ -28,6 +29,18 @@ def study_task(study: Study, model: Model) -> Task | None:
     Raises:
         StudyError: there is no such task, or a user's class is none of dm_control's kind.
     """
+    task = _unlimited_task(study, model)
+    if isinstance(task, PythonTask) or task is None:
+        bound = [x for x, y in study.limits.items() if y.position or y.velocity]
+        if bound and task is not None:
+            raise study.error(
+                ("limits", bound[0]), "limits of position and velocity need a vectorised task"
+            )
+        return task
+    return limited(task, study, model)
+
+
+def _unlimited_task(study: Study, model: Model) -> Task | None:
     if study.task is not None and study.task.file is not None:
         cls = load_function(study, f"{study.task.file}:{study.task.class_name}")
         return class_task(cls, model.compile())
@@ -54,7 +67,11 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
     effects = realised(study, model)
     return Plant(
         model,
-        [*([] if plant is None else _parameter_edits(study, model)), *effects.edits],
+        [
+            *([] if plant is None else _parameter_edits(study, model)),
+            *effects.edits,
+            *limit_edits(study, model),
+        ],
         task=study_task(study, model),
         name="plant",
         timestep=None if plant is None else plant.timestep,

@@ -1,0 +1,39 @@
+"""Which candidate the policy is learned on."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.arrays import Probabilities
+
+Choice = Callable[
+    [Probabilities, Float[np.ndarray, " N"], np.random.Generator],
+    int,
+]
+"""From P(β), the mean of log Δ(β) and a generator to the row of B."""
+
+
+def sample(
+    probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
+) -> int:
+    """Draw β ~ P: the seed method's choice, which goes on exploring while P is broad."""
+    return int(rng.choice(len(probabilities), p=probabilities / probabilities.sum()))
+
+
+def argmax(
+    probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
+) -> int:
+    """Return argmax P: the choice of Zhu et al. (IJCAI 2018)."""
+    return int(probabilities.argmax())
+
+
+def minimum_mean(
+    probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
+) -> int:
+    """Return the candidate whose expected log Δ is least."""
+    return int(mean.argmin())
+
+
+CHOOSE: Mapping[str, Choice] = {"sample": sample, "argmax": argmax, "minimum-mean": minimum_mean}
+"""Choices by the name that studies give them."""

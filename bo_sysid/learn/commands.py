@@ -1,0 +1,42 @@
+"""A policy as a TorchScript module that gives commands; the only module here that needs torch."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from bo_sysid.policy.store import LearnedPolicy
+
+
+class _Commands(torch.nn.Module):
+    """Actions in [-1, 1], scaled to the commands' range."""
+
+    middle: torch.Tensor
+    reach: torch.Tensor
+
+    def __init__(self, actions: torch.nn.Module, low: np.ndarray, high: np.ndarray) -> None:
+        super().__init__()
+        self.actions = actions
+        self.register_buffer("middle", torch.tensor((low + high) / 2, dtype=torch.float32))
+        self.register_buffer("reach", torch.tensor((high - low) / 2, dtype=torch.float32))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        commands: torch.Tensor = self.middle + self.reach * self.actions(observations)
+        return commands
+
+
+def write_module(policy: LearnedPolicy, low: np.ndarray, high: np.ndarray, path: Path) -> None:
+    """Write the module.
+
+    Args:
+        policy: gives actions in [-1, 1].
+        low: `a` lowest commands.
+        high: `a` highest commands.
+        path: of the file.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        policy.export(Path(folder) / "policy.pt")
+        actions = torch.jit.load(str(Path(folder) / "policy.pt"))  # type: ignore[no-untyped-call]
+    module = _Commands(actions, low, high).eval().requires_grad_(False)
+    torch.jit.save(torch.jit.script(module), str(path))

@@ -1,0 +1,145 @@
+"""Whether any candidate explains the recordings: the floor under Δ against what it should be.
+
+Were the machine one of the model's family, the least Δ over B would be that of the sensors' noise
+and of B's resolution:
+
+- noise: the best candidate's predictions from starts that are moved by the sensors' noise, plus
+  that noise, against its own predictions;
+- resolution: the truth may lie half a step of B off the best candidate, in every parameter.
+
+Both are measured through the simulator, in the units of Δ. A floor clearly above their root sum of
+squares, under a belief that has converged, means that no β will do: physics is missing.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.arrays import Point
+from bo_sysid.belief.stopping import StopReason
+from bo_sysid.identify.problem import Problem
+from bo_sysid.recording import sensor_noise
+
+ABOVE = 1.5  # times the expected floor, from which on no candidate will do
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The least Δ over B, and what it would be if the model lacked nothing.
+
+    Attributes:
+        deviation: the least Δ that was found.
+        noise: Δ that the sensors' noise alone makes.
+        resolution: Δ that the spacing of B alone makes.
+    """
+
+    deviation: float
+    noise: float
+    resolution: float
+
+    @property
+    def expected(self) -> float:
+        """The floor of a model that lacks nothing."""
+        return float(np.hypot(self.noise, self.resolution))
+
+    @property
+    def ratio(self) -> float:
+        """The floor in units of the expected one."""
+        return self.deviation / max(self.expected, np.finfo(float).tiny)
+
+
+def lacks_physics(floor: Floor, reason: StopReason) -> bool:
+    """Return whether no candidate will do: a converged belief over a floor that is too high.
+
+    Args:
+        floor: under Δ, on all recordings.
+        reason: why the search ended; one that ran out of budget may still find better.
+    """
+    return reason is not StopReason.BUDGET and floor.ratio > ABOVE
+
+
+def floor_of(problem: Problem, best: Point, deviation: float, seed: int = 0) -> Floor:
+    """Return the floor under Δ and its two expected parts.
+
+    Args:
+        problem: on all recordings.
+        best: the evaluated candidate with the least Δ.
+        deviation: its Δ.
+        seed: of the noise.
+    """
+    return Floor(deviation, _noise_part(problem, best, seed), _resolution_part(problem, best))
+
+
+def noise_by_channel(problem: Problem) -> dict[str, float]:
+    """Return σ of every observed channel: the study's, else from third differences."""
+    given = problem.study.recordings.noise
+    found = [sensor_noise(r) for r in problem.recordings]
+    sigma = {}
+    for name in problem.deviation.windows.channels:
+        known = given.get(name, given.get(name.split(".", 1)[0]))
+        estimated = float(np.median([f[name] for f in found if name in f] or [0.0]))
+        sigma[name] = estimated if known is None else float(known)
+    return sigma
+
+
+def _noise_part(problem: Problem, best: Point, seed: int) -> float:
+    deviation, windows = problem.deviation, problem.deviation.windows
+    sigma = noise_by_channel(problem)
+    rng = np.random.default_rng((seed, 3))
+    scale = _start_noise(problem, sigma)
+    moved = deviation.simulator.moved(
+        windows.start, scale * rng.standard_normal((len(windows), len(scale)))
+    )
+    clean, shaken = deviation.simulator.predictions(
+        np.stack([best, best]), windows, [windows.start, moved]
+    )
+    seen = np.array([sigma[name] for name in windows.channels])
+    noise = seen * rng.standard_normal(windows.observed.shape)
+    good = ~(clean.diverged | shaken.diverged)
+    return _mean_norm(problem, (shaken.values - clean.values + noise)[good])
+
+
+def _resolution_part(problem: Problem, best: Point) -> float:
+    """Return the sum over parameters of half a step's Δ, the worst that B can leave."""
+    low, high = problem.candidates.bounds
+    step = problem.candidates.spacing
+    if step is None:
+        step = (high - low) * len(problem.candidates) ** (-1 / len(low))
+    points = [best]
+    for k in range(len(best)):
+        inward = -step[k] if best[k] + step[k] > high[k] + 1e-12 else step[k]
+        points.append(best + inward * np.eye(len(best))[k])
+    own, *others = problem.deviation.simulator.predictions(
+        np.array(points), problem.deviation.windows
+    )
+    return sum(0.5 * _mean_norm(problem, o.values - own.values) for o in others)
+
+
+def _mean_norm(problem: Problem, difference: Float[np.ndarray, "W H c"]) -> float:
+    weighted = np.nan_to_num(difference / problem.deviation.whitening.scale)
+    horizon = max(weighted.shape[1], 1)
+    norms = np.sqrt(np.einsum("whc,whc->w", weighted, weighted) / horizon)
+    return float(norms.mean()) if len(norms) else 0.0
+
+
+def _start_noise(problem: Problem, sigma: dict[str, float]) -> Float[np.ndarray, " n"]:
+    """Return σ of the starts, `2 nv`; of free and ball joints it is left out.
+
+    A velocity that was not recorded is worth what a difference of two positions is.
+    """
+    compiled = problem.model.compile()
+    scale = np.zeros(2 * compiled.nv)
+    spacing = [np.median(np.diff(c.time)) for r in problem.recordings
+               for c in r.of_kind("qpos").values()]  # fmt: skip
+    for j in range(compiled.njnt):
+        if int(compiled.jnt_type[j]) not in _SCALAR:
+            continue
+        name, dof = compiled.joint(j).name, int(compiled.jnt_dofadr[j])
+        position = sigma.get(f"qpos.{name}", 0.0)
+        scale[dof] = position
+        difference = position / (np.sqrt(2) * float(np.median(spacing)))
+        scale[compiled.nv + dof] = sigma.get(f"qvel.{name}", difference)
+    return scale

@@ -1,0 +1,103 @@
+"""A policy for a person's machine: a file to run there, and what to record."""
+
+from pathlib import Path
+
+import numpy as np
+
+from bo_sysid.arrays import Point
+from bo_sysid.learn.scene import Scene
+from bo_sysid.plants.environment import control_range
+from bo_sysid.plants.limits import LimitedTask
+from bo_sysid.plants.python_task import PythonMachine, PythonTask
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.runs import Run, atomic
+
+_EPISODES = 20
+
+
+def command_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest command of every actuator, limits included."""
+    model = scene.compiled(scene.candidates.points[0])
+    if isinstance(scene.task, PythonTask):
+        machine = PythonMachine(scene.task, model, 0)
+        ones = np.ones((1, machine.action_size))
+        return machine.controls(-ones)[0], machine.controls(ones)[0]
+    return control_range(model)
+
+
+def write_commands(scene: Scene, policy: LearnedPolicy, path: Path) -> None:
+    """Write the policy as a TorchScript module from observations to commands.
+
+    It maps `n x o` float32 observations to `n x nu` commands in the actuators' units, clipped to
+    their range and the study's limits; it runs wherever libtorch does, without this package.
+    """
+    from bo_sysid.learn.commands import write_module
+
+    low, high = command_range(scene)
+    with atomic(path) as place:
+        write_module(policy, low, high, place)
+
+
+def share_beyond(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
+    """Return the share of simulated episodes in which the policy leaves the study's limits."""
+    if not isinstance(scene.task, LimitedTask):
+        return 0.0
+    environment = scene.environment(scene.compiled(point), _EPISODES, seed=scene.seed)
+    observation = environment.reset()
+    running, left = np.ones(_EPISODES, bool), np.zeros(_EPISODES, bool)
+    while running.any():
+        step = environment.step(policy.act(observation))
+        left |= running & step.terminated
+        running &= ~(step.terminated | step.truncated)
+        observation = step.observation
+    return float(left.mean())
+
+
+def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: str) -> str:
+    """Write policy `number` for the machine, and return what to record and where to put it."""
+    name = f"policies/policy-{number:02d}"
+    write_commands(scene, policy, run.path(f"{name}.pt"))
+    low, high = command_range(scene)
+    seconds = scene.task.time_limit
+    about = {
+        "observations": policy.policy.network.sizes[0],
+        "actuators": list(scene.model.actuators),
+        "low": low,
+        "high": high,
+        "control_timestep": scene.task.control_timestep,
+        "seconds": seconds if np.isfinite(seconds) else None,
+        "simulated_share_beyond_limits": policy.about.get("share_beyond", 0.0),
+    }
+    run.write_json(f"{name}.json", about)
+    (run.path(stem).parent).mkdir(exist_ok=True)
+    return "\n".join(
+        [
+            f"waiting for recording {number}: run {run.path(name)}.pt on the machine and put what "
+            f"it did into {run.path(stem)}.parquet (or .csv, .npz, .mat).",
+            f"- The module takes the {about['observations']} observations of the task every "
+            f"{scene.task.control_timestep:g} s and gives the commands of "
+            f"{', '.join(scene.model.actuators)}, clipped to {_ranges(low, high)}.",
+            f"- Record {_length(seconds)}: time, qpos.<joint> of every joint, "
+            f"{', '.join(scene.model.ctrl_channels)}; velocities where there are some.",
+            *_warning(float(policy.about.get("share_beyond", 0.0))),
+            "Then give the same command again; it goes on from there.",
+        ]
+    )
+
+
+def _length(seconds: float) -> str:
+    return f"an episode of {seconds:g} s" if np.isfinite(seconds) else "as long as is safe"
+
+
+def _ranges(low: np.ndarray, high: np.ndarray) -> str:
+    return ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(low, high, strict=True))
+
+
+def _warning(share: float) -> list[str]:
+    if not share:
+        return []
+    return [
+        f"- CAUTION: in {share:.0%} of simulated episodes this policy leaves the limits of "
+        "position or velocity, which clipping commands cannot prevent. Have the machine stop by "
+        "itself."
+    ]

@@ -1,0 +1,194 @@
+"""The inner loop within the outer one: what all recordings so far say about β."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bo_sysid.arrays import Points, Probabilities
+from bo_sysid.belief.bootstrap import bootstrap_argmin
+from bo_sysid.belief.stopping import StopReason, StopRule
+from bo_sysid.deviation import Deviation
+from bo_sysid.execution import threads
+from bo_sysid.identify.problem import make_problem
+from bo_sysid.identify.result import entropy
+from bo_sysid.identify.search import History, Outcome, Rules, search
+from bo_sysid.learn.floor import Floor, floor_of
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.stops import Verdict
+from bo_sysid.parameters import CandidateSet
+from bo_sysid.recording import Recording
+from bo_sysid.runs import Run
+
+_BETWEEN = 5  # evaluations between two looks at the values, where these end the search
+
+Settled = Callable[[Probabilities], Verdict]
+"""Returns whether what P leaves open matters no longer for the policy."""
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What all recordings so far say.
+
+    Attributes:
+        rows: `n` evaluated rows of B, in order.
+        deviation: `n`, Δ of each on all recordings.
+        entropy: `n` entropies of P; NaN for rows that earlier iterations had picked.
+        probabilities: `N` P(β).
+        bootstrap: `N` P_boot(β).
+        mean: `N` mean of log Δ(β).
+        fresh: how many of the rows are new.
+        reason: why the search ended.
+        floor: under Δ.
+        guided: figures behind the end of a search that was ended by values, else empty.
+    """
+
+    rows: Int[np.ndarray, " n"]
+    deviation: Float[np.ndarray, " n"]
+    entropy: Float[np.ndarray, " n"]
+    probabilities: Probabilities
+    bootstrap: Probabilities
+    mean: Float[np.ndarray, " N"]
+    fresh: int
+    reason: StopReason
+    floor: Floor
+    guided: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def best(self) -> int:
+        """The row with the largest probability."""
+        return int(self.probabilities.argmax())
+
+    def figures(self) -> dict[str, Any]:
+        """Return what `learning.json` tells of it."""
+        return {
+            "evaluated": len(self.rows),
+            "new": self.fresh,
+            "entropy": abs(entropy(self.probabilities)),
+            "entropy_bootstrap": abs(entropy(self.bootstrap)),
+            "search_stopped": self.reason.value,
+            "search_values": dict(self.guided),
+            "floor": {
+                "deviation": self.floor.deviation,
+                "noise": self.floor.noise,
+                "resolution": self.floor.resolution,
+            },
+        }
+
+    def write(self, run: Run, folder: str, candidates: CandidateSet) -> None:
+        """Write it; the last file makes it complete."""
+        points = candidates.frame()
+        evaluations = points.iloc[self.rows].reset_index(drop=True)
+        evaluations.insert(0, "row", self.rows)
+        run.write_frame(
+            f"{folder}/evaluations.parquet",
+            evaluations.assign(deviation=self.deviation, entropy=self.entropy),
+        )
+        run.write_frame(
+            f"{folder}/belief.parquet",
+            points.assign(P=self.probabilities, P_boot=self.bootstrap, mean=self.mean),
+        )
+        run.write_json(f"{folder}/identified.json", self.figures())
+
+    @classmethod
+    def read(cls, run: Run, folder: str) -> "Identified | None":
+        """Return what was written; None where it is not complete."""
+        if not run.has(f"{folder}/identified.json"):
+            return None
+        told = run.read_json(f"{folder}/identified.json")
+        evaluations = run.read_frame(f"{folder}/evaluations.parquet")
+        belief = run.read_frame(f"{folder}/belief.parquet")
+        return cls(
+            evaluations["row"].to_numpy(int),
+            evaluations["deviation"].to_numpy(float),
+            evaluations["entropy"].to_numpy(float),
+            belief["P"].to_numpy(float),
+            belief["P_boot"].to_numpy(float),
+            belief["mean"].to_numpy(float),
+            told["new"],
+            StopReason(told["search_stopped"]),
+            Floor(**told["floor"]),
+            told["search_values"],
+        )
+
+
+def identified(
+    scene: Scene,
+    recordings: Sequence[Recording],
+    known: Int[np.ndarray, " k"],
+    settled: Settled | None = None,
+) -> Identified:
+    """Search for the arg-min of Δ on all recordings, from what earlier iterations had evaluated.
+
+    Δ of every candidate that was ever evaluated is computed again: recordings have been added, and
+    a value on some of them says nothing about a value on all. Then at most `search.budget`
+    candidates are added.
+
+    Args:
+        scene: gives model and B.
+        recordings: all so far.
+        known: rows of B that were evaluated before.
+        settled: ends the search in place of the entropy.
+    """
+    problem = make_problem(scene.study, recordings, threads=threads())
+    deviation, points = problem.deviation, scene.candidates.points
+    history = evaluated_again(deviation, points, known)
+    outcome, guided = _searched(scene, deviation, history, settled)
+    rows, found = outcome.history.rows, outcome.history.evaluation
+    best = int(found.deviation.argmin())
+    blocks = deviation.blocks
+    bootstrap = bootstrap_argmin(
+        outcome.surrogate,
+        points,
+        rows,
+        found.contributions,
+        blocks.weight,
+        groups=blocks.session,
+        seed=scene.seed,
+    )
+    return Identified(
+        rows,
+        found.deviation,
+        outcome.history.entropy,
+        outcome.belief.probabilities,
+        bootstrap.probabilities,
+        outcome.surrogate.moments(points)[0],
+        len(rows) - len(known),
+        outcome.reason,
+        floor_of(problem, points[rows[best]], float(found.deviation[best]), scene.seed),
+        guided,
+    )
+
+
+def evaluated_again(deviation: Deviation, points: Points, rows: Int[np.ndarray, " k"]) -> History:
+    """Return the history of rows whose Δ is computed on the recordings of `deviation`."""
+    if not len(rows):
+        return History.empty(len(deviation.blocks.weight))
+    return History(np.asarray(rows, int), deviation(points[rows]), np.full(len(rows), np.nan))
+
+
+def _searched(
+    scene: Scene, deviation: Deviation, history: History, settled: Settled | None
+) -> tuple[Outcome, Mapping[str, Any]]:
+    candidates, search_of = scene.candidates, scene.study.search
+    budget = len(history) + search_of.budget
+
+    def run(history: History, rule: StopRule) -> Outcome:
+        rules = Rules(search_of.acquisition, rule, scene.seed)
+        return search(candidates, lambda row: deviation(candidates.points[[row]]), rules, history)
+
+    if settled is None:
+        rule = StopRule(budget, search_of.stop.entropy, search_of.stop.last)
+        return run(history, rule), {}
+    enough = len(history) + 2 * len(candidates.parameters) + 2  # the initial design
+    while True:
+        outcome = run(history, StopRule(min(enough, budget), entropy=None))
+        history = outcome.history
+        verdict = settled(outcome.belief.probabilities)
+        if verdict.stop:
+            return replace(outcome, reason=StopReason.CONVERGED), verdict.figures
+        if outcome.reason is StopReason.CONVERGED or len(history) >= budget:
+            return outcome, verdict.figures
+        enough = len(history) + _BETWEEN

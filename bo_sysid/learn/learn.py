@@ -1,0 +1,175 @@
+"""Learning: the outer loop, from a study to a policy that works on the real machine.
+
+    record → identify on all recordings → choose β → learn on the model at β → stop or go on
+
+The policy of each iteration is what the next trajectory is recorded with.
+"""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from bo_sysid.execution import Report, silent
+from bo_sysid.learn.hand_over import write_commands
+from bo_sysid.learn.iteration import Iteration, Teller, iterate, reread
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.sources import Source, open_source
+from bo_sysid.plants.python_task import PythonTask
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+
+
+@dataclass(frozen=True)
+class Learning:
+    """What the outer loop came to.
+
+    Attributes:
+        name: of the study.
+        policy: the last policy; None where none was learned yet.
+        chosen: the parameter values that it was learned on.
+        iterations: one row an iteration: trajectories, entropy, deviation, model_return and
+            plant_return with their standard errors.
+        trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
+        reason: why the loop ended; empty where it waits.
+        waiting: what a person has to record before it goes on; empty where it ended.
+        notes: diagnoses, and what was done otherwise than the study may suggest.
+    """
+
+    name: str
+    policy: LearnedPolicy | None
+    chosen: dict[str, float]
+    iterations: pd.DataFrame
+    trajectories: pd.DataFrame
+    reason: str
+    waiting: str
+    notes: tuple[str, ...]
+
+
+def learn(study: Study, run: Run | None = None, *, progress: Report = silent) -> Learning:
+    """Learn a policy with few real trajectories.
+
+    Args:
+        study: names the task, the model, what is uncertain, and the plant; without a plant the
+            machine is a person's, and the loop waits for recordings.
+        run: folder that keeps every phase; a run that was interrupted goes on to the result that
+            it would have had. A temporary one by default.
+        progress: told after every phase.
+
+    Raises:
+        UserError: the study, its model, its task or a recording is wrong.
+    """
+    if run is not None:
+        return _learned(study, run, progress)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "run"
+        with Run.open(folder, study.resolved(relative_to=folder), "learn") as own:
+            return _learned(study, own, progress)
+
+
+def _learned(study: Study, run: Run, progress: Report) -> Learning:
+    scene = Scene.of(study)
+    source = open_source(scene, run)
+    tell = Teller(progress, study.learn.trajectories)
+    done: list[Iteration] = []
+    while not done or not done[-1].verdict.stop:
+        before = done[-1] if done else None
+        number = len(done) + 1
+        waiting = source.take(number, before.policy if before else None)
+        if waiting is not None:
+            return _told(study, scene, source, done, run, waiting.message)
+        now = before.scene if before else scene
+        done.append(reread(now, before, run) or iterate(now, source, before, run, tell))
+    return _told(study, scene, source, done, run)
+
+
+def _told(
+    study: Study,
+    scene: Scene,
+    source: Source,
+    done: list[Iteration],
+    run: Run,
+    waiting: str = "",
+) -> Learning:
+    """Write what was found so far, and return it."""
+    last = done[-1]
+    result = Learning(
+        study.name,
+        last.policy,
+        last.figures["chosen"],
+        _table(done),
+        source.trajectories,
+        "" if waiting else last.verdict.sentence,
+        waiting,
+        _notes(scene, done, source.trajectories),
+    )
+    last.policy.save(run.path("policy.npz"))
+    write_commands(last.scene, last.policy, run.path("policy.pt"))
+    run.write_frame("trajectories.parquet", result.trajectories)
+    run.write_frame("iterations.parquet", result.iterations)
+    run.write_frame("training.parquet", _log(done, run))
+    run.write_json("learning.json", _summary(result, done))
+    return result
+
+
+def _table(done: list[Iteration]) -> pd.DataFrame:
+    rows = []
+    for i in done:
+        f = i.figures
+        rows.append(
+            {
+                "iteration": i.number,
+                "trajectories": f["trajectories"],
+                "evaluated": f["evaluated"],
+                "entropy": f["entropy"],
+                "deviation": f["floor"]["deviation"],
+                "floor": i.found.floor.expected,
+                "model_return": f["model_return"]["mean"],
+                "model_error": f["model_return"]["error"],
+                "plant_return": f["plant_return"]["mean"] if f["plant_return"] else None,
+                "plant_error": f["plant_return"]["error"] if f["plant_return"] else None,
+                "diagnosed": f["diagnosis"] is not None,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
+    """Return the log of TRPO of all iterations, one row a batch."""
+    parts = []
+    for i in done:
+        log = run.read_frame(f"iterations/{i.number:02d}/training/iterations.parquet")
+        log.insert(0, "learned", i.number)
+        parts.append(log)
+    return pd.concat(parts, ignore_index=True)
+
+
+def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> tuple[str, ...]:
+    notes = [s for i in done if i.figures["diagnosis"] for s in i.figures["diagnosis"]]
+    if isinstance(scene.task, PythonTask):
+        notes.append(scene.task.notice)
+    if scene.study.search.refine:
+        notes.append("search.refine zooms in identify; learn keeps to the stated B")
+    faults = trajectories.loc[trajectories["fault"] != "", "fault"]
+    notes += [f"{fault}; what was recorded until then is used" for fault in faults]
+    return tuple(dict.fromkeys(notes))
+
+
+def _summary(result: Learning, done: list[Iteration]) -> dict[str, Any]:
+    """Return the content of `learning.json`."""
+    return {
+        "name": result.name,
+        "status": "waiting" if result.waiting else "finished",
+        "stopped": result.reason,
+        "waiting": result.waiting,
+        "trajectories": len(result.trajectories),
+        "seconds_recorded": float(result.trajectories["seconds"].sum()),
+        "chosen": result.chosen,
+        "policy": "policy.npz",
+        "commands": "policy.pt",
+        "iterations": [i.figures for i in done],
+        "notes": list(result.notes),
+    }

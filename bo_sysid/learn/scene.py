@@ -1,0 +1,156 @@
+"""What a study asks to be learned: the task, the model at any candidate, the settings."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from bo_sysid.arrays import Point
+from bo_sysid.mjcf import Edit, Model, parameter_edits
+from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.plants.build import study_task
+from bo_sysid.plants.environment import BatchEnvironment, Environment
+from bo_sysid.plants.limits import limit_edits
+from bo_sysid.plants.load import Task, compiled, make_environment
+from bo_sysid.plants.python_task import PythonTask
+from bo_sysid.policy.settings import TrpoSettings, TrustRegion
+from bo_sysid.study import Study
+from bo_sysid.study.check import candidate_set
+from bo_sysid.study.inputs import load_model
+
+_ENVIRONMENTS = 80  # most simulations of a training; more fall out of the processor's cache
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A study with what `learn` needs of it.
+
+    Attributes:
+        study: the study.
+        model: its nominal model.
+        task: what is learned.
+        parameters: what is uncertain.
+        candidates: the discrete set B.
+        limits: edits that keep commands within the study's limits.
+    """
+
+    study: Study
+    model: Model
+    task: Task
+    parameters: tuple[Parameter, ...]
+    candidates: CandidateSet
+    limits: tuple[Edit, ...]
+
+    @classmethod
+    def of(cls, study: Study, task: Task | None = None) -> "Scene":
+        """Return the scene of a study.
+
+        Args:
+            study: the study.
+            task: what is learned, where it is not the study's to say.
+
+        Raises:
+            UserError: there is no task, nothing is uncertain, or something does not fit.
+        """
+        model = load_model(study)
+        task = task or study_task(study, model)
+        if task is None or not task.rewarded:
+            raise study.error(
+                ("task",),
+                "learn needs a task with a reward: task: {dm_control: {domain: …, task: …}}, or "
+                "{file: reach.py, class: Reach}, a dm_control Task",
+            )
+        parameters = study.parameter_set(model)
+        if not parameters:
+            raise study.error(
+                ("parameters",), "learn needs at least one uncertain parameter; the study has none"
+            )
+        scene = cls(
+            study,
+            model,
+            task,
+            parameters,
+            candidate_set(study, parameters),
+            limit_edits(study, model),
+        )
+        scene.environment(scene.compiled(scene.candidates.points[0]), 1)  # the task must fit
+        return scene
+
+    @property
+    def seed(self) -> int:
+        """Seed of everything drawn at random."""
+        return self.study.search.seed
+
+    def compiled(self, point: Point) -> mujoco.MjModel:
+        """Return the model at a candidate, compiled for the task."""
+        edits = parameter_edits(self.model, self.parameters, point)
+        return compiled(self.model, self.task, [*edits, *self.limits])
+
+    def environment(
+        self,
+        model: mujoco.MjModel | Sequence[mujoco.MjModel],
+        n: int,
+        *,
+        seed: int = 0,
+        threads: int = 1,
+        stagger: bool = False,
+        common: int | None = None,
+    ) -> Environment:
+        """Return `n` simulations of the task; see `make_environment`."""
+        return make_environment(
+            self.task, model, n, seed=seed, threads=threads, stagger=stagger, common=common
+        )
+
+    def training(self, point: Point, probabilities: np.ndarray | None, threads: int) -> Environment:
+        """Return the environment that a policy is learned in.
+
+        Args:
+            point: the chosen candidate.
+            probabilities: `N`, where every episode shall have a model of its own; None for the
+                chosen candidate alone.
+            threads: of the simulation.
+
+        Raises:
+            StudyError: a task in Python cannot have a model for every episode.
+        """
+        n, seed = self.environments, self.seed
+        if probabilities is None:
+            model = self.compiled(point)
+            return self.environment(model, n, seed=seed, threads=threads, stagger=True)
+        if isinstance(self.task, PythonTask):
+            raise self.study.error(
+                ("learn", "models"), "bootstrap needs a vectorised task; choose: chosen"
+            )
+        draw = self._draw(probabilities)
+        return BatchEnvironment(self.task, draw, n, seed=seed, threads=threads, stagger=True)
+
+    def _draw(self, probabilities: np.ndarray) -> Callable[[np.random.Generator], mujoco.MjModel]:
+        """Return a function that draws a candidate's model; each is compiled once."""
+        models: dict[int, mujoco.MjModel] = {}
+        edges = np.cumsum(probabilities) / probabilities.sum()
+
+        def draw(rng: np.random.Generator) -> mujoco.MjModel:
+            row = min(int(np.searchsorted(edges, rng.random(), side="right")), len(edges) - 1)
+            if row not in models:
+                models[row] = self.compiled(self.candidates.points[row])
+            return models[row]
+
+        return draw
+
+    @property
+    def environments(self) -> int:
+        """Number of simulations in a training: the most of which a batch is a multiple."""
+        batch = self.study.policy.batch
+        return max(n for n in range(1, min(_ENVIRONMENTS, batch // 2) + 1) if batch % n == 0)
+
+    @property
+    def settings(self) -> TrpoSettings:
+        """Settings of the training."""
+        policy = self.study.policy
+        return TrpoSettings(
+            batch=policy.batch,
+            discount=policy.discount,
+            hidden=policy.hidden,
+            region=TrustRegion(kl=policy.kl),
+        )

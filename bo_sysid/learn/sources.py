@@ -1,0 +1,249 @@
+"""Where real trajectories come from: a simulated plant, or a person's machine."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RunError, StudyError
+from bo_sysid.learn.hand_over import hand_over
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.values import Estimate
+from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.excitation import smooth_random
+from bo_sysid.plants.plant import PlantError, Trajectory
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording import READERS, Recording, read_recording
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import Run
+from bo_sysid.study.inputs import load_train, read_files
+
+_LONGEST = 20.0  # [s] of the first excitation, where a task has no end
+_PLANT_SEED = 500_009  # starts of evaluations are none of those of trajectories
+
+
+class Waiting(NamedTuple):
+    """A trajectory that a person has to record.
+
+    Attributes:
+        message: what to record, and where to put it.
+    """
+
+    message: str
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Where real trajectories come from."""
+
+    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
+        """Have the recordings of iteration `number`, under the policy of the one before."""
+        ...
+
+    @property
+    def recordings(self) -> tuple[Recording, ...]:
+        """All recordings so far."""
+        ...
+
+    @property
+    def training(self) -> Mapping[str, Any]:
+        """The study's key `recordings` for what is there, paths relative to the run folder."""
+        ...
+
+    @property
+    def trajectories(self) -> pd.DataFrame:
+        """One row a counted trajectory: number, name, steps, seconds, reward, fault."""
+        ...
+
+    def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
+        """Return the policy's return on the machine, which is no trajectory; None if unknown."""
+        ...
+
+
+def open_source(scene: Scene, run: Run) -> Source:
+    """Return the plant of a study where it has one, else the person's machine."""
+    return PlantSource(scene, run) if scene.study.plant else MachineSource(scene, run)
+
+
+class PlantSource:
+    """A simulated plant; the first trajectory is an excitation, the others are policies'.
+
+    An excitation moves every actuator over its range and has something to tell about every
+    parameter; an untrained policy hardly moves at all. Recordings that the study names are not
+    used: only what the plant has counted is.
+
+    Args:
+        scene: its study describes the plant.
+        run: folder of the recordings.
+    """
+
+    def __init__(self, scene: Scene, run: Run) -> None:
+        self._scene, self._run = scene, run
+        self._plant = build_plant(scene.study, budget=scene.study.learn.trajectories)
+        told = run.read_json("trajectories.json") if run.has("trajectories.json") else []
+        self._plant.resume([Trajectory(**entry) for entry in told])
+
+    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
+        """Roll out one trajectory; one that breaks off is kept as far as it went.
+
+        Raises:
+            PlantError: it broke off at once.
+        """
+        if number <= len(self._plant.trajectories):
+            return None
+        settings = self._scene.study.plant
+        warmstart = settings is not None and settings.record.warmstart
+        source = self._excitation() if policy is None else policy.act
+        try:
+            recording = self._plant.record(source, warmstart=warmstart)
+        except PlantError as error:
+            if error.recording is None:
+                raise
+            recording = error.recording
+        write_recording(recording, self._run.path(_file(number)))
+        self._run.write_json("trajectories.json", [asdict(t) for t in self._plant.trajectories])
+        return None
+
+    def _excitation(self) -> np.ndarray:
+        scene = self._scene
+        compiled = scene.model.compile(scene.limits)
+        duration = min(scene.task.time_limit, _LONGEST)
+        return smooth_random(compiled, duration, self._plant.control_timestep, seed=scene.seed)
+
+    @property
+    def recordings(self) -> tuple[Recording, ...]:
+        """What was recorded, read back from the run folder."""
+        count = len(self._plant.trajectories)
+        return tuple(read_recording(self._run.path(_file(k + 1))) for k in range(count))
+
+    @property
+    def training(self) -> Mapping[str, Any]:
+        """The recordings in the run folder, in the package's own convention."""
+        names = [_file(k + 1) for k in range(len(self._plant.trajectories))]
+        return {"train": names, "noise": dict(self._scene.study.recordings.noise)}
+
+    @property
+    def trajectories(self) -> pd.DataFrame:
+        """One row a counted trajectory."""
+        rows = [asdict(t) for t in self._plant.trajectories]
+        frame = pd.DataFrame(rows, columns=["name", "steps", "reward", "fault"])
+        frame.insert(0, "number", np.arange(1, len(frame) + 1))
+        frame.insert(3, "seconds", frame["steps"] * self._plant.control_timestep)
+        return frame
+
+    def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
+        """Return the policy's return over episodes that are counted apart."""
+        scene = self._scene
+        episodes, seed = scene.study.learn.episodes, scene.seed + _PLANT_SEED
+        return Estimate.of(self._plant.evaluate(policy.act, episodes, seed=seed))
+
+
+class MachineSource:
+    """A person's machine: a policy file out, a recording in.
+
+    The first iteration uses the recordings that the study names. Every later one needs the
+    recording of the policy that was learned before, in ``recordings/trajectory-<number>`` of the
+    run folder, in any format that is read.
+
+    Args:
+        scene: its study names the first recordings.
+        run: folder of policies and recordings.
+
+    Raises:
+        RunError: the first recordings changed since the run began.
+        UserError: there are none, or they cannot be read.
+    """
+
+    def __init__(self, scene: Scene, run: Run) -> None:
+        self._scene, self._run = scene, run
+        self._first = _first_recordings(scene)
+        self._files: list[Path] = []
+        digest = _digest(self._first)
+        if run.has("first_recordings.json"):
+            if run.read_json("first_recordings.json")["sha256"] != digest:
+                raise RunError(
+                    f"{run.folder}: the recordings that the study names changed since this run "
+                    "began; use another --out, or put further ones where the run asks for them"
+                )
+        else:
+            names = [r.name for r in self._first]
+            run.write_json("first_recordings.json", {"names": names, "sha256": digest})
+
+    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
+        """Find the recording of iteration `number`, or write the policy and say what to record.
+
+        Raises:
+            RecordingError: the recording is wrong; the run waits for a better one.
+        """
+        if policy is None:
+            return None
+        stem = f"recordings/trajectory-{number - 1:02d}"
+        there = [self._run.path(stem + ending) for ending in READERS]
+        found = [path for path in there if path.is_file()]
+        if not found:
+            return Waiting(hand_over(self._scene, self._run, policy, number - 1, stem))
+        read_files(self._scene.study, found[:1], strict=False)
+        self._files.append(found[0])
+        return None
+
+    @property
+    def recordings(self) -> tuple[Recording, ...]:
+        """The first recordings and those of policies."""
+        return self._first + read_files(self._scene.study, self._files, strict=False)
+
+    @property
+    def training(self) -> Mapping[str, Any]:
+        """The study's own key, with the recordings of policies added."""
+        told = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
+        own = [str(f.relative_to(self._run.folder)) for f in self._files]
+        return {**told, "train": [*told.get("train", ()), *own]}
+
+    @property
+    def trajectories(self) -> pd.DataFrame:
+        """One row a recording of a policy; its reward is not known here."""
+        read = self.recordings[len(self._first) :]
+        step = self._scene.task.control_timestep
+        rows = [
+            {
+                "number": k + 1,
+                "name": r.name,
+                "steps": round((r.span[1] - r.span[0]) / step),
+                "seconds": r.span[1] - r.span[0],
+                "reward": np.nan,
+                "fault": "",
+            }
+            for k, r in enumerate(read)
+        ]
+        return pd.DataFrame(rows, columns=["number", "name", "steps", "seconds", "reward", "fault"])
+
+    def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
+        """Return None: only the machine itself knows."""
+        return None
+
+
+def _file(number: int) -> str:
+    return f"trajectories/{number:02d}.parquet"
+
+
+def _first_recordings(scene: Scene) -> tuple[Recording, ...]:
+    try:
+        return load_train(scene.study)
+    except StudyError as error:
+        raise StudyError(
+            f"{error}. Learning for a machine begins with a recording of it (bo-sysid excite makes "
+            "a safe trajectory to record); a simulated one is described under the key plant"
+        ) from None
+
+
+def _digest(recordings: tuple[Recording, ...]) -> str:
+    digest = hashlib.sha256()
+    for r in recordings:
+        for name, channel in r.channels.items():
+            digest.update(name.encode())
+            digest.update(channel.time.tobytes())
+            digest.update(channel.values.tobytes())
+    return digest.hexdigest()

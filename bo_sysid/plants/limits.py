@@ -1,0 +1,136 @@
+"""Limits of a machine, which bind every excitation and policy that is meant for it.
+
+Commands are kept within limits by clipping: the control range of every actuator is narrowed, so
+that no action and no excitation leaves it. Positions and velocities cannot be kept by clipping; an
+episode ends for good where they are left, so that a policy learns to stay within.
+"""
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import nearest
+from bo_sysid.mjcf import Edit, Model
+from bo_sysid.plants.simulations import Simulations
+from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.study import Study
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
+    """Return the edits that narrow the control ranges to a study's limits.
+
+    A motor's command is bounded by `effort`, |u| ≤ effort / |gear · gain|; a position servo's by
+    `position`, and its force by `effort`.
+
+    Raises:
+        StudyError: a limit is of a joint that the model does not have.
+    """
+    if not study.limits:
+        return ()
+    compiled = model.compile()
+    for joint in study.limits:
+        if joint not in model.joints:
+            raise study.error(("limits", joint), f"no such joint; {nearest(joint, model.joints)}")
+    bounds: dict[str, tuple[float, float]] = {}
+    forces: dict[str, float] = {}
+    for a, name in enumerate(model.actuators):
+        limit = study.limits.get(_joint_of(compiled, a))
+        if limit is None:
+            continue
+        gear, gain = float(compiled.actuator_gear[a, 0]), float(compiled.actuator_gainprm[a, 0])
+        servo = bool(compiled.actuator_biasprm[a, 1])
+        reach = [(-np.inf, np.inf)]
+        if compiled.actuator_ctrllimited[a]:
+            reach.append(tuple(compiled.actuator_ctrlrange[a]))
+        if limit.effort is not None and servo:
+            forces[name] = limit.effort / abs(gear)
+        elif limit.effort is not None and gear * gain:
+            reach.append((-limit.effort / abs(gear * gain), limit.effort / abs(gear * gain)))
+        if limit.position is not None and servo:
+            ends = sorted(gear * x for x in limit.position)
+            reach.append((ends[0], ends[1]))
+        low, high = max(r[0] for r in reach), min(r[1] for r in reach)
+        if np.isfinite([low, high]).all():
+            bounds[name] = (float(low), float(high))
+    return (_edit(bounds, forces),)
+
+
+def _edit(bounds: Mapping[str, tuple[float, float]], forces: Mapping[str, float]) -> Edit:
+    def edit(spec: mujoco.MjSpec) -> None:
+        for name, (low, high) in bounds.items():
+            spec.actuator(name).ctrllimited = True
+            spec.actuator(name).ctrlrange = [low, high]
+        for name, force in forces.items():
+            spec.actuator(name).forcelimited = True
+            spec.actuator(name).forcerange = [-force, force]
+
+    edit.moves_mass = False  # type: ignore[attr-defined] # see bo_sysid.mjcf.model.Edit
+    return edit
+
+
+def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
+    joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    if int(model.actuator_trntype[actuator]) not in joint:
+        return ""
+    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+
+
+class LimitedTask(VectorTask):
+    """A task whose episodes end for good where positions or velocities leave their limits.
+
+    Args:
+        task: the task.
+        study: its `limits` are kept.
+        model: gives the joints.
+    """
+
+    def __init__(self, task: VectorTask, study: Study, model: Model) -> None:
+        self.task = task
+        self.control_timestep, self.time_limit = task.control_timestep, task.time_limit
+        self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
+        self.settle_time = task.settle_time  # type: ignore[misc]
+        self.rewarded = task.rewarded  # type: ignore[misc]
+        compiled = model.compile()
+        self._low, self._high = np.full(compiled.nq, -np.inf), np.full(compiled.nq, np.inf)
+        self._speed = np.full(compiled.nv, np.inf)
+        for name, limit in study.limits.items():
+            joint = compiled.joint(name)
+            if int(joint.type[0]) not in _SCALAR:
+                raise study.error(("limits", name), "only hinges and slides have limits")
+            if limit.position is not None:
+                q = int(joint.qposadr[0])
+                self._low[q], self._high[q] = limit.position
+            if limit.velocity is not None:
+                self._speed[int(joint.dofadr[0])] = limit.velocity
+
+    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+        """Draw where an episode begins, as the task does, within the limits."""
+        start = self.task.start(model, rng)
+        return Start(np.clip(start.qpos, self._low, self._high), start.qvel, start.goal)
+
+    def observe(self, sims: Simulations) -> np.ndarray:
+        """Return the task's observations."""
+        return self.task.observe(sims)
+
+    def reward(self, sims: Simulations) -> np.ndarray:
+        """Return the task's rewards."""
+        return self.task.reward(sims)
+
+    def terminated(self, sims: Simulations) -> np.ndarray:
+        """Return which episodes the task has ended, or have left the limits."""
+        return np.asarray(self.task.terminated(sims) | self.left(sims))
+
+    def left(self, sims: Simulations) -> np.ndarray:
+        """Return which of the `n` simulations are outside the limits."""
+        outside = (sims.qpos < self._low - 1e-9) | (sims.qpos > self._high + 1e-9)
+        fast = np.abs(sims.qvel) > self._speed
+        return np.asarray(outside.any(axis=1) | fast.any(axis=1))
+
+
+def limited(task: VectorTask, study: Study, model: Model) -> VectorTask:
+    """Return a task that keeps a study's limits of position and velocity; itself without any."""
+    bound = [x.position is not None or x.velocity is not None for x in study.limits.values()]
+    return LimitedTask(task, study, model) if any(bound) else task
