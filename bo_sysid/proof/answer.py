@@ -60,7 +60,7 @@ def answer(run: Run, *, progress: Report = silent) -> None:
     step = len(done)
     for outcome in map_jobs(answer_case, jobs, done=done):
         if outcome.error is not None:  # the process died, or the answer could not be written
-            _freeze(run.folder, outcome.key, 0.0, outcome.error)
+            freeze(run.folder, outcome.key, 0.0, outcome.error)
         step += 1
         progress(Progress(step, len(names), outcome.key))
 
@@ -93,7 +93,7 @@ def answer_case(job: Job) -> None:
             diagnose(study, run)
     except Exception as failure:  # whatever went wrong is the answer
         error = f"{type(failure).__name__}: {failure}"
-    _freeze(job.folder, job.name, time.monotonic() - began, error)
+    freeze(job.folder, job.name, time.monotonic() - began, error)
 
 
 def answer_files(folder: Path, name: str) -> dict[str, str]:
@@ -103,7 +103,15 @@ def answer_files(folder: Path, name: str) -> dict[str, str]:
     return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
 
 
-def _freeze(folder: Path, name: str, seconds: float, error: str | None) -> None:
+def freeze(folder: Path, name: str, seconds: float, error: str | None) -> None:
+    """Write the record after which an answer counts.
+
+    Args:
+        folder: of the run.
+        name: of the case.
+        seconds: that the diagnosis took.
+        error: why there is no answer, None where there is one.
+    """
     record = {
         "case": name,
         "frozen": datetime.now(UTC).isoformat(timespec="microseconds"),

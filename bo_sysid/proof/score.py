@@ -58,7 +58,7 @@ def score(revealed: Sequence[Revealed]) -> Scores:
         ]
     ).set_index("case")
     rows = [{"case": r.name, **e} for r in revealed for e in mark_effects(r.truth, r.answer)]
-    effects = pd.DataFrame(rows, columns=_EFFECT_COLUMNS).set_index("case")
+    effects = pd.DataFrame(rows, columns=_EFFECT_COLUMNS).set_index("case").astype(_TYPES)
     missing = cases[cases.missing]
     tellable = effects[effects.known & (effects["size"] >= LEAST)]
     answered = cases[cases.answered & (cases.known | ~cases.missing)]
@@ -80,6 +80,9 @@ _EFFECT_COLUMNS = [
     "case", "tier", "machine", "effect", "site", "known", "unit", "value", "size", "decade",
     "found", "named", "estimate", "error", "covered",
 ]  # fmt: skip
+
+
+_TYPES = {"known": bool, "found": bool, "covered": bool, "size": float, "error": float}
 
 
 def _summary(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
