@@ -340,15 +340,14 @@ def draw(
     nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
     machine = survey(model.compile(), [nominal])
     found: list[Planted] = []
-    pool = candidates([CATALOGUE[i] for i in ids], machine)
-    for _ in range(_TRIES):
+    pool = [c for c in candidates([CATALOGUE[i] for i in ids], machine) if not c.secant]
+    ids = list(dict.fromkeys(c.effect.id for c in pool))
+    for _ in range(_TRIES if ids else 0):
         if len(found) == count:
             break
         effect = ids[int(rng.integers(len(ids)))]
         options = [c for c in pool if c.effect.id == effect]
-        if not options or any(p.effect == effect for p in found):
-            if not options:
-                ids = [i for i in ids if i != effect]
+        if any(p.effect == effect for p in found):
             continue
         c = options[int(rng.integers(len(options)))]
         target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
@@ -362,3 +361,39 @@ def draw(
         for k, d in ((1, duration), (2, 8.0))
     )
     return Case(rig, tuple(found), (train,), (holdout,), sigma)
+
+
+def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
+    """Draw a case with physics that is not in the catalogue."""
+    model, setting, sigma = load(rig), RIGS[rig], 10 ** rng.uniform(np.log10(3e-4), -3)
+    seed = int(rng.integers(2**31))
+    nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
+    machine = survey(model.compile(), [nominal])
+    joint = list(machine.joints)[int(rng.integers(len(machine.joints)))]
+    size, at = float(np.exp(rng.uniform(np.log(0.05), np.log(0.3)))), float(rng.uniform(0.3, 0.7))
+    law = strange_force(kind, machine, joint, size, at)
+    train, holdout = (
+        simulate(
+            model, setting, machine, (), seed=seed + k, duration=20.0, sigma=sigma, strange=[law]
+        )
+        for k in (1, 2)
+    )
+    return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
+
+
+def draw_group(rng: np.random.Generator, rig: str, effect: str) -> Case:
+    """Draw a case in which an effect is missing at every joint."""
+    model, setting, sigma = load(rig), RIGS[rig], 5e-4
+    seed = int(rng.integers(2**31))
+    nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
+    machine = survey(model.compile(), [nominal])
+    chosen = [c for c in candidates([CATALOGUE[effect]], machine) if not c.secant]
+    truth = tuple(
+        Planted(effect, c.site.kind, c.site.name, tuple(2 * rng.uniform(0.7, 1.5) * c.probe), 0.0)
+        for c in chosen
+    )
+    train, holdout = (
+        simulate(model, setting, machine, truth, seed=seed + k, duration=d, sigma=sigma)
+        for k, d in ((1, 20.0), (2, 8.0))
+    )
+    return Case(rig, truth, (train,), (holdout,), sigma)

@@ -7,21 +7,19 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.diagnosis.answer import Answer, make_answer
+from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
-from bo_sysid.diagnosis.hypothesis import candidates, parameter_candidates
-from bo_sysid.diagnosis.locate import Evidence, Located, locate
+from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import MODEL, STUDY, beside, study_text, write_model
-from bo_sysid.diagnosis.scales import channel_noise
-from bo_sysid.effects import chosen, load_effects, survey
+from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
+from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
-from bo_sysid.simulation import Engine
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_holdout, load_model, load_train
 
-_WINDOW = 0.3  # [s]
 _STAGES = 6
 
 
@@ -118,8 +116,19 @@ def diagnose(
     if run is not None:
         run.write_json("diagnosis.json", result.as_json())
         run.write_frame("holdout.parquet", result.errors)
+        _pictures(run, result)
     tell(result.verdict)
     return result
+
+
+def _pictures(run: Run, result: Diagnosis) -> None:
+    """Write what the pictures of a diagnosis show, and its words."""
+    run.write_frame("traces.parquet", result.holdout.traces)
+    run.write_frame("forces.parquet", missing_force(result.evidence, result.outcome))
+    run.write_frame("sets.parquet", sets(result.located.decision))
+    run.write_json("pose.json", bent_pose(result.evidence.recordings))
+    said = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
+    run.write_json("summary.json", said)
 
 
 def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
@@ -127,19 +136,14 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
     model = load_model(study)
     for file in study.diagnosis.effect_files:
         load_effects(study.file(file, ("diagnosis", "effect_files")))
-    machine = survey(model.compile(), recordings)
-    wanted = chosen(study.diagnosis.effects, study.diagnosis.exclude)
-    effects = [e for e in wanted if e.family != "learned"]  # no name, nothing to look for
-    return Evidence(
+    return make_evidence(
         model,
-        machine,
         recordings,
-        channel_noise(study, recordings, machine),
-        parameter_candidates(model, study.parameter_set(model)),
-        candidates(effects, machine),
-        study.diagnosis.most,
-        _WINDOW,
-        Engine(threads()),
+        effects=chosen(study.diagnosis.effects, study.diagnosis.exclude),
+        parameters=study.parameter_set(model),
+        noise=study.recordings.noise,
+        most=study.diagnosis.most,
+        threads=threads(),
     )
 
 

@@ -38,11 +38,13 @@ class Errors:
         ahead: root mean square of recorded minus forecast, in sigma.
         floor: what sensor noise alone makes of it.
         channel: the same by channel, in its unit.
+        residual: recorded minus predicted after the past, in sigma.
     """
 
     ahead: float
     floor: float
     channel: Mapping[str, float]
+    residual: Float[np.ndarray, "W F c"]
 
 
 def forecast_problem(
@@ -95,6 +97,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
         float(np.sqrt(np.mean(r**2))),
         _floor(problem, plain, start, known.ravel(), good),
         _by_channel(problem, r, past),
+        r,
     )
 
 
@@ -109,7 +112,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     spare = np.sqrt(max(n - p, 1) / n)
     shaped = r.reshape(len(r), -1, len(problem.windows.channels))
     channel = {k: v / spare for k, v in _by_channel(problem, shaped, 0).items()}
-    return Errors(float(np.sqrt(np.mean(r**2))) / spare, 1.0, channel)
+    return Errors(float(np.sqrt(np.mean(r**2))) / spare, 1.0, channel, shaped)
 
 
 def _plain(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, fitted, forecast, forecast_problem
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.locate import Evidence
+from bo_sysid.diagnosis.tables import traces
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
@@ -25,11 +26,13 @@ class Holdout:
     Attributes:
         table: columns measure, horizon_s, model, error, floor, unit; one row each.
         free_runs: free-run error by channel for each model.
+        traces: what was recorded and what the models forecast, over the longest horizon.
         note: why there is none, where there is none.
     """
 
     table: pd.DataFrame
     free_runs: Mapping[str, Mapping[str, float]]
+    traces: pd.DataFrame
     note: str = ""
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
@@ -89,17 +92,20 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     }
     rows: list[dict[str, Any]] = []
     free_runs: dict[str, Mapping[str, float]] = {}
+    traced = pd.DataFrame()
     length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
     try:
         for ahead in (AHEAD, LONGER):
-            rows += _forecasts(evidence, outcome, recordings, models, ahead)
+            made, traced = _forecasts(evidence, outcome, recordings, models, ahead)
+            rows += made
         rows += _fits(evidence, outcome, recordings, models)
     except RecordingError as error:
-        return Holdout(_table([]), {}, f"The hold-out is too short to judge: {error}.")
+        return Holdout(_table([]), {}, traced, f"The hold-out is too short to judge: {error}.")
     if length > PAST + free:
-        rows += _free_runs(evidence, outcome, recordings, models, free, free_runs)
-    return Holdout(_table(rows), free_runs)
+        made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
+        rows, traced = rows + made, traced if longer.empty else longer
+    return Holdout(_table(rows), free_runs, traced)
 
 
 def _table(rows: list[dict[str, Any]]) -> pd.DataFrame:
@@ -112,15 +118,15 @@ def _forecasts(
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
     ahead: float,
-) -> list[dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     problem, past = _cut(evidence, outcome, recordings, PAST, ahead)
-    rows, floor = [], 1.0
+    rows, floor, residuals = [], 1.0, {}
     for name, hypothesis in models.items():
         errors = forecast(problem, past, hypothesis)
-        floor = errors.floor
+        floor, residuals[name] = errors.floor, errors.residual
         rows.append(_row("forecast", ahead, name, errors.ahead))
     rows.append(_row("forecast", ahead, "noise_floor", floor))
-    return rows
+    return rows, traces(problem, past, residuals)
 
 
 def _fits(
@@ -147,21 +153,21 @@ def _free_runs(
     models: Mapping[str, Hypothesis],
     free: float,
     channels: dict[str, Mapping[str, float]],
-) -> list[dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     try:
         problem, past = _cut(evidence, outcome, recordings, PAST, free)
     except RecordingError:
-        return []
-    rows = []
+        return [], pd.DataFrame()
+    rows, residuals = [], {}
     for name, hypothesis in models.items():
         errors = forecast(problem, past, hypothesis)
-        channels[name] = errors.channel
+        channels[name], residuals[name] = errors.channel, errors.residual
         hinge = all(
             j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
         )
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
         rows.append({**_row("free_run", free, name, error), "unit": "rad" if hinge else "SI"})
-    return rows
+    return rows, traces(problem, past, residuals)
 
 
 def _cut(

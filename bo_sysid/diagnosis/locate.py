@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from bo_sysid.diagnosis.decide import Decision, decide
+from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.rules import admissible, ranked
@@ -20,10 +21,6 @@ from bo_sysid.diagnosis.search import (
     stripped,
 )
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
-from bo_sysid.effects import Machine
-from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording
-from bo_sysid.simulation import Engine
 
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
 _SHORTEST = 1 / 6  # of the full horizon
@@ -34,33 +31,6 @@ _WINDOWS = 24  # in the search; all of them in the final fits
 _FINALISTS = 5
 _POLISH = 2  # times that the leader is linearised anew on all windows
 _CARRIED = 4
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What a diagnosis is made from.
-
-    Attributes:
-        model: the nominal model.
-        machine: the scales of its sites.
-        recordings: the training recordings.
-        sigma: noise of each observed channel.
-        nuisances: the study's parameters.
-        candidates: what may be missing.
-        most: most effects at once.
-        window: length of a window in [s].
-        engine: simulates.
-    """
-
-    model: Model
-    machine: Machine
-    recordings: tuple[Recording, ...]
-    sigma: dict[str, float]
-    nuisances: tuple[Candidate, ...]
-    candidates: tuple[Candidate, ...]
-    most: int
-    window: float
-    engine: Engine
 
 
 @dataclass(frozen=True)
@@ -102,6 +72,9 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     tell(f"final fits: {_said(search.best)}")
     final = _final(evidence, search, horizon, step)
     eliminate(final)
+    if final.best.members:
+        final.substitute(final.best)
+        eliminate(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, len(search.fits) + len(final.fits))

@@ -1,6 +1,6 @@
 """The noise of each observed channel."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,15 +8,14 @@ from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 from bo_sysid.recording.noise import noise_sigma
-from bo_sysid.study import Study
 
 _LEAST = 1e-9
 
 
 def channel_noise(
-    study: Study, recordings: Sequence[Recording], machine: Machine
+    recordings: Sequence[Recording], machine: Machine, given: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return σ of each position channel: what the study says, else from third differences.
+    """Return σ of each position channel: what is given, else from third differences.
 
     Recorded velocities are not observed: most are differences of the same positions, with noise
     that is neither white nor independent.
@@ -24,7 +23,6 @@ def channel_noise(
     Raises:
         RecordingError: no joint's position was recorded, or none moves.
     """
-    given = study.recordings.noise or {}
     found: dict[str, float] = {}
     for name in (n for n in machine.channels if n.startswith("qpos.")):
         series = [r.channels[name] for r in recordings if name in r.channels]

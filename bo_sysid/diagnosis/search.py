@@ -23,6 +23,8 @@ from bo_sysid.simulation import State
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
 _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
+_ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
+_SUBSTITUTES = 5
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 
 
@@ -174,6 +176,20 @@ class Search:
         if many:
             self._run(_alone(found.get(2, [])), 1, base, rest)
 
+    def substitute(self, base: Fit) -> None:
+        """Fit what could stand in the place of a member and explain as much."""
+        table = self._linearise(base)
+        near = _ALIKE * max(1.0, base.rms**2)
+        for k, member in enumerate(base.members):
+            rest = [i for i in range(len(base.members)) if i != k]
+            members, x = _subset(base, rest)
+            fixed = [self.candidates.index(c) for c in members]
+            without = table.without([member], [base.x[k]])
+            found = search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
+            own = max((s.gain for s in found if self.candidates[s.members[0]] is member), default=0)
+            alike = [s for s in found if s.gain > own - near]
+            self._run(alike, _SUBSTITUTES, base, rest, effort=FINAL)
+
     def _drop(self, base: Fit, unit: tuple[int, ...]) -> None:
         sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
         for out in sets:
@@ -187,6 +203,7 @@ class Search:
         base: Fit | None,
         kept: Sequence[int] | None = None,
         need: float = 0.0,
+        effort: Effort | None = None,
     ) -> None:
         """Fit the best of the scored sets, on top of the kept members of a fit."""
         seen: set[frozenset[tuple[str, str]]] = set()
@@ -209,6 +226,8 @@ class Search:
                 (*held[0], *members),
                 (*held[1], *x),
                 start=base.start if base is not None else None,
+                guess=base.hypothesis if base is not None else None,
+                effort=effort,
             )
 
     def _refine(self, base: Fit) -> None:

@@ -1,0 +1,80 @@
+"""What a diagnosis is made from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from bo_sysid.diagnosis.hypothesis import Candidate, candidates, parameter_candidates
+from bo_sysid.diagnosis.scales import channel_noise
+from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine
+
+_WINDOW = 0.3  # [s]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a diagnosis is made from.
+
+    Attributes:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: the training recordings.
+        sigma: noise of each observed channel.
+        nuisances: the study's parameters.
+        candidates: what may be missing.
+        most: most effects at once.
+        window: length of a window in [s].
+        engine: simulates.
+    """
+
+    model: Model
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    sigma: dict[str, float]
+    nuisances: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
+    most: int
+    window: float
+    engine: Engine
+
+
+def make_evidence(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    effects: Sequence[Effect] | None = None,
+    parameters: Sequence[Parameter] = (),
+    noise: Mapping[str, float] | None = None,
+    most: int = 3,
+    threads: int = 0,
+) -> Evidence:
+    """Measure scales and noise, and list what may be missing.
+
+    Args:
+        model: the nominal model.
+        recordings: the training recordings.
+        effects: what to look for; by default the whole catalogue.
+        parameters: of the study, fitted beside everything.
+        noise: σ by channel or by kind of channel, where known.
+        most: most effects at once.
+        threads: of the simulation, 0 for all cores.
+
+    Raises:
+        RecordingError: no joint's position was recorded, or none moves.
+    """
+    machine = survey(model.compile(), recordings)
+    wanted = [e for e in effects or CATALOGUE.values() if e.family != "learned"]
+    return Evidence(
+        model,
+        machine,
+        tuple(recordings),
+        channel_noise(recordings, machine, noise or {}),
+        parameter_candidates(model, parameters),
+        candidates(wanted, machine),
+        most,
+        _WINDOW,
+        Engine(threads),
+    )
