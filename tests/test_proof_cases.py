@@ -42,7 +42,7 @@ def written(folder, **changes):
         "seed": 3,
         "cases": 12,
         "machines": ["cart_pole.yaml"],
-        "seconds": {"train": 4, "holdout": 1},
+        "seconds": {"train": 2.5, "holdout": 0.5},
     }
     content = yaml.safe_load(Path(machine).read_text())
     content["model"] = str((FOLDER / "machines" / content["model"]).resolve())
@@ -180,7 +180,7 @@ def test_a_case_has_the_size_that_was_drawn_and_can_be_drawn_again(tmp_path):
     np.testing.assert_array_equal(
         train.channels["qpos.hinge"].values, again.recordings["train"].channels["qpos.hinge"].values
     )
-    assert train.span == (0.0, 3.998)
+    assert train.span == (0.0, 2.498)
 
 
 def test_parameters_are_off_where_the_draw_says_so(tmp_path):

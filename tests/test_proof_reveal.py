@@ -216,10 +216,16 @@ def test_an_answer_after_the_opening_is_refused(folder):
 
 
 def test_that_seals_were_opened_cannot_be_hidden(folder):
-    revealed(folder)
-    (folder / "opened.json").unlink()
-    with pytest.raises(RunError, match="says that the seals were opened, and the copy of it"):
-        revealed(folder)
+    told = revealed(folder)
+    for place in (folder, seals_of(folder)):
+        (place / "opened.json").unlink()
+        assert revealed(folder) == told  # as after an interruption between the two
+        (place / "opened.json").unlink()
+        before = (folder / "answers" / "case-2.json").read_bytes()
+        freeze(folder, "case-2", 9.0, None)
+        with pytest.raises(RunError, match="came after the seals were opened"):
+            revealed(folder)
+        (folder / "answers" / "case-2.json").write_bytes(before)
 
 
 def test_the_two_records_of_the_opening_must_agree(folder):

@@ -40,7 +40,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Answer and reveal, and print the rates."""
     from bo_sysid.execution import use_threads
-    from bo_sysid.proof.answer import answer
+    from bo_sysid.proof.answer import answer, frozen_digest
     from bo_sysid.proof.conceal import concealed_run
     from bo_sysid.proof.proof import PAGE, prove
 
@@ -51,7 +51,8 @@ def run(args: argparse.Namespace) -> None:
     ):
         if args.answers_only:
             answer(opened, progress=progress)
-            print(f"{args.folder}: every case has an answer, frozen. No seal was opened.")
+            print(f"{args.folder}: every case has an answer, frozen; no seal was opened.")
+            print(f"Publish: SHA-256 of the frozen answers is {frozen_digest(args.folder)}")
             return
         scores = prove(opened, seals=args.seals, published=args.published, progress=progress)
     for what, count, of in scores.summary[["what", "count", "of"]].to_numpy():

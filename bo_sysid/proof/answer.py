@@ -16,7 +16,7 @@ from typing import Any
 from bo_sysid.errors import RunError
 from bo_sysid.execution import Progress, Report, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
-from bo_sysid.proof.seal import file_digest, write_json
+from bo_sysid.proof.seal import digest, file_digest, write_json
 from bo_sysid.runs import Run, read_json, versions
 from bo_sysid.study import Study
 
@@ -101,6 +101,12 @@ def answer_files(folder: Path, name: str) -> dict[str, str]:
     place = folder / ANSWERS / name
     files = [f for f in sorted(place.rglob("*")) if f.is_file() and f.name not in _NOT_THE_ANSWER]
     return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
+
+
+def frozen_digest(folder: Path) -> str:
+    """Return the hash of all frozen answers, to be published before anything is opened."""
+    names = commitments(folder)["cases"]
+    return digest({name: file_digest(folder / record_of(name)) for name in names})
 
 
 def freeze(folder: Path, name: str, seconds: float, error: str | None) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from bo_sysid.execution import Progress, Report, map_jobs, silent
 from bo_sysid.proof.answer import OPENED, answer
@@ -92,7 +93,11 @@ def _with_oracle(scores: Scores, errors: Mapping[str, float]) -> Scores:
 
 def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
     opened, said = run.read_json(OPENED), run.read_json(COMMITMENTS)
+    suite = yaml.safe_load(run.path("study.yaml").read_text(encoding="utf-8"))["suite"]
+    known = "stated in the suite: whoever has it can draw the answers"
     return {
+        "suite": suite["name"],
+        "seed": "from the operating system" if suite.get("seed") is None else known,
         "cases": len(revealed),
         "seals opened": opened["opened"],
         "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),

@@ -113,29 +113,25 @@ def _checked_record(folder: Path, name: str) -> Mapping[str, Any]:
 def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
     """Record the opening, or compare with what was recorded when the seals were opened."""
     frozen = {name: file_digest(folder / record_of(name)) for name in records}
-    places = [p for p in (folder / OPENED, seals / OPENED) if p.is_file()]
-    if not places:
+    places = (seals / OPENED, folder / OPENED)
+    copies = [read_json(p.parent, OPENED) for p in places if p.is_file()]
+    if not copies:
         now = datetime.now(UTC).isoformat(timespec="microseconds")
         for name, record in records.items():
             early = str(record["frozen"]) <= now
             _require(early, folder / record_of(name), "is frozen at a time that is yet to come")
-        content = {"opened": now, "commitments": file_digest(folder / COMMITMENTS)}
-        for place in (seals, folder):
-            write_json(place / OPENED, {**content, "answers": frozen})
-        return
-    if len(places) == 1:
-        raise RunError(
-            f"{places[0]}: says that the seals were opened, and the copy of it in "
-            f"{folder if places[0].parent != folder else seals} is gone"
-        )
-    one, other = (read_json(p.parent, OPENED) for p in places)
-    _require(one == other, places[0], "differs from its copy beside the seals")
-    _require(
-        one["commitments"] == file_digest(folder / COMMITMENTS), places[0], "is of another run"
-    )
+        commitment = file_digest(folder / COMMITMENTS)
+        copies = [{"opened": now, "commitments": commitment, "answers": frozen}]
+    said = copies[0]
+    _require(all(c == said for c in copies), places[1], "differs from its copy beside the seals")
+    same = said["commitments"] == file_digest(folder / COMMITMENTS)
+    _require(same, places[0], "is of another run")
     for name, sha256 in frozen.items():
-        late = one["answers"].get(name) != sha256
-        _require(not late, folder / record_of(name), "came after the seals were opened")
+        known = said["answers"].get(name) == sha256
+        _require(known, folder / record_of(name), "came after the seals were opened")
+    for place in places:  # one of them is missing where the opening was interrupted
+        if not place.is_file():
+            write_json(place, said)
 
 
 def _opened_seal(
