@@ -169,15 +169,12 @@ class _Attempt:
             last = (abs(concealed.value), size)
             factor = float(np.clip((target / size) ** (1.0 / slope), 0.05, 20.0))
             room = most / abs(concealed.value)
-            if factor > room and room < 1.01:
-                break
+            if factor > room and room < 1.01:  # as large as it can be here
+                if size < self._suite.sizes[0]:
+                    break
+                return concealed, size
             concealed = item.scaled(concealed, min(factor, room))
-        if (
-            not self._suite.sizes[0] <= last[1] <= self._suite.sizes[1]
-            or abs(concealed.value) != last[0]
-        ):
-            raise _Unreachable(f"{item.id} at {site}")
-        return concealed, last[1]
+        raise _Unreachable(f"{item.id} at {site}")
 
     def _probe(self, concealed: Concealed) -> float:
         """Return the size of an effect alone on the first seconds; large where it diverges."""

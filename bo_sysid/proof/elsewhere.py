@@ -176,7 +176,7 @@ def _link_mass(rng: np.random.Generator, place: Place) -> Concealed:
 
 
 def _compose_link_mass(draft: Draft, c: Concealed) -> None:
-    own = float(draft.machine.compiled.body(c.site).mass[0])
+    own = float(draft.model.body(c.site).mass[0])
     scale_body(draft.model, c.site, 1.0 + c.value / own)
 
 
