@@ -1,0 +1,183 @@
+"""What a diagnosis leaves for pictures: held-out traces, the missing force, sets, a pose."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.evidence import Evidence
+from bo_sysid.diagnosis.explain import Outcome
+from bo_sysid.diagnosis.findings import spoken
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.linear import Linear, linearise, project
+from bo_sysid.diagnosis.problem import Problem, pose
+from bo_sysid.diagnosis.refit import settle
+from bo_sysid.recording import Recording
+
+_PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
+_LEAST = 8  # instants in such a piece
+_PIECES = 300  # most pieces
+_ROUNDS = 3
+_SHARES = (1.0, 0.3, 0.09)  # of a Gauss-Newton step on the starts
+_PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical force
+_SETS = 12
+_POSES = 2_000  # instants among which the pose is chosen
+
+
+def traces(
+    problem: Problem, past: int, residuals: Mapping[str, Float[np.ndarray, "W F c"]]
+) -> pd.DataFrame:
+    """Return what was recorded and what each model predicts from the past alone.
+
+    Args:
+        problem: windows of past and future.
+        past: instants of the past in each window.
+        residuals: by model, recorded minus predicted after the past, in sigma.
+
+    Returns:
+        Columns recording, time [s], window, channel, recorded and one for each model, in the
+        channels' own units; one row an instant after the past and a channel.
+    """
+    windows = problem.windows
+    observed, weight = windows.observed[:, past:], problem.weight[:, past:]
+    instants = (windows.step + windows.fraction)[:, past:] * windows.timestep
+    time = windows.time[:, None] + instants
+    names = np.array([r.name for r in problem.recordings], dtype=object)[windows.recording]
+    shape = observed.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        models = {m: np.where(weight > 0, observed - r / weight, np.nan).ravel()
+                  for m, r in residuals.items()}  # fmt: skip
+    return pd.DataFrame(
+        {
+            "recording": np.broadcast_to(names[:, None, None], shape).ravel(),
+            "time": np.broadcast_to(time[..., None], shape).ravel(),
+            "window": np.broadcast_to(np.arange(shape[0])[:, None, None], shape).ravel(),
+            "channel": np.broadcast_to(np.array(windows.channels, object), shape).ravel(),
+            "recorded": observed.ravel(),
+            **models,
+        }
+    )
+
+
+def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
+    """Return the force on each joint that a model lacks to follow the training recordings.
+
+    The recordings are cut into pieces of a tenth of a second. In each the residual is explained by
+    a start and one constant force a joint, by least squares on the linearised simulator with a
+    wide prior: y = P r, f = (AᵀA + 1/s²)⁻¹ Aᵀ y with A the projected response to the forces.
+
+    Returns:
+        Columns recording, time [s], joint, position, speed, unit, nominal, repaired, and sigma, the
+        standard deviation of the force; one row a piece and a joint, forces in `unit`.
+    """
+    machine = evidence.machine
+    horizon = max(round(_PIECE / machine.sampling), _LEAST)
+    whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / machine.sampling
+    problem = pose(
+        evidence.model,
+        machine,
+        evidence.recordings,
+        evidence.sigma,
+        (),
+        horizon=horizon,
+        stride=max(int(np.ceil(whole / horizon / _PIECES)), 1),
+        timestep=outcome.timestep,
+        engine=evidence.engine,
+    )
+    linear, nominal, _ = _forces(problem, Hypothesis())
+    linear, repaired, sigma = _forces(problem, replace(outcome.repaired, numerics=0.0))
+    windows = problem.windows
+    middle = windows.time + 0.5 * windows.step[:, -1] * windows.timestep
+    parts = [
+        pd.DataFrame(
+            {
+                "recording": [problem.recordings[i].name for i in windows.recording],
+                "time": middle,
+                "joint": name,
+                "position": linear.along.qpos[name].mean(axis=1),
+                "speed": linear.along.qvel[name].mean(axis=1),
+                "unit": "N m" if joint.hinge else "N",
+                "nominal": nominal[:, k],
+                "repaired": repaired[:, k],
+                "sigma": sigma[:, k],
+            }
+        )
+        for k, (name, joint) in enumerate(machine.joints.items())
+    ]
+    return pd.concat(parts, ignore_index=True)
+
+
+def _forces(
+    problem: Problem, hypothesis: Hypothesis
+) -> tuple[Linear, Float[np.ndarray, "W j"], Float[np.ndarray, "W j"]]:
+    """Return the linearised model, and for every window the missing forces with their sigma."""
+    start = problem.windows.start
+    for _ in range(_ROUNDS):
+        linear = linearise(problem, hypothesis, start)
+        start, _ = settle(problem, linear, hypothesis, start, 1, _SHARES)
+    linear = linearise(problem, hypothesis, start)
+    y = project(linear.Q, problem.residual(hypothesis, start))
+    joints = problem.machine.joints
+    one = np.ones((len(y), linear.macros, 1))
+    A = np.concatenate([linear.response_to_forces(n, j.force * one) for n, j in joints.items()], -1)
+    N = np.einsum("wri,wrj->wij", A, A) + np.eye(len(joints)) / _PRIOR**2
+    covariance = np.linalg.inv(N)
+    scale = np.array([j.force for j in joints.values()])
+    force = np.einsum("wij,wrj,wr->wi", covariance, A, y) * scale
+    return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
+
+
+def sets(decision: Decision) -> pd.DataFrame:
+    """Return the sets between which was decided, most probable first, "nothing" among them.
+
+    Returns:
+        Columns set (in words), effects (their number), probability, rms [sensor sigma], best and
+        equivalent.
+    """
+    order = list(zip(decision.fits, decision.probability, strict=True))
+    shown = order[:_SETS]
+    shown += [(f, p) for f, p in order[_SETS:] if not f.members]
+    equivalents = {e.key for e in decision.equivalents}
+    rows = [
+        {
+            "set": set_words(fit),
+            "effects": fit.size,
+            "probability": float(probability),
+            "rms": fit.rms,
+            "best": fit is decision.best,
+            "equivalent": fit.key in equivalents,
+        }
+        for fit, probability in shown
+    ]
+    columns = ["set", "effects", "probability", "rms", "best", "equivalent"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def set_words(fit: Fit) -> str:
+    """Return a set in words: "dry friction of the elbow + payload of the forearm"."""
+    if not fit.members:
+        return "nothing is missing"
+    words: list[str] = []
+    for candidate, group in zip(fit.members, fit.groups, strict=True):
+        noun = candidate.effect.noun
+        where = f" of all {candidate.site.kind}s" if group else f" of {spoken(candidate.site)}"
+        words.append(noun if candidate.site.kind == "world" else noun + where)
+    return " + ".join(dict.fromkeys(words))
+
+
+def bent_pose(recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return a recorded pose in which the machine is far from straight, by position channel.
+
+    It is the instant at which the joints' squared angles, each by its recorded range, sum to most.
+    """
+    first = recordings[0]
+    channels = {n: c for n, c in first.channels.items() if n.startswith("qpos.")}
+    time = np.linspace(*first.span, _POSES)
+    values = {n: np.interp(time, c.time, c.values) for n, c in channels.items()}
+    bent = np.sum([(v / max(float(np.ptp(v)), 1e-9)) ** 2 for v in values.values()], axis=0)
+    at = int(np.argmax(bent))
+    return {n: float(v[at]) for n, v in values.items()}
