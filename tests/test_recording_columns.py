@@ -175,3 +175,13 @@ def test_without_a_time_column_the_message_shows_how_to_name_it():
 def test_without_a_measured_channel_the_message_shows_the_columns():
     with pytest.raises(RecordingError, match=r"no column is a measured.*'theta'.*columns: \{qpos"):
         to_recording(RawTable("log.csv", {"time": TIME, "theta": WAVE, "ctrl.m": WAVE}))
+
+
+def test_a_shift_moves_the_stamps_of_a_kind():
+    table = RawTable(
+        "log", {"time": np.arange(5.0), "qpos.a": np.arange(5.0), "ctrl.m": np.ones(5)}
+    )
+    recording = to_recording(table, clocks={"ctrl": {"shift": 0.25}})
+    np.testing.assert_array_equal(recording.channels["ctrl.m"].time, np.arange(5.0) + 0.25)
+    np.testing.assert_array_equal(recording.channels["qpos.a"].time, np.arange(5.0))
+    assert any("shifted by 250 ms" in note for note in recording.notes)

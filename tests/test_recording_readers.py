@@ -4,6 +4,7 @@ import gzip
 import subprocess
 import sys
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -26,6 +27,12 @@ def save_csv(path, separator=","):
     pd.DataFrame(COLUMNS).to_csv(path, index=False, sep=separator)
 
 
+def save_hdf5(path):
+    with h5py.File(path, "w") as file:
+        for name, values in COLUMNS.items():
+            file[name.replace(".", "/")] = values
+
+
 def save_parquet(path):
     pd.DataFrame(COLUMNS).to_parquet(path)
 
@@ -39,6 +46,8 @@ SAVE = {  # by ending: a writer of the format's own library
     ".tsv": lambda path: save_csv(path, "\t"),
     ".parquet": save_parquet,
     ".pq": save_parquet,
+    ".h5": save_hdf5,
+    ".hdf5": save_hdf5,
     ".npz": lambda path: np.savez(path, **COLUMNS),
     ".mat": lambda path: scipy.io.savemat(
         path,
@@ -51,7 +60,15 @@ SAVE = {  # by ending: a writer of the format's own library
 }
 
 
-@pytest.mark.parametrize("ending", READERS)
+BAGS = {".mcap", ".db3", ".bag"}
+"""Endings of files with messages, which tests/test_recording_bags.py writes."""
+
+
+def test_every_format_has_an_example():
+    assert set(READERS) == set(SAVE) | BAGS
+
+
+@pytest.mark.parametrize("ending", SAVE)
 def test_every_reader_returns_the_very_numbers_of_the_formats_own_library(ending, tmp_path):
     path = tmp_path / f"arm-3{ending}"
     SAVE[ending](path)
@@ -64,7 +81,7 @@ def test_every_reader_returns_the_very_numbers_of_the_formats_own_library(ending
         assert str(path) in channel.source
 
 
-@pytest.mark.parametrize("ending", READERS)
+@pytest.mark.parametrize("ending", SAVE)
 def test_every_reader_applies_rules(ending, tmp_path):
     path = tmp_path / f"log{ending}"
     SAVE[ending](path)
@@ -89,6 +106,7 @@ LIES = [
     for content in ("noise", "text", "gzip", "parquet", "npz", "mat", "half")
     if content not in (ending[1:], "parquet" if ending == ".pq" else "")
     and not (content == "half" and ending in (".csv", ".tsv", ".txt"))  # half a text is a text
+    and not (content == "half" and ending in BAGS)
 ]
 
 
@@ -126,7 +144,7 @@ def test_a_missing_file_names_the_nearest(tmp_path):
 
 def test_a_folder_is_no_file(tmp_path):
     (tmp_path / "log.csv").mkdir()
-    with pytest.raises(RecordingError, match="a folder, not a file"):
+    with pytest.raises(RecordingError, match="a folder with nothing; folders that are logs"):
         read_recording(tmp_path / "log.csv")
 
 

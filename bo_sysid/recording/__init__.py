@@ -5,7 +5,7 @@ from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.datasets import DATASETS, Dataset, load_dataset
 from bo_sysid.recording.formats import READERS, reader
 from bo_sysid.recording.noise import noise_sigma, sensor_noise
-from bo_sysid.recording.readers import read_recording, read_table
+from bo_sysid.recording.readers import read_recording, read_recordings, read_table, read_tables
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
 from bo_sysid.recording.writers import WRITERS, write_recording
@@ -28,7 +28,9 @@ __all__ = [
     "load_dataset",
     "noise_sigma",
     "read_recording",
+    "read_recordings",
     "read_table",
+    "read_tables",
     "reader",
     "sampling",
     "sensor_noise",

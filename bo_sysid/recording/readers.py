@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.recording.formats import READERS
+from bo_sysid.recording.formats import FOLDERS, READERS, log_folder
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.value import Recording
@@ -29,10 +29,43 @@ def read_table(path: str | Path) -> RawTable:
         siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
         raise RecordingError(f"{path}: no such file; {nearest(path.name, siblings)}")
     if path.is_dir():
-        raise RecordingError(f"{path}: a folder, not a file")
+        raise RecordingError(f"{path}: a folder; {_folders()}")
     if path.stat().st_size == 0:
         raise RecordingError(f"{path}: the file is empty")
     return READERS[ending](path)
+
+
+def read_tables(path: str | Path) -> tuple[RawTable, ...]:
+    """Read a file, or a folder that is a log: a ROS 2 bag, or a LeRobot dataset with its episodes.
+
+    Raises:
+        RecordingError: as for `read_table`, or the folder is no log.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return (read_table(path),)
+    read = log_folder(path)
+    if read is None:
+        inside = sorted(p.name for p in path.iterdir())[:8]
+        raise RecordingError(
+            f"{path}: a folder with {', '.join(inside) or 'nothing'}; {_folders()}"
+        )
+    return read(path)
+
+
+def read_recordings(
+    path: str | Path,
+    columns: Mapping[str, Any] | None = None,
+    clocks: Mapping[str, Any] | None = None,
+    strict: bool = False,
+) -> tuple[Recording, ...]:
+    """Read a log that may hold several recordings; see `read_recording`."""
+    path = Path(path)
+    name = path.name if path.is_dir() else path.name[: -len(_ending(path))]
+    return tuple(
+        to_recording(table, columns, clocks, name=name, strict=strict)
+        for table in read_tables(path)
+    )
 
 
 def read_recording(
@@ -45,7 +78,7 @@ def read_recording(
 
     Args:
         path: a file whose ending names its format: ``.csv`` (``.csv.gz``, ``.tsv``), ``.parquet``,
-            ``.npz``, ``.mat``.
+            ``.npz``, ``.mat``, ``.mcap``, ``.db3``, ``.bag``, ``.h5``.
         columns: a study's ``columns:``: by channel (or ``time``), which column it is and how it
             is converted; see `ColumnRule`.
         clocks: a study's ``clocks:``: by kind or channel, the column of its time stamps; see
@@ -59,10 +92,15 @@ def read_recording(
     Raises:
         RecordingError: with file, column, row, the rule and the nearest valid choice.
     """
-    path = Path(path)
-    table = read_table(path)
-    name = path.name[: -len(_ending(path))]
-    return to_recording(table, columns, clocks, name=name, strict=strict)
+    found = read_recordings(path, columns, clocks, strict)
+    if len(found) != 1:
+        raise RecordingError(f"{path}: {len(found)} recordings; read_recordings returns them all")
+    return found[0]
+
+
+def _folders() -> str:
+    marks = ", ".join(FOLDERS)
+    return f"folders that are logs hold {marks} (a ROS 2 bag, a LeRobot dataset)"
 
 
 def _ending(path: Path) -> str:

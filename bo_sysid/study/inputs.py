@@ -9,7 +9,7 @@ from typing import Any
 
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording, load_dataset, read_recording
+from bo_sysid.recording import Recording, load_dataset, read_recordings
 from bo_sysid.study.study import Study
 
 TRAINED_SHARE = 0.75  # of the time of each recording, where the study names no hold-out
@@ -115,7 +115,7 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
     """
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
-    return tuple(read_recording(f, columns, clocks, strict=strict) for f in files)
+    return tuple(r for f in files for r in read_recordings(f, columns, clocks, strict))
 
 
 def _rule(section: Any) -> Mapping[str, Any]:

@@ -285,7 +285,7 @@ class Study(Section):
         for i, pattern in enumerate(getattr(self.recordings, part) or ()):
             anchor = Path(pattern).anchor
             root = Path(anchor) if anchor else self._folder
-            files = sorted(p for p in root.glob(pattern[len(anchor) :]) if p.is_file())
+            files = sorted(p for p in root.glob(pattern[len(anchor) :]) if _is_log(p))
             if not files:
                 made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
                 raise self.error(
@@ -294,6 +294,15 @@ class Study(Section):
                 )
             found.update(dict.fromkeys(files))
         return tuple(found)
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a path is a file, or a folder that holds recordings."""
+    if not path.is_dir():
+        return path.is_file()
+    from bo_sysid.recording.formats import log_folder
+
+    return log_folder(path) is not None
 
 
 def _near(path: Path) -> str:

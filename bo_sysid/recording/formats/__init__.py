@@ -1,6 +1,18 @@
 """File formats of logs: a module a family, whose readers register themselves by file ending."""
 
-from bo_sysid.recording.formats import arrays, parquet, text
-from bo_sysid.recording.formats.registry import READERS, Reader, reader
+from bo_sysid.recording.formats import arrays, bags, hdf5, lerobot, parquet, text
+from bo_sysid.recording.formats.registry import FOLDERS, READERS, Reader, log_folder, reader
 
-__all__ = ["READERS", "Reader", "arrays", "parquet", "reader", "text"]
+__all__ = [
+    "FOLDERS",
+    "READERS",
+    "Reader",
+    "arrays",
+    "bags",
+    "hdf5",
+    "lerobot",
+    "log_folder",
+    "parquet",
+    "reader",
+    "text",
+]

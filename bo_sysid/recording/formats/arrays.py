@@ -23,7 +23,7 @@ def read_npz(path: Path) -> RawTable:
             f"{path}: cannot be read as a NumPy archive: {error}. Only plain arrays of numbers are "
             "read, no Python objects"
         ) from None
-    return _split(arrays, str(path))
+    return split(arrays, str(path))
 
 
 @reader(".mat")
@@ -42,7 +42,7 @@ def read_mat(path: Path) -> RawTable:
         found = loadmat(path, simplify_cells=True)
     except Exception as error:  # a damaged file can lead the parser to raise anything
         raise RecordingError(f"{path}: cannot be read as a MATLAB file: {error}") from None
-    return _split(_flat({k: v for k, v in found.items() if not k.startswith("__")}), str(path))
+    return split(_flat({k: v for k, v in found.items() if not k.startswith("__")}), str(path))
 
 
 def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
@@ -56,17 +56,24 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
     return flat
 
 
-def _split(arrays: Mapping[str, np.ndarray], source: str) -> RawTable:
+def split(
+    arrays: Mapping[str, np.ndarray], source: str, units: Mapping[str, str] | None = None
+) -> RawTable:
     """Return vectors by name; the longer axis of a matrix is time, the other one an index."""
+    units = units or {}
+    known: dict[str, str] = {}
     columns: dict[str, np.ndarray] = {}
     notes = []
     for name, array in arrays.items():
         array = np.squeeze(array) if array.ndim > 1 else array
         if array.ndim <= 1:
             columns[name] = np.atleast_1d(array)
+            known |= {name: units[name]} if name in units else {}
         elif array.ndim == 2:
             samples = array if array.shape[0] >= array.shape[1] else array.T
-            columns.update({f"{name}.{i}": samples[:, i] for i in range(samples.shape[1])})
+            parts = {f"{name}.{i}": samples[:, i] for i in range(samples.shape[1])}
+            columns |= parts
+            known |= dict.fromkeys(parts, units[name]) if name in units else {}
         else:
             notes.append(f"Array {name!r} has {array.ndim} dimensions and was not read.")
-    return RawTable(source, columns, notes=tuple(notes))
+    return RawTable(source, columns, units=known, notes=tuple(notes))

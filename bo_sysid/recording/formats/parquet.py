@@ -42,10 +42,24 @@ def arrow_columns(table: Any) -> dict[str, np.ndarray]:
     """Return the columns of a `pyarrow.Table` by name; null becomes NaN, dates become UTC."""
     import pyarrow as pa
 
-    columns = {}
+    columns: dict[str, np.ndarray] = {}
     for name in table.column_names:
         column = table.column(name)
         if pa.types.is_timestamp(column.type):
             column = column.cast(pa.timestamp("ns"))
-        columns[name] = column.to_pandas().to_numpy()
+        values = column.to_pandas().to_numpy()
+        if _lists(column.type):  # a vector in every cell becomes columns with an index
+            wide = np.stack(values) if len(values) else np.zeros((0, 0))
+            columns |= {f"{name}.{i}": wide[:, i] for i in range(wide.shape[1])}
+        else:
+            columns[name] = values
     return columns
+
+
+def _lists(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(
+        (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind))
+        and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
+    )
