@@ -85,7 +85,12 @@ class Model:
 
     @classmethod
     def from_file(
-        cls, path: str | Path, *, base: Literal["free", "fixed"] = "free", name: str = ""
+        cls,
+        path: str | Path,
+        *,
+        base: Literal["free", "fixed"] = "free",
+        hold: Sequence[str] = (),
+        name: str = "",
     ) -> "Model":
         """Read an MJCF or URDF file.
 
@@ -93,6 +98,8 @@ class Model:
             path: the file.
             base: "fixed" holds a floating robot where the file puts it: its free joint is
                 removed.
+            hold: joints that are held where the file puts them, with their actuators and sensors
+                left out: those that a log says nothing about.
             name: name of the model; the file's by default.
 
         Raises:
@@ -101,6 +108,7 @@ class Model:
         spec = sources.spec_from_file(Path(path))
         if base == "fixed":
             sources.hold_base(spec, str(path))
+        sources.hold_joints(spec, hold, str(path))
         return cls(name or Path(path).stem, str(path), spec)
 
     @classmethod
@@ -137,17 +145,21 @@ class Model:
         return cls(f"{domain}-{task}", f"dm_control {domain} {task}", spec)
 
     @classmethod
-    def from_menagerie(cls, robot: str, *, base: Literal["free", "fixed"] = "free") -> "Model":
+    def from_menagerie(
+        cls, robot: str, *, base: Literal["free", "fixed"] = "free", hold: Sequence[str] = ()
+    ) -> "Model":
         """Read a robot from the MuJoCo Menagerie under `$BO_SYSID_MENAGERIE`.
 
         Args:
             robot: its folder, whose `scene.xml` is taken where there is one, or a file in it.
             base: as in `from_file`.
+            hold: as in `from_file`.
 
         Raises:
             ModelError: the variable is not set, the robot is not there, or does not compile.
         """
-        return cls.from_file(sources.menagerie_file(robot), base=base, name=Path(robot).stem)
+        file = sources.menagerie_file(robot)
+        return cls.from_file(file, base=base, hold=hold, name=Path(robot).stem)
 
     def spec(self) -> mujoco.MjSpec:
         """Return a fresh copy of the spec, visuals kept."""

@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -149,6 +149,33 @@ def hold_base(spec: mujoco.MjSpec, source: str) -> None:
     before = compile_spec(spec, source)
     for joint in robots or free:
         spec.delete(joint)
+    if spec.keys:
+        refit_keyframes(spec, before, source)
+
+
+def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
+    """Remove joints, so that their bodies stay where the file puts them, with what drives them.
+
+    Raises:
+        ModelError: the model has no such joint.
+    """
+    if not names:
+        return
+    compile_spec(spec, source)
+    name_elements(spec)
+    before = compile_spec(spec, source)
+    joints = {j.name: j for j in spec.joints}
+    for name in names:
+        if name not in joints:
+            raise ModelError(f"{source}: hold: no joint {name!r}; {nearest(name, joints)}")
+        joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        for actuator in list(spec.actuators):
+            if actuator.trntype in joint and actuator.target == name:
+                spec.delete(actuator)
+        for sensor in list(spec.sensors):
+            if sensor.objtype == mujoco.mjtObj.mjOBJ_JOINT and sensor.objname == name:
+                spec.delete(sensor)
+        spec.delete(joints[name])
     if spec.keys:
         refit_keyframes(spec, before, source)
 

@@ -146,9 +146,13 @@ def _deaf(model: Model) -> list[str]:
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
     for name in (*model.qpos_channels, *model.ctrl_channels):
         if name not in recording.channels and name not in unrecorded:
+            remedy = ""
+            if name.startswith("qpos."):
+                joint = name.removeprefix("qpos.")
+                remedy = f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}"
             raise RecordingError(
                 f"{recording.name}: no channel {name!r}, which the model needs; "
-                f"{nearest(name, recording.channels)}"
+                f"{nearest(name, recording.channels)}{remedy}"
             )
 
 

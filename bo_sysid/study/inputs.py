@@ -25,9 +25,10 @@ def load_model(study: Study) -> Model:
     if source.dm_control is not None:
         return Model.from_dm_control(source.dm_control.domain, source.dm_control.task)
     if source.menagerie is not None:
-        return Model.from_menagerie(source.menagerie, base=source.base)
+        return Model.from_menagerie(source.menagerie, base=source.base, hold=source.hold)
     assert source.file is not None  # noqa: S101 - the study has exactly one source
-    return Model.from_file(study.file(source.file, ("model",)), base=source.base)
+    file = study.file(source.file, ("model",))
+    return Model.from_file(file, base=source.base, hold=source.hold)
 
 
 def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:

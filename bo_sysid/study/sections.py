@@ -40,10 +40,14 @@ class ModelSource(Section):
     """Name of a robot in $BO_SYSID_MENAGERIE."""
     base: Literal["free", "fixed"] = "free"
     """fixed: a floating base is held where the file puts it."""
+    hold: tuple[Name, ...] = ()
+    """Joints held where the file puts them, as those that were not recorded."""
 
     @model_validator(mode="after")
     def _one(self) -> "ModelSource":
         _exactly_one(self, "file", "dm_control", "menagerie")
+        if self.dm_control is not None and self.hold:
+            raise ValueError("hold goes with file or menagerie; a task of dm_control moves whole")
         return self
 
 
