@@ -172,12 +172,12 @@ def set_words(fit: Fit) -> str:
 def bent_pose(recordings: Sequence[Recording]) -> dict[str, float]:
     """Return a recorded pose in which the machine is far from straight, by position channel.
 
-    It is the instant at which the joints' squared angles, each by its recorded range, sum to most.
+    In four of five instants the joints' squared angles, each by its recorded range, sum to less.
     """
     first = recordings[0]
     channels = {n: c for n, c in first.channels.items() if n.startswith("qpos.")}
     time = np.linspace(*first.span, _POSES)
     values = {n: np.interp(time, c.time, c.values) for n, c in channels.items()}
     bent = np.sum([(v / max(float(np.ptp(v)), 1e-9)) ** 2 for v in values.values()], axis=0)
-    at = int(np.argmax(bent))
+    at = int(np.argsort(bent)[4 * _POSES // 5])
     return {n: float(v[at]) for n, v in values.items()}

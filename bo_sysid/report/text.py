@@ -25,6 +25,12 @@ def run_text(folder: str | Path) -> str:
     head = f"{folder}: {record['command']}, {record['status']}"
     if (folder / "identification.json").is_file():
         return "\n".join([head, identification_text(read_json(folder, "identification.json"))])
+    if (folder / "diagnosis.json").is_file():
+        from bo_sysid.report.diagnosis_text import diagnosis_text
+
+        there = (folder / "summary.json").is_file()
+        summary = read_json(folder, "summary.json") if there else None
+        return f"{head}\n{diagnosis_text(read_json(folder, 'diagnosis.json'), summary)}"
     if (folder / "evaluations.parquet").is_file():
         frame = read_frame(folder, "evaluations.parquet")
         return (
@@ -52,7 +58,7 @@ def identification_text(summary: Mapping[str, Any]) -> str:
         "Root mean square errors of prediction, in the channel's unit:",
         table(pd.DataFrame(summary["errors"])),
     ]
-    return "\n".join([*parts, *_notes(summary["notes"])])
+    return "\n".join([*parts, *notes_text(summary["notes"])])
 
 
 def check_text(found: Check) -> str:
@@ -75,7 +81,7 @@ def check_text(found: Check) -> str:
         ]
     else:
         parts += ["", "Nothing is uncertain: the study names no parameters."]
-    return "\n".join([*parts, *_notes(found.notes)])
+    return "\n".join([*parts, *notes_text(found.notes)])
 
 
 def table(frame: pd.DataFrame) -> str:
@@ -106,7 +112,8 @@ def _shortened(addresses: str, most: int = 2) -> str:
     return ", ".join(parts[:most]) + more
 
 
-def _notes(notes: Sequence[str]) -> list[str]:
+def notes_text(notes: Sequence[str]) -> list[str]:
+    """Return the lines that say what was done to the data."""
     if not notes:
         return []
     more = [f"- and {len(notes) - _FEW} more"] if len(notes) > _FEW else []

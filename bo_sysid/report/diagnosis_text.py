@@ -1,0 +1,111 @@
+"""A diagnosis in words and tables."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from bo_sysid.report.text import notes_text, table
+
+VERDICTS = {
+    "missing-physics": "The model lacks physics.",
+    "unknown-physics": "The model lacks physics that no known effect explains.",
+    "sensing": "The model is right; what was measured is not what it says.",
+    "numerics": "The physics is right; the time step is too coarse.",
+    "nothing-missing": "Nothing is missing from the model.",
+}
+_MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
+_MEASURES = {
+    "forecast": "forecast from the past alone",
+    "fit": "starts fitted inside",
+    "free_run": "free run from the past alone",
+}
+
+
+def diagnosis_text(diagnosis: Mapping[str, Any], summary: Mapping[str, Any] | None = None) -> str:
+    """Return a diagnosis in words and tables.
+
+    Args:
+        diagnosis: what `diagnosis.json` holds.
+        summary: what `summary.json` holds: name, sentences, notes; None where it is missing.
+    """
+    summary = summary or {}
+    parts = [VERDICTS.get(diagnosis["verdict"], str(diagnosis["verdict"])), ""]
+    parts += summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
+    if diagnosis["findings"]:
+        parts += ["", "Found:", table(findings_table(diagnosis["findings"]))]
+        parts += _equivalents(diagnosis["findings"])
+    errors = errors_table(diagnosis["holdout"])
+    if len(errors):
+        parts += ["", "Errors on recordings that were never used:", table(errors)]
+    others = alternatives_table(diagnosis["alternatives"])
+    if len(others):
+        parts += ["", "Other explanations that were tried:", table(others)]
+    if diagnosis["next_experiment"]:
+        parts += ["", f"What to record next: {_experiment(diagnosis['next_experiment'])}"]
+    return "\n".join([*parts, *notes_text(summary.get("notes") or ())])
+
+
+def findings_table(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return the findings, one row each, with their further components in rows below."""
+    rows = []
+    for f in findings:
+        where = f"{f['kind']} {f['site']}"
+        rows.append(
+            {
+                "effect": f["effect"], "site": where, "change": f["value"],
+                "low95": f["interval"][0], "high95": f["interval"][1], "unit": f["unit"],
+                "in the model": f["before"], "repaired": f["after"],
+                "probability": f["probability"],
+            }
+        )  # fmt: skip
+        rows += [
+            {
+                "effect": f"  {name}", "site": "", "change": d["value"],
+                "low95": d["interval"][0], "high95": d["interval"][1], "unit": d["unit"],
+            }
+            for name, d in f["details"].items()
+        ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def errors_table(holdout: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Return the held-out errors, one row a measure; columns of models that were not judged go."""
+    rows = [
+        {
+            "measure": words, "horizon [s]": float(part["horizon_s"]), "unit": part["unit"],
+            **{m.replace("_", " "): part.get(m) for m in _MODELS},
+        }
+        for key, words in _MEASURES.items()
+        if (part := holdout.get(key))
+    ]  # fmt: skip
+    return pd.DataFrame(rows).dropna(axis=1, how="all")
+
+
+def alternatives_table(alternatives: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return the other sets with their probabilities."""
+    return pd.DataFrame(
+        [
+            {"explanation": set_text(a["findings"]), "probability": float(a["probability"])}
+            for a in alternatives
+        ]
+    )
+
+
+def set_text(members: Sequence[Mapping[str, Any]]) -> str:
+    """Return a set of effects in words: "dry_friction at elbow (0.15), payload at hand (0.3)"."""
+    said = [f"{m['effect']} at {m['site']} ({m['value']:.3g})" for m in members]
+    return ", ".join(said) or "nothing is missing"
+
+
+def _equivalents(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    said = dict.fromkeys(set_text(e) for f in findings for e in f["equivalents"])
+    if not said:
+        return []
+    return ["", "These recordings do not tell it from:", *[f"- {s}" for s in said]]
+
+
+def _experiment(proposal: Mapping[str, Any]) -> str:
+    if "sentence" in proposal:
+        return str(proposal["sentence"])
+    return ", ".join(f"{key} {value}" for key, value in proposal.items())

@@ -1,0 +1,208 @@
+"""The robot as a drawing: outlines of its geoms in a recorded pose, seen from the side.
+
+What MuJoCo knows of a model is enough for a picture; no display and no OpenGL is needed.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
+
+from bo_sysid.mjcf import Model
+
+Points = Float[np.ndarray, "P 3"]
+
+_AROUND = 24  # points around a round shape
+_ALIGNED = 0.9  # cosine above which a hinge turns in the picture's plane
+_LEVEL = 0.05  # of its width: a machine that is flatter is seen from above
+_TURNED, _LIFTED = np.radians(30.0), np.radians(20.0)
+_SKIPPED = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A compiled model in a pose."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+    @classmethod
+    def of(cls, model: Model, pose: Mapping[str, float]) -> "Posed":
+        """Put a model into a pose given by position channels; others stay where the model is."""
+        compiled = model.compile(visuals=True)
+        data = mujoco.MjData(compiled)
+        for k, channel in enumerate(model.qpos_channels):
+            if channel in pose:
+                data.qpos[k] = pose[channel]
+        mujoco.mj_kinematics(compiled, data)
+        mujoco.mj_comPos(compiled, data)
+        return cls(compiled, data)
+
+    @property
+    def geoms(self) -> list[int]:
+        """The geoms that are drawn: those of the robot's bodies, not the world around it."""
+        m = self.model
+        return [
+            g for g in range(m.ngeom)
+            if m.geom_bodyid[g] and m.geom_type[g] not in _SKIPPED and m.geom_rgba[g, 3] > 0
+        ]  # fmt: skip
+
+    @property
+    def feet(self) -> list[int]:
+        """The joints by which the robot hangs on the world, a floating base's excepted."""
+        m = self.model
+        turns = m.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+        fixed = m.body_weldid[m.body_parentid[m.jnt_bodyid]] == 0
+        single = np.bincount(m.jnt_bodyid, minlength=m.nbody)[m.jnt_bodyid] == 1
+        return [int(j) for j in np.flatnonzero(turns & fixed & single)]
+
+    def surface(self, geom: int) -> Points:
+        """Return points on a geom's surface, in the world; their hull is its shape."""
+        local = _local(self.model, geom)
+        turn = self.data.geom_xmat[geom].reshape(3, 3)
+        return np.asarray(local @ turn.T + self.data.geom_xpos[geom])
+
+    def joint_place(self, name: str) -> Float[np.ndarray, " 3"]:
+        """Return where a joint is, in the world."""
+        return np.array(self.data.xanchor[self.model.joint(name).id])
+
+    def joint_axis(self, name: str) -> Float[np.ndarray, " 3"]:
+        """Return the direction of a joint's axis, in the world."""
+        return np.array(self.data.xaxis[self.model.joint(name).id])
+
+
+@dataclass(frozen=True)
+class Site:
+    """A place of a robot that is pointed at.
+
+    Attributes:
+        label: what is said of it.
+        point: where it is, None for the machine as a whole.
+        geoms: that are coloured.
+    """
+
+    label: str
+    point: Float[np.ndarray, " 3"] | None
+    geoms: tuple[int, ...] = ()
+
+
+def find_site(posed: Posed, kind: str, name: str) -> Site:
+    """Return where a site of a finding is; the machine as a whole where it is nowhere."""
+    model = posed.model
+    joint = _joint_of(model, kind, name)
+    if joint is not None:
+        return Site(f"{kind} {name}", posed.joint_place(joint))
+    if kind == "body" and _has(model, mujoco.mjtObj.mjOBJ_BODY, name):
+        body = model.body(name).id
+        own = tuple(int(g) for g in np.flatnonzero(model.geom_bodyid == body))
+        return Site(f"{kind} {name}", np.array(posed.data.xipos[body]), own)
+    if kind == "geom" and _has(model, mujoco.mjtObj.mjOBJ_GEOM, name):
+        geom = model.geom(name).id
+        return Site(f"{kind} {name}", np.array(posed.data.geom_xpos[geom]), (geom,))
+    return Site("the machine as a whole" if kind == "world" else f"{kind} {name}", None)
+
+
+def view(posed: Posed) -> Float[np.ndarray, "2 3"]:
+    """Return the picture's directions, right and up: a side view, or from above if it is flat.
+
+    The view is along the axis that most hinges share; where they share none, along the level
+    direction in which the machine extends least. It is turned and lifted where a hinge has another
+    axis.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    points = np.concatenate([posed.surface(g) for g in posed.geoms] or [np.zeros((1, 3))])
+    spread = points - points.mean(axis=0)
+    width = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
+    axes = posed.data.xaxis[posed.model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)]
+    level = axes[np.abs(axes[:, 2]) < 1 - _ALIGNED] if len(axes) else axes
+    upright = len(axes) > 0 and (np.abs(axes @ up) > _ALIGNED).mean() > 0.5
+    if upright or np.ptp(points[:, 2]) < _LEVEL * width:
+        return np.eye(3)[:2]
+    if len(level) and (np.abs(level @ level[0]) > _ALIGNED).mean() > 0.5:
+        toward = level[0]
+    else:
+        _, _, directions = np.linalg.svd(spread[:, :2], full_matrices=False)
+        toward = np.array([*directions[-1], 0.0])
+    right = np.cross(up, toward)
+    right = right / np.linalg.norm(right)
+    right = right if right[np.argmax(np.abs(right))] > 0 else -right
+    onto = np.array([right, up])
+    common = np.abs(axes @ np.cross(right, up)) > _ALIGNED
+    return onto if common.all() else _oblique(onto)
+
+
+def _oblique(onto: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
+    """Return a side view turned about the vertical and lifted, for a machine that is not plane."""
+    right, up = onto
+    away = np.cross(right, up)
+    turned = np.cos(_TURNED) * right + np.sin(_TURNED) * away
+    toward = np.cross(turned, up)
+    return np.array([turned, np.cos(_LIFTED) * up - np.sin(_LIFTED) * toward])
+
+
+def outline(points: Points, onto: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "n 2"]:
+    """Return the outline of the hull of some points, projected."""
+    flat = points @ onto.T
+    try:
+        return np.asarray(flat[ConvexHull(flat).vertices])
+    except QhullError:  # seen edge on
+        return np.asarray(flat)
+
+
+def _local(model: mujoco.MjModel, geom: int) -> Points:
+    """Return points on a geom's surface in its own frame."""
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        return np.array(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], float)
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        corners = [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+        return np.asarray(np.array(corners) * size)
+    ball, along = _ball(), np.array([0.0, 0.0, size[1]])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return np.concatenate([ball * size[0] - along, ball * size[0] + along])
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        ring = ball[np.abs(ball[:, 2]) < 1e-9] * size[0]
+        return np.concatenate([ring - along, ring + along])
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.asarray(ball * size[0])
+    return np.asarray(ball * size)  # an ellipsoid
+
+
+def _ball() -> Points:
+    turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    lift = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _AROUND // 2 + 1)
+    a, b = (m.ravel() for m in np.meshgrid(turn, lift))
+    return np.stack([np.cos(a) * np.cos(b), np.sin(a) * np.cos(b), np.sin(b)], axis=1)
+
+
+def _joint_of(model: mujoco.MjModel, kind: str, name: str) -> str | None:
+    """Return the joint at which a site is, None where it is at none."""
+    if kind == "actuator" and _has(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
+        actuator = model.actuator(name).id
+        driven = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        if model.actuator_trntype[actuator] in driven:
+            return str(model.joint(model.actuator_trnid[actuator, 0]).name)
+        return None
+    if kind == "channel":
+        parts = name.split(".")
+        kind, name = "joint", parts[1] if len(parts) > 1 else ""
+    joint = kind == "joint" and _has(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    return name if joint else None
+
+
+def _has(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
+    return bool(mujoco.mj_name2id(model, kind, name) >= 0)
+
+
+def depth_order(
+    posed: Posed, geoms: Iterable[int], onto: Float[np.ndarray, "2 3"]
+) -> Int[np.ndarray, " G"]:
+    """Return the geoms, farthest from the eye first."""
+    chosen = np.array(list(geoms), int)
+    away = np.cross(onto[0], onto[1])
+    return chosen[np.argsort(posed.data.geom_xpos[chosen] @ away, kind="stable")]

@@ -1,0 +1,136 @@
+"""The drawing of a robot with the guilty sites marked, as a Matplotlib object."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from matplotlib.patheffects import withStroke
+
+from bo_sysid.report.figures import NOMINAL, RECORDED
+from bo_sysid.report.robot import Posed, Site, depth_order, outline, view
+
+_FILL, _EDGE = "#D9DEE4", "#5A6673"
+_GUILTY = "#F4B183"
+_WIDTH, _TALLEST, _LOWEST = 6.0, 6.0, 3.2  # inches
+_NAMED = 8  # joints whose names are written
+
+
+def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> Figure:
+    """Return the robot with sites marked.
+
+    Args:
+        posed: the model in a pose.
+        sites: each with the words that are written beside it.
+        title: of the figure.
+    """
+    onto = view(posed)
+    shapes = {g: outline(posed.surface(g), onto) for g in posed.geoms}
+    box = _box(posed, shapes.values(), onto)
+    tall = float(np.ptp(box[:, 1]) / np.ptp(box[:, 0])) * _WIDTH
+    figure = Figure(figsize=(_WIDTH, float(np.clip(tall, _LOWEST, _TALLEST)) + 0.4))
+    figure.set_layout_engine("constrained")
+    axis = figure.subplots()
+    guilty = {g for site, _ in sites for g in site.geoms}
+    for g in depth_order(posed, posed.geoms, onto):
+        colour = _GUILTY if int(g) in guilty else _FILL
+        axis.add_patch(Polygon(shapes[int(g)], facecolor=colour, edgecolor=_EDGE, linewidth=1.0))
+    _joints(axis, posed, onto, [s for s, _ in sites])
+    _marks(axis, sites, onto, box)
+    _gravity(axis, posed, onto)
+    axis.set_xlim(*box[:, 0])
+    axis.set_ylim(*box[:, 1])
+    axis.set_aspect("equal")
+    axis.set_axis_off()
+    if title:
+        axis.set_title(title, fontsize="medium")
+    return figure
+
+
+def _box(
+    posed: Posed, shapes: Collection[np.ndarray], onto: Float[np.ndarray, "2 3"]
+) -> Float[np.ndarray, "2 2"]:
+    """Return the lowest and the highest corner of the picture, with room for words."""
+    places = [posed.data.xanchor @ onto.T, *shapes, np.zeros((1, 2))[: not shapes]]
+    points = np.concatenate([p for p in places if len(p)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = max(float((high - low).max()), 1e-6)
+    grow = np.maximum(0.16 * size, 0.5 * (0.75 * size - (high - low)))
+    return np.array([low - grow, high + grow])
+
+
+def _joints(
+    axis: Axes, posed: Posed, onto: Float[np.ndarray, "2 3"], marked: Sequence[Site]
+) -> None:
+    """Draw each joint as a small ring, with its name where there are few."""
+    places = posed.data.xanchor @ onto.T
+    for j in posed.feet:
+        axis.plot(*places[j], "s", color=_EDGE, markersize=13, alpha=0.5)
+    axis.plot(*places.T, "o", markerfacecolor="white", markeredgecolor=_EDGE, markersize=5)
+    said = " ".join(s.label for s in marked)
+    names = [posed.model.joint(j).name for j in range(posed.model.njnt)]
+    if len(names) > _NAMED:
+        return
+    for name, place in zip(names, places, strict=True):
+        if name not in said:
+            axis.annotate(
+                name,
+                place,
+                (9, 7),
+                textcoords="offset points",
+                fontsize="small",
+                color=_EDGE,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+            )
+
+
+def _gravity(axis: Axes, posed: Posed, onto: Float[np.ndarray, "2 3"]) -> None:
+    """Draw where gravity pulls, where the picture's plane shows it."""
+    pull = onto @ posed.model.opt.gravity
+    if np.linalg.norm(pull) < 1.0:
+        return
+    tip = 0.09 * pull / np.linalg.norm(pull)
+    axis.annotate(
+        "gravity",
+        (0.07 + tip[0], 0.16 + tip[1]),
+        xytext=(0.07, 0.16),
+        xycoords="axes fraction",
+        ha="center",
+        va="bottom",
+        fontsize="small",
+        color=_EDGE,
+        arrowprops={"arrowstyle": "-|>", "color": _EDGE},
+    )
+
+
+def _marks(
+    axis: Axes,
+    sites: Sequence[tuple[Site, str]],
+    onto: Float[np.ndarray, "2 3"],
+    box: Float[np.ndarray, "2 2"],
+) -> None:
+    """Ring each site, and write its words beside the picture with a line to it."""
+    for k, (site, words) in enumerate(sites):
+        if site.point is None:
+            frame = {"boxstyle": "round", "facecolor": "white", "edgecolor": NOMINAL}
+            low = 0.04 + 0.09 * k
+            axis.text(0.97, low, words, transform=axis.transAxes, ha="right", bbox=frame)
+            continue
+        place = site.point @ onto.T
+        axis.plot(*place, "o", markersize=22, markerfacecolor="none", markeredgecolor=NOMINAL,
+                  markeredgewidth=3)  # fmt: skip
+        left = place[0] > box[:, 0].mean()
+        axis.annotate(
+            words,
+            place,
+            xytext=(0.03 if left else 0.97, 0.96 - 0.16 * k),
+            textcoords="axes fraction",
+            ha="left" if left else "right",
+            va="top",
+            color=RECORDED,
+            fontsize="medium",
+            bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": NOMINAL},
+            arrowprops={"arrowstyle": "-", "color": NOMINAL, "linewidth": 1.5, "shrinkB": 13},
+        )
