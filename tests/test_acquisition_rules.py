@@ -33,7 +33,7 @@ def joint(context, rows, member=0):
     x, new = surrogate.unit(surrogate.points), surrogate.unit(context.candidates[rows])
     K = process.covariance(x, x) + np.diag(surrogate.noise)
     k = process.covariance(x, new)
-    y = surrogate.standardise(surrogate.log_deviations)
+    y = surrogate.standardised
     mean = process.mean + k.T @ np.linalg.solve(K, y - process.mean)
     covariance = process.covariance(new, new) - k.T @ np.linalg.solve(K, k)
     return surrogate.shift + surrogate.scale * mean, surrogate.scale**2 * covariance
@@ -53,7 +53,7 @@ def values_of(name, context):
 
 def test_log_expected_improvement_is_the_textbook_mixture(scattered):
     rows = np.arange(7, 20)
-    best = scattered.surrogate.log_deviations.min()
+    best = scattered.surrogate.values.min()
     expected = np.zeros(len(rows))
     for m, weight in enumerate(scattered.surrogate.weights):
         mean, covariance = joint(scattered, rows, m)
@@ -106,7 +106,7 @@ def test_knowledge_gradient_is_the_expected_fall_of_the_least_mean():
     context = make_context(points, [0, 1, 2])
     rows = np.arange(3, 9)
     mean, covariance = joint(context, rows)
-    known = context.surrogate.log_deviations.min()
+    known = context.surrogate.values.min()
     z = norm.ppf((np.arange(4000) + 0.5) / 4000)
     for i, row in enumerate(rows):
         moved = mean + z[:, None] * covariance[:, i] / np.sqrt(covariance[i, i])
@@ -201,7 +201,7 @@ def test_context_after_pending_rows(scattered):
     later = scattered.after(np.array([9, 12]), seed=0)
     assert later.evaluated.tolist() == [*range(7), 9, 12]
     np.testing.assert_array_equal(later.surrogate.points[-2:], scattered.candidates[[9, 12]])
-    draws = [scattered.after(np.array([9]), seed=s).surrogate.log_deviations[-1] for s in range(9)]
+    draws = [scattered.after(np.array([9]), seed=s).surrogate.values[-1] for s in range(9)]
     assert np.std(draws) > 0
     mean, std = scattered.moments()
     low = (mean - 4 * std).min(axis=0)[9]

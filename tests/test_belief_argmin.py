@@ -1,5 +1,7 @@
 """P against exact integrals, brute force over the joint posterior, and its invariances."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -8,20 +10,22 @@ from scipy.stats import multivariate_normal, norm
 from bo_sysid.belief.argmin import ArgminBelief, allot, argmin_probability
 from bo_sysid.belief.gp import Conditional
 from bo_sysid.belief.surrogate import Surrogate, fit_surrogate
+from bo_sysid.belief.warp import Warp
 
 UNIT = np.array([[0.0, 0.0], [1.0, 1.0]])
+LOG = Warp(0.0, 1.0, 1e-9)
 SAMPLES = 32_768
 ERROR = 4 * 0.5 / np.sqrt(SAMPLES)  # four standard errors of a probability of one half
 
 
-def one_member(points, log_deviations, lengthscale=0.5, variance=None):
+def one_member(points, values, lengthscale=0.5):
     """A surrogate with a single Gaussian process of given hyperparameters."""
-    points, y = np.asarray(points, float), np.asarray(log_deviations, float)
+    points, y = np.asarray(points, float), np.asarray(values, float)
     noise = np.full(len(y), 1e-6)
     plain = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, np.eye(len(y)))
     chol = np.linalg.cholesky(plain.covariance(points, points) + np.diag(noise))
     member = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, chol)
-    return Surrogate(points, y, variance, UNIT, noise, 0.0, 1.0, (member,), np.ones(1))
+    return Surrogate(points, y, False, UNIT, noise, LOG, 0.0, 1.0, (member,), np.ones(1))
 
 
 def joint(surrogate, x):
@@ -29,7 +33,7 @@ def joint(surrogate, x):
     member = surrogate.members[0]
     K = member.covariance(surrogate.points, surrogate.points) + np.diag(surrogate.noise)
     k = member.covariance(surrogate.points, x)
-    mean = member.mean + k.T @ np.linalg.solve(K, surrogate.log_deviations - member.mean)
+    mean = member.mean + k.T @ np.linalg.solve(K, surrogate.values - member.mean)
     return mean, member.covariance(x, x) - k.T @ np.linalg.solve(K, k)
 
 
@@ -67,7 +71,7 @@ def test_an_evaluated_point_among_three_keeps_its_value(surrogate):
     """Two uncertain points against a known value, by quadrature over the first."""
     x = np.array([[0.3, 0.6], [0.7, 0.2], [0.9, 0.4]])
     mean, covariance = joint(surrogate, x)
-    known = surrogate.log_deviations[1]
+    known = surrogate.values[1]
     s0, slope = np.sqrt(covariance[0, 0]), covariance[0, 1] / covariance[0, 0]
     s1 = np.sqrt(covariance[1, 1] - slope * covariance[0, 1])
 
@@ -97,17 +101,9 @@ def test_many_points_against_brute_force(surrogate):
 
 
 def test_members_are_mixed_by_their_weights(surrogate):
-    other = one_member(surrogate.points, surrogate.log_deviations, lengthscale=0.1)
-    both = Surrogate(
-        surrogate.points,
-        surrogate.log_deviations,
-        None,
-        UNIT,
-        surrogate.noise,
-        0.0,
-        1.0,
-        surrogate.members + other.members,
-        np.array([0.25, 0.75]),
+    other = one_member(surrogate.points, surrogate.values, lengthscale=0.1)
+    both = replace(
+        surrogate, members=surrogate.members + other.members, weights=np.array([0.25, 0.75])
     )
     x = np.random.default_rng(0).random((20, 2))
     a, b, mixed = (

@@ -7,7 +7,8 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from bo_sysid.belief.gp import MEAN_VARIANCE, Evidence
-from bo_sysid.belief.surrogate import KERNELS, ZERO, default_prior, fit_surrogate, log_deviation
+from bo_sysid.belief.surrogate import KERNELS, POWERS, default_prior, fit_surrogate
+from bo_sysid.belief.warp import ZERO, Warp
 
 BOUNDS = np.array([[1.0, -2.0], [3.0, 2.0]])
 
@@ -53,10 +54,11 @@ def test_evidence_is_the_density_of_the_values(kernel):
 
 
 def test_posterior_is_the_mixture_of_the_textbook_formula(points):
-    surrogate = fit_surrogate(points, deviations_at(points), BOUNDS, members=4, seed=0)
+    surrogate = fit_surrogate(points, deviations_at(points), BOUNDS, powers=(0.0,), seed=0)
     query = BOUNDS[0] + np.random.default_rng(4).random((5, 2)) * (BOUNDS[1] - BOUNDS[0])
     x, q = ((p - BOUNDS[0]) / (BOUNDS[1] - BOUNDS[0]) for p in (points, query))
     y = np.log(deviations_at(points))
+    y = y - y.mean()  # Δ is measured in units of its geometric mean
     z = (y - y.mean()) / y.std(ddof=1)
     means, seconds = [], []
     for member in surrogate.members:
@@ -71,7 +73,7 @@ def test_posterior_is_the_mixture_of_the_textbook_formula(points):
     mean = surrogate.weights @ np.array(means)
     variance = surrogate.weights @ np.array(seconds) - mean**2
     found_mean, found_variance = surrogate.moments(query)
-    np.testing.assert_allclose(found_mean, y.mean() + y.std(ddof=1) * mean, rtol=1e-6)
+    np.testing.assert_allclose(found_mean, y.std(ddof=1) * mean, rtol=1e-6)
     np.testing.assert_allclose(found_variance, y.var(ddof=1) * variance, rtol=1e-5)
 
 
@@ -100,7 +102,9 @@ def test_hyperparameters_are_averaged_over_their_posterior():
     rng = np.random.default_rng(1)
     x = rng.random((9, 1))
     deviations = np.exp(np.sin(5 * x[:, 0]))
-    surrogate = fit_surrogate(x, deviations, np.array([[0.0], [1.0]]), members=2000, seed=0)
+    surrogate = fit_surrogate(
+        x, deviations, np.array([[0.0], [1.0]]), members=2000, powers=(0.0,), seed=0
+    )
     theta = np.array([np.log([m.lengthscales[0], m.outputscale]) for m in surrogate.members])
     found = surrogate.weights @ theta
     found_rbf = surrogate.weights @ np.array([m.kernel == "rbf" for m in surrogate.members])
@@ -125,7 +129,7 @@ def test_values_at_evaluated_points_are_kept(points):
     deviations = deviations_at(points)
     surrogate = fit_surrogate(points, deviations, BOUNDS, seed=0)
     mean, variance = surrogate.moments(points)
-    np.testing.assert_allclose(mean, np.log(deviations), atol=3e-3)
+    np.testing.assert_allclose(mean, surrogate.warp(deviations), atol=3e-3)
     assert np.sqrt(variance).max() < 3e-3
 
 
@@ -147,21 +151,43 @@ def test_constant_deviations_and_repeated_points():
     points = np.repeat([[1.5, 0.0], [2.5, 1.0], [2.0, -1.0]], 2, axis=0)
     surrogate = fit_surrogate(points, np.full(6, 0.3), BOUNDS, seed=0)
     mean, _ = surrogate.moments(points)
-    np.testing.assert_allclose(mean, np.log(0.3), atol=1e-2)
+    np.testing.assert_allclose(mean, 0.0, atol=1e-2)
 
 
 def test_huge_range_of_deviations(points):
     deviations = np.geomspace(1e-9, 1e6, len(points))
-    mean, variance = fit_surrogate(points, deviations, BOUNDS, seed=0).moments(points)
-    np.testing.assert_allclose(mean, np.log(deviations), atol=0.1)
+    surrogate = fit_surrogate(points, deviations, BOUNDS, seed=0)
+    mean, variance = surrogate.moments(points)
+    assert surrogate.warp.power == 0
+    np.testing.assert_allclose(mean, surrogate.warp(deviations), atol=0.1)
     assert np.isfinite(variance).all()
 
 
+@pytest.mark.parametrize("power", POWERS)
+def test_warp_is_increasing_and_takes_the_same_volume(power):
+    """With Δ in units of its geometric mean the product of the derivatives is 1."""
+    deviations = np.array([0.02, 0.5, 0.7, 3.0, 11.0])
+    warp = Warp.of(deviations, power)
+    step = 1e-6
+    slopes = (warp(deviations * (1 + step)) - warp(deviations * (1 - step))) / (2 * step)
+    np.testing.assert_allclose(slopes, warp.slope(deviations), rtol=1e-6)
+    assert np.prod(slopes / (deviations / warp.unit)) == pytest.approx(1.0)
+    assert (np.diff(warp(deviations)) > 0).all()
+
+
+def test_power_is_the_one_that_makes_the_values_smooth(points):
+    """A smooth function is given as Δ, as its square and as its exponential."""
+    u = (points - BOUNDS[0]) / (BOUNDS[1] - BOUNDS[0])
+    smooth = 2.0 + np.sin(4 * u[:, 0]) + np.cos(3 * u[:, 1])
+    for deviations, power in ((smooth, 1.0), (smooth**2, 0.5), (np.exp(2 * smooth), 0.0)):
+        assert fit_surrogate(points, deviations, BOUNDS, seed=0).warp.power == power
+
+
 def test_zero_deviation_has_a_logarithm():
-    np.testing.assert_allclose(
-        np.exp(log_deviation(np.array([0.0, 0.5, 2.0]))), [0.5 * ZERO, 0.5, 2.0]
-    )
-    assert log_deviation(np.zeros(2)).tolist() == [0.0, 0.0]
+    warp = Warp.of(np.array([0.0, 0.5, 2.0]), 0.0)
+    found = np.exp(warp(np.array([0.0, 0.5, 2.0]))) * warp.unit
+    np.testing.assert_allclose(found, [0.5 * ZERO, 0.5, 2.0])
+    assert Warp.of(np.zeros(2), 0.0)(np.zeros(2)).tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])

@@ -21,7 +21,7 @@ class SelectionContext:
     """The state of the search when the next candidate is chosen.
 
     Attributes:
-        surrogate: of log Δ, given all evaluations so far.
+        surrogate: of Δ, given all evaluations so far.
         belief: P over the candidates.
         candidates: `N x d`, the set B.
         evaluated: rows of B that were evaluated.
@@ -49,13 +49,12 @@ class SelectionContext:
         return torch.tensor(self.candidates, dtype=torch.float64)
 
     def moments(self) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, "M N"]]:
-        """Return mean and standard deviation of log Δ of each member at the candidates."""
+        """Return mean and standard deviation of the warped Δ of each member at the candidates."""
         surrogate = self.surrogate
         x = surrogate.unit(self.candidates)
-        values = surrogate.standardise(surrogate.log_deviations)
         known, known_values = evaluated_rows(surrogate, self.candidates)
         found = [
-            posterior_moments(member, x, values, known, known_values)
+            posterior_moments(member, x, surrogate.standardised, known, known_values)
             for member in surrogate.members
         ]
         mean = surrogate.shift + surrogate.scale * np.array([m.mean for m in found])
@@ -64,7 +63,7 @@ class SelectionContext:
     def after(self, rows: Rows, seed: int) -> "SelectionContext":
         """Return the context as it may be once pending rows have been evaluated.
 
-        Their log Δ is drawn from the joint posterior (a fantasy), the surrogate is conditioned on
+        Their Δ is drawn from the joint posterior (a fantasy), the surrogate is conditioned on
         it and the belief computed again.
         """
         points = self.candidates[rows]
@@ -72,11 +71,9 @@ class SelectionContext:
         member = self.surrogate.members[
             rng.choice(len(self.surrogate.members), p=self.surrogate.weights)
         ]
-        values = self.surrogate.standardise(self.surrogate.log_deviations)
-        draw = member.draw(self.surrogate.unit(points), values, rng)
-        surrogate = self.surrogate.conditioned(
-            points, self.surrogate.shift + self.surrogate.scale * draw
-        )
+        draw = member.draw(self.surrogate.unit(points), self.surrogate.standardised, rng)
+        values = self.surrogate.shift + self.surrogate.scale * draw
+        surrogate = self.surrogate.conditioned(points, values)
         belief = argmin_probability(surrogate, self.candidates, seed=self.seed)
         evaluated = np.append(self.evaluated, rows)
         return SelectionContext(surrogate, belief, self.candidates, evaluated, self.seed)

@@ -1,6 +1,6 @@
 """One-step look-ahead: by how much an evaluation is expected to lower the entropy of P.
 
-    α(β) = H[P] − E_y[ H[P | log Δ(β) = y] ]
+    α(β) = H[P] − E_y[ H[P | f(β) = y] ],    f = g(Δ)
 
 The outcomes y are Gauss–Hermite nodes of the ensemble's predictive distribution. Joint posterior
 samples f are carried to the posterior given an outcome by the Matheron rule,

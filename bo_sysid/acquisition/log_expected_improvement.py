@@ -1,6 +1,6 @@
-"""Expected improvement of log Δ over the best evaluated candidate, averaged over the ensemble.
+"""Expected improvement of Δ over the best evaluated candidate, averaged over the ensemble.
 
-    α(β) = log Σ_m w_m EI_m(β),    EI_m(β) = E_m[max(0, f_best − f(β))],    f = log Δ
+    α(β) = log Σ_m w_m EI_m(β),    EI_m(β) = E_m[max(0, f_best − f(β))],    f = g(Δ)
 
 References:
     Ament, Daulton, Eriksson, Balandat & Bakshy (2023), Unexpected improvements to expected
@@ -24,11 +24,11 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
     """`log Σ w EI` of BoTorch's analytic EI; with pending points of its Monte Carlo form."""
 
     def __init__(self, context: SelectionContext) -> None:
-        """Take the models of the surrogate and the least log Δ so far."""
+        """Take the models of the surrogate and the least value so far."""
         surrogate = context.surrogate
         super().__init__(model=surrogate.models[0])
         self._models = surrogate.models
-        self._best = torch.tensor(surrogate.log_deviations.min())
+        self._best = torch.tensor(surrogate.values.min())
         self._seed = context.seed
         self.register_buffer("_log_weights", torch.tensor(surrogate.weights).log())
         self.set_X_pending(None)

@@ -1,6 +1,6 @@
 """Max-value entropy search in its form for minima.
 
-    α(β) = H[f(β)] − E[H[f(β) | f* ]],    f* = min_b f(b),    f = log Δ
+    α(β) = H[f(β)] − E[H[f(β) | f* ]],    f* = min_b f(b),    f = g(Δ)
 
 With `γ = (μ(β) − f*)/σ(β)` this is the mean of `γ φ(γ) / (2 Φ(γ)) − log Φ(γ)` over samples of f*,
 which come from joint posterior samples over B. (BoTorch's own class samples the extremum of a model

@@ -1,4 +1,4 @@
-"""The candidate whose expected log Δ is least, `α(β) = −E[log Δ(β)]`."""
+"""The candidate whose expected Δ is least, `α(β) = −E[g(Δ(β))]`, on the surrogate's scale g."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
 
 
 def table(context: SelectionContext) -> Values:
-    """Return minus the mean of log Δ over the ensemble."""
+    """Return minus the mean over the ensemble."""
     mean, _ = context.moments()
     return np.asarray(-context.surrogate.weights @ mean)
 

@@ -1,4 +1,4 @@
-"""Thompson sampling: the arg-min of one joint posterior sample of log Δ over B.
+"""Thompson sampling: the arg-min of one joint posterior sample of Δ over B.
 
 References:
     Thompson (1933), On the likelihood that one unknown probability exceeds another in view of the

@@ -47,12 +47,12 @@ def argmin_probability(
 ) -> ArgminBelief:
     """Return the probability of each candidate to be the arg-min of Δ.
 
-    Joint posterior samples of log Δ over B are drawn from every member of the ensemble in
+    Joint posterior samples of the warped Δ over B are drawn from every member of the ensemble in
     proportion to its weight, and the arg-mins are counted. Candidates that were evaluated without
     noise keep the value that was computed. Equal rows share their probability.
 
     Args:
-        surrogate: of log Δ.
+        surrogate: of Δ.
         candidates: `N x d`, in the units of the surrogate's points.
         samples: number of joint samples.
         seed: of the samples.
@@ -68,23 +68,22 @@ def argmin_probability(
 def evaluated_rows(
     surrogate: Surrogate, candidates: Points
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return the rows of `candidates` whose Δ is known, and their standardised log Δ."""
-    if surrogate.variance is not None:
+    """Return the rows of `candidates` whose Δ is known, and their standardised values."""
+    if surrogate.noisy:
         return np.zeros(0, dtype=np.intp), np.zeros(0)
     rows = RowIndex.of(candidates).find(surrogate.points)
     rows, place = np.unique(rows, return_index=True)
     keep = rows >= 0
-    return rows[keep], surrogate.standardise(surrogate.log_deviations)[place[keep]]
+    return rows[keep], surrogate.standardised[place[keep]]
 
 
 def contests(surrogate: Surrogate, candidates: Points, seed: int = 0) -> Iterator[Contest]:
     """Yield the joint posterior of each member over the candidates that may be the arg-min."""
     x = surrogate.unit(candidates)
-    values = surrogate.standardise(surrogate.log_deviations)
     known, known_values = evaluated_rows(surrogate, candidates)
     for number, member in enumerate(surrogate.members):
         rng = np.random.default_rng((seed, number))
-        yield contest(member, x, values, known, known_values, rng)
+        yield contest(member, x, surrogate.standardised, known, known_values, rng)
 
 
 def allot(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:

@@ -1,9 +1,9 @@
 """P_boot: the arg-min of Δ over bootstraps of the recordings, the uncertainty about the machine.
 
 Δ is a mean over blocks of the recordings. Resampling the blocks gives another Δ at every evaluated
-candidate at once; the posterior mean is linear in log Δ, so all bootstraps are conditioned on
-together, and to each one joint posterior sample adds what the surrogate does not know between the
-evaluated candidates. Where there are several sessions they are resampled first, then the blocks
+candidate at once; the posterior mean is linear in the warped Δ, so all bootstraps are conditioned
+on together, and to each one joint posterior sample adds what the surrogate does not know between
+the evaluated candidates. Where there are several sessions they are resampled first, then the blocks
 within each: what differs between sessions is not visible within one.
 
 From n units n − 1 are drawn: then the variance of the resampled mean is unbiased (with n it is
@@ -22,9 +22,9 @@ from bo_sysid.arrays import Points, Probabilities, Rows
 from bo_sysid.belief.argmin import ArgminBelief, allot
 from bo_sysid.belief.gp import Conditional
 from bo_sysid.belief.joint import CHUNK, MASS, covariance_factor
-from bo_sysid.belief.surrogate import Surrogate, log_deviation
+from bo_sysid.belief.surrogate import Surrogate
 
-SURELY = 5.0  # standard deviations above its mean that the minimum of log Δ does not exceed
+SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
 
 
 def bootstrap_argmin(
@@ -41,7 +41,7 @@ def bootstrap_argmin(
     """Return the probability of each candidate to be the arg-min of Δ on other recordings.
 
     Args:
-        surrogate: of log Δ; its n points are the evaluated candidates.
+        surrogate: of Δ; its n points are the evaluated candidates.
         candidates: `N x d`, the set B.
         rows: the row of B of each of the surrogate's points, -1 where it is not in B.
         contributions: mean deviation of each evaluated candidate on each block, so that
@@ -61,9 +61,9 @@ def bootstrap_argmin(
     groups = np.zeros(len(weights), dtype=int) if groups is None else np.asarray(groups)
     drawn = resample(groups, samples, rng) * weights
     deviations = contributions @ drawn.T / drawn.sum(axis=1)
-    values = surrogate.standardise(log_deviation(deviations))
+    values = surrogate.standardise(surrogate.warp(deviations))
     x = surrogate.unit(candidates)
-    in_set = np.flatnonzero(rows >= 0) if surrogate.variance is None else np.zeros(0, dtype=int)
+    in_set = np.flatnonzero(rows >= 0) if not surrogate.noisy else np.zeros(0, dtype=int)
     counts, lost = np.zeros(len(x)), 0.0
     edges = np.cumsum(np.append(0, allot(surrogate.weights, samples)))
     for member, start, stop in zip(surrogate.members, edges[:-1], edges[1:], strict=True):

@@ -163,8 +163,11 @@ def sample_hyperparameters(
     members: int,
     seed: int,
     draws: int = DRAWS,
-) -> tuple[tuple[Draw, ...], Float[np.ndarray, " M"]]:
-    """Return members of the ensemble and their weights, which sum to 1.
+) -> tuple[tuple[Draw, ...], Float[np.ndarray, " M"], float]:
+    """Return members of the ensemble, their weights, which sum to 1, and the log evidence.
+
+    The evidence, `log ∫ p(y | θ) p(θ) dθ` up to a constant of the prior, is the mean of the
+    importance weights.
 
     Args:
         evidences: one `Evidence` a kernel family; families compete by their evidence.
@@ -179,9 +182,10 @@ def sample_hyperparameters(
     modes = _find_modes(evidences, prior, prior.mean + spread * prior.std)
     found, log_weights = _mixture_draws(modes, prior, rng, draws)
     weights = np.exp(log_weights - log_weights.max())
+    evidence = float(log_weights.max() + np.log(weights.mean()))
     weights = weights / weights.sum()
     # systematic resampling: member j at quantile (j + u) / M of the cumulated weights
     quantiles = (np.arange(members) + rng.random()) / members
     rows = np.minimum(np.searchsorted(np.cumsum(weights), quantiles), len(found) - 1)
     kept, counts = np.unique(rows, return_counts=True)
-    return tuple(found[k] for k in kept), counts / members
+    return tuple(found[k] for k in kept), counts / members, evidence

@@ -38,7 +38,7 @@ class Moments:
     """Posterior mean and variance of one member at the candidates.
 
     Attributes:
-        mean: `N`, standardised log Δ.
+        mean: `N`, standardised.
         variance: `N`; exactly 0 where the value is known.
     """
 

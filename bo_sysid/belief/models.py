@@ -11,16 +11,16 @@ from bo_sysid.belief.surrogate import Surrogate
 
 
 def as_single_task_gp(surrogate: Surrogate, member: Conditional) -> SingleTaskGP:
-    """Return the `SingleTaskGP` on log Δ that has the member's hyperparameters.
+    """Return the `SingleTaskGP` on y = g(Δ) that has the member's hyperparameters.
 
     Inputs are normalised with the bounds of B and outputs standardised inside the model, so its
-    posterior is in the units of `points` and log Δ.
+    posterior is in the units of `points` and y.
     """
     d = surrogate.points.shape[1]
     base = RBFKernel if member.kernel == "rbf" else MaternKernel
     model = SingleTaskGP(
         torch.tensor(surrogate.points),
-        torch.tensor(surrogate.log_deviations)[:, None],
+        torch.tensor(surrogate.values)[:, None],
         train_Yvar=torch.tensor(surrogate.noise * surrogate.scale**2)[:, None],
         covar_module=ScaleKernel(base(ard_num_dims=d)),
         mean_module=ConstantMean(),

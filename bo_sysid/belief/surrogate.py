@@ -1,5 +1,12 @@
-"""The Gaussian-process surrogate of log Δ over B, averaged over its hyperparameters."""
+"""The Gaussian-process surrogate of Δ over B, averaged over its hyperparameters.
 
+Δ is modelled on the scale of its logarithm, its root or itself, whichever the evidence prefers. The
+arg-min is the same on all three. On recordings that the model can explain almost exactly Δ falls
+towards zero like the distance to the truth; its logarithm then has a pole there, which no
+stationary process follows, while Δ itself is a cone.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,13 +17,15 @@ from jaxtyping import Float
 from bo_sysid.arrays import Deviations, Points
 from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Evidence, Kernel
 from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
+from bo_sysid.belief.warp import Warp
 
 if TYPE_CHECKING:
     from botorch.models import SingleTaskGP
 
 KERNELS: tuple[Kernel, ...] = ("matern", "rbf")
+POWERS = (0.0, 0.5, 1.0)
+MEMBERS = 8
 NOISE = 1e-6  # variance of log Δ on fixed data: rounding, not noise
-ZERO = 1e-3  # Δ = 0 is taken as this share of the smallest positive Δ, to have a logarithm
 LENGTHSCALE_MEDIAN = 0.7  # of the prior, in units of the box, times √d
 LENGTHSCALE_STD = 0.8
 OUTPUTSCALE_MEDIAN = 1.0
@@ -25,28 +34,30 @@ OUTPUTSCALE_STD = 1.0
 
 @dataclass(frozen=True)
 class Surrogate:
-    """An ensemble of Gaussian processes on log Δ.
+    """An ensemble of Gaussian processes on the warped Δ, `y = g(Δ)`.
 
     Every member is conditioned on the same evaluations; they differ in kernel, length scales,
     output scale and constant mean, which were drawn from their posterior.
 
     Attributes:
         points: `n x d` evaluated parameter vectors.
-        log_deviations: `n` logarithms of their Δ.
-        variance: `n` variances of `log_deviations`, or None: Δ on fixed data is not noisy.
+        values: `n` values of y there.
+        noisy: whether Δ is an estimate; on fixed data it is not.
         bounds: `2 x d` lower and upper bounds of B.
         noise: `n` variances of the standardised values, as the members use them.
-        shift: mean of `log_deviations`.
-        scale: standard deviation of `log_deviations`.
+        warp: g.
+        shift: mean of `values`.
+        scale: standard deviation of `values`.
         members: the Gaussian processes, over the unit cube, of standardised values.
         weights: `M` probabilities of the members.
     """
 
     points: Float[np.ndarray, "n d"]
-    log_deviations: Deviations
-    variance: Deviations | None
+    values: Deviations
+    noisy: bool
     bounds: Float[np.ndarray, "2 d"]
     noise: Deviations
+    warp: Warp
     shift: float
     scale: float
     members: tuple[Conditional, ...]
@@ -57,18 +68,22 @@ class Surrogate:
         low, high = self.bounds
         return np.asarray((points - low) / (high - low))
 
-    def standardise(self, log_deviations: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
-        """Return log Δ in the units of the members."""
-        return (log_deviations - self.shift) / self.scale
+    def standardise(self, values: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
+        """Return values of y in the units of the members."""
+        return (values - self.shift) / self.scale
+
+    @property
+    def standardised(self) -> Deviations:
+        """The values in the units of the members."""
+        return self.standardise(self.values)
 
     def moments(self, points: Points) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-        """Return mean and variance of log Δ at `points`, averaged over the ensemble."""
+        """Return mean and variance of y at `points`, averaged over the ensemble."""
         x = self.unit(points)
-        values = self.standardise(self.log_deviations)
         means, variances = [], []
         for member in self.members:
             V = member.whitened(x)
-            means.append(member.mean + member.residual(values) @ V)
+            means.append(member.mean + member.residual(self.standardised) @ V)
             variances.append(member.variance(V))
         mean = self.weights @ np.array(means)
         spread = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
@@ -78,18 +93,18 @@ class Surrogate:
         """Return the surrogate of one member alone."""
         return replace(self, members=(self.members[member],), weights=np.ones(1))
 
-    def conditioned(self, points: Points, log_deviations: Float[np.ndarray, " k"]) -> "Surrogate":
-        """Return the surrogate that would know log Δ at further points, without a new fit.
+    def conditioned(self, points: Points, values: Float[np.ndarray, " k"]) -> "Surrogate":
+        """Return the surrogate that would know y at further points, without a new fit.
 
-        The processes stay what they are in units of log Δ; members are weighed by how well they had
+        The processes stay what they are in units of y; members are weighed by how well they had
         predicted the new values.
 
         Args:
             points: `k x d` parameter vectors, none of them evaluated before.
-            log_deviations: `k` values of log Δ there.
+            values: `k` values of y there.
         """
         x, k = self.unit(points), len(points)
-        y = np.append(self.log_deviations, log_deviations)
+        y = np.append(self.values, values)
         shift, scale = _standard(y)
         noise = np.append(self.noise, np.full(k, self.noise.min()))
         members, evidence = [], []
@@ -102,8 +117,7 @@ class Surrogate:
         return replace(
             self,
             points=np.concatenate([self.points, points]),
-            log_deviations=y,
-            variance=None if self.variance is None else np.append(self.variance, np.zeros(k)),
+            values=y,
             noise=noise * (self.scale / scale) ** 2,
             shift=shift,
             scale=scale,
@@ -113,29 +127,10 @@ class Surrogate:
 
     @cached_property
     def models(self) -> "tuple[SingleTaskGP, ...]":
-        """The members as BoTorch models of log Δ over B's own units, in float64."""
+        """The members as BoTorch models of y over B's own units, in float64."""
         from bo_sysid.belief.models import as_single_task_gp
 
         return tuple(as_single_task_gp(self, member) for member in self.members)
-
-
-def log_deviation(deviations: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
-    """Return log Δ, where Δ = 0 counts as `ZERO` times the smallest positive Δ.
-
-    Raises:
-        ValueError: a deviation is negative, infinite or not a number.
-    """
-    values = np.asarray(deviations, dtype=float)
-    wrong = np.argwhere(~np.isfinite(values) | (values < 0))
-    if len(wrong):
-        raise ValueError(
-            f"deviation {values[tuple(wrong[0])]} of evaluation {wrong[0][0]} is not a finite "
-            "number >= 0; "
-            "a simulation that diverged must carry its penalty"
-        )
-    positive = values[values > 0]
-    floor = ZERO * positive.min() if len(positive) else 1.0
-    return np.asarray(np.log(np.maximum(values, max(floor, np.finfo(float).tiny))))
 
 
 def fit_surrogate(
@@ -144,10 +139,11 @@ def fit_surrogate(
     bounds: Float[np.ndarray, "2 d"],
     *,
     variance: Float[np.ndarray, "..."] | None = None,
-    members: int = 16,
+    members: int = MEMBERS,
+    powers: Sequence[float] = POWERS,
     seed: int = 0,
 ) -> Surrogate:
-    """Fit Gaussian processes to log Δ and average over their hyperparameters.
+    """Fit Gaussian processes to Δ and average over their hyperparameters.
 
     Args:
         points: evaluated parameter vectors, in their own units.
@@ -155,29 +151,46 @@ def fit_surrogate(
         bounds: lower and upper bounds of B.
         variance: of log Δ at each point, where Δ is an estimate; None where it is not noisy.
         members: size of the ensemble.
+        powers: of Δ, of which the one with the largest evidence is taken; 0 is the logarithm.
         seed: of the sample of hyperparameters.
 
     Raises:
         ValueError: shapes do not agree, a value is not finite, or bounds have no extent.
     """
     points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
+    deviations = np.asarray(deviations, dtype=float)
     _check(points, deviations, bounds, variance)
-    y = log_deviation(deviations)
+    fits = [_fit(points, deviations, bounds, variance, members, p, seed) for p in powers]
+    return max(fits, key=lambda fit: fit[1])[0]
+
+
+def _fit(
+    points: Float[np.ndarray, "n d"],
+    deviations: Deviations,
+    bounds: Float[np.ndarray, "2 d"],
+    variance: Deviations | None,
+    members: int,
+    power: float,
+    seed: int,
+) -> tuple[Surrogate, float]:
+    """Return the surrogate on one power of Δ, and its log evidence."""
+    warp = Warp.of(deviations, power)
+    y = warp(deviations)
     shift, scale = _standard(y)
     x = (points - bounds[0]) / (bounds[1] - bounds[0])
-    raw = np.zeros_like(y) if variance is None else np.asarray(variance, dtype=float)
+    raw = np.zeros_like(y) if variance is None else variance * warp.slope(deviations) ** 2
     noise = np.maximum(raw, NOISE * max(1.0, scale**2)) / scale**2
-    z = (y - shift) / scale
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
-    prior = default_prior(x.shape[1])
-    evidences = [Evidence(kernel, squared, z, noise) for kernel in KERNELS]
-    draws, weights = sample_hyperparameters(evidences, prior, members=members, seed=seed)
+    evidences = {k: Evidence(k, squared, (y - shift) / scale, noise) for k in KERNELS}
+    draws, weights, log_evidence = sample_hyperparameters(
+        tuple(evidences.values()), default_prior(x.shape[1]), members=members, seed=seed
+    )
     rng = np.random.default_rng((seed, 1))
-    ensemble = []
-    for draw in draws:
-        evidence = next(e for e in evidences if e.kernel == draw.kernel)
-        ensemble.append(condition(evidence, draw.theta, x, rng))
-    return Surrogate(points, y, variance, bounds, noise, shift, scale, tuple(ensemble), weights)
+    ensemble = tuple(condition(evidences[draw.kernel], draw.theta, x, rng) for draw in draws)
+    surrogate = Surrogate(
+        points, y, variance is not None, bounds, noise, warp, shift, scale, ensemble, weights
+    )
+    return surrogate, log_evidence - len(y) * float(np.log(scale))
 
 
 def _standard(y: Deviations) -> tuple[float, float]:
@@ -222,6 +235,12 @@ def _check(
         raise ValueError(
             f"{np.shape(deviations)} deviations do not belong to points {points.shape}: "
             "n points need n deviations, n at least 1"
+        )
+    wrong = np.flatnonzero(~np.isfinite(deviations) | (deviations < 0))
+    if len(wrong):
+        raise ValueError(
+            f"deviation {deviations[wrong[0]]} of evaluation {wrong[0]} is not a finite number "
+            ">= 0; a simulation that diverged must carry its penalty"
         )
     if not np.isfinite(points).all():
         raise ValueError("evaluated points must be finite")
