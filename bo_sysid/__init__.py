@@ -15,13 +15,17 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "Recording": "bo_sysid.recording",
     "Study": "bo_sysid.study",
+    "diagnose": "bo_sysid.diagnosis",
     "identify": "bo_sysid.identify",
+    "learn": "bo_sysid.learn.learn",
 }
 
-__all__ = ["Recording", "Study", "identify"]  # noqa: F822 - resolved by __getattr__
+__all__ = ["Recording", "Study", "diagnose", "identify", "learn"]  # noqa: F822 - resolved by __getattr__
 
 
 def __getattr__(name: str) -> Any:
     if name in _EXPORTS:
-        return getattr(import_module(_EXPORTS[name]), name)
+        value = getattr(import_module(_EXPORTS[name]), name)
+        globals()[name] = value  # importing a package of the same name has put it there instead
+        return value
     raise AttributeError(f"module 'bo_sysid' has no attribute {name!r}")

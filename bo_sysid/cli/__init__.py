@@ -12,10 +12,36 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from bo_sysid import __version__
-from bo_sysid.cli import check, conceal, demo, diagnose, effects, identify, record, report, reveal, schema
+from bo_sysid.cli import (
+    check,
+    conceal,
+    demo,
+    diagnose,
+    effects,
+    identify,
+    learn,
+    play,
+    record,
+    report,
+    reveal,
+    schema,
+)
 from bo_sysid.errors import UserError
 
-VERBS = (check, identify, diagnose, record, report, conceal, reveal, effects, schema, demo)
+VERBS = (
+    check,
+    identify,
+    diagnose,
+    learn,
+    play,
+    record,
+    report,
+    conceal,
+    reveal,
+    effects,
+    schema,
+    demo,
+)
 """The verbs, in the order of the help."""
 
 DONE, DEFECT, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130

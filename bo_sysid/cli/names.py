@@ -10,12 +10,15 @@ def registered() -> dict[str, list[str]]:
     """Return all that is registered, by the argument of `bo_sysid.study.schema`."""
     from bo_sysid.acquisition import acquisition_names
     from bo_sysid.effects import CATALOGUE
+    from bo_sysid.learn import CHOICES, STOPS
     from bo_sysid.recording.datasets import DATASETS
 
     return {
         "acquisitions": list(acquisition_names()),
         "datasets": sorted(DATASETS),
         "effects": sorted(CATALOGUE),
+        "choices": list(CHOICES),
+        "stops": list(STOPS),
     }
 
 
@@ -26,8 +29,9 @@ def check_names(study: "Study") -> None:
         StudyError: a name is not registered.
     """
     from bo_sysid.acquisition import acquisition_names
+    from bo_sysid.learn import CHOICES, STOPS
 
-    study.check_names(acquisitions=acquisition_names())
+    study.check_names(acquisitions=acquisition_names(), choices=CHOICES, stops=STOPS)
     if study.recordings.dataset is not None:
         from bo_sysid.recording.datasets import DATASETS
 

@@ -1,6 +1,7 @@
 """A policy as a TorchScript module that gives commands; the only module here that needs torch."""
 
 import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,10 @@ def write_module(policy: LearnedPolicy, low: np.ndarray, high: np.ndarray, path:
         high: `a` highest commands.
         path: of the file.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        # torch.export, which is to replace it, gives no file for libtorch alone
+        warnings.simplefilter("ignore", DeprecationWarning)
         policy.export(Path(folder) / "policy.pt")
         actions = torch.jit.load(str(Path(folder) / "policy.pt"))  # type: ignore[no-untyped-call]
-    module = _Commands(actions, low, high).eval().requires_grad_(False)
-    torch.jit.save(torch.jit.script(module), str(path))
+        module = _Commands(actions, low, high).eval().requires_grad_(False)
+        torch.jit.save(torch.jit.script(module), str(path))

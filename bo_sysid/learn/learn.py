@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.execution import Report, silent
+from bo_sysid.execution import Report, limit_threads, silent
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iteration import Iteration, Teller, iterate, reread
 from bo_sysid.learn.scene import Scene
@@ -62,12 +62,17 @@ def learn(study: Study, run: Run | None = None, *, progress: Report = silent) ->
     Raises:
         UserError: the study, its model, its task or a recording is wrong.
     """
+    import torch  # noqa: F401 - before threads are limited, or its own would not be
+
     if run is not None:
-        return _learned(study, run, progress)
+        # simulations have threads of their own; those of linear algebra would change roundings,
+        # and with them what an interrupted run goes on to
+        with limit_threads(1):
+            return _learned(study, run, progress)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
         with Run.open(folder, study.resolved(relative_to=folder), "learn") as own:
-            return _learned(study, own, progress)
+            return learn(study, own, progress=progress)
 
 
 def _learned(study: Study, run: Run, progress: Report) -> Learning:

@@ -193,10 +193,18 @@ class PythonMachine:
         return Applied(
             {field: np.concatenate([r[field] for r in rows]) for field in rows[0]},
             self.observe(),
-            0.0 if diverged else float(self.task.get_reward(self.physics)),
+            0.0 if diverged else self._reward(),
             self.task.get_termination(self.physics) == 0.0,
             diverged,
         )
+
+    def _reward(self) -> float:
+        reward = self.task.get_reward(self.physics)
+        if reward is None:
+            raise UserError(f"task {self._name} gave no reward: get_reward returned None")
+        if not np.isfinite(reward):
+            raise UserError(f"task {self._name} gave a reward of {reward}; it must be finite")
+        return float(reward)
 
 
 class PythonEnvironment:

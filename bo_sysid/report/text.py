@@ -25,6 +25,10 @@ def run_text(folder: str | Path) -> str:
     head = f"{folder}: {record['command']}, {record['status']}"
     if (folder / "identification.json").is_file():
         return "\n".join([head, identification_text(read_json(folder, "identification.json"))])
+    if (folder / "learning.json").is_file():
+        from bo_sysid.report.learning import learning_text
+
+        return "\n".join([head, learning_text(read_json(folder, "learning.json"), folder)])
     if (folder / "diagnosis.json").is_file():
         from bo_sysid.report.diagnosis_text import diagnosis_text
 

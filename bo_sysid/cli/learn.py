@@ -1,0 +1,37 @@
+"""`bo-sysid learn`: a policy from few real trajectories."""
+
+import argparse
+
+from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.progress import shown
+
+
+def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = verbs.add_parser(
+        "learn",
+        help="learn a policy with few real trajectories",
+        description="Learn a policy for the task of a study: record a trajectory, identify the "
+        "model on all recordings, learn on it, and so on. Without the key plant the machine is "
+        "yours: the policy is written, and the same command goes on once its recording is there. "
+        "An interrupted run goes on with the same command.",
+    )
+    add_study(parser)
+    add_out(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Learn, and print what came of it."""
+    study = load_study(args)
+    with open_run(args, study, "learn") as run, shown("learn") as progress:
+        from bo_sysid.learn.learn import learn
+
+        learn(study, run, progress=progress)
+
+    from bo_sysid.report.learning import write_learning_figures
+    from bo_sysid.report.text import run_text
+
+    write_learning_figures(run)
+    print(run_text(run.folder))
+    print(f"\nFigures: {run.path('figures')}. See the policy: bo-sysid play {run.folder}")

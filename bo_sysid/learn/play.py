@@ -1,0 +1,137 @@
+"""A learned policy on its plant: returns, a recording, and pictures where they can be made."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import RunError, UserError
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.values import Estimate
+from bo_sysid.mjcf import Model
+from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.plant import PlantError
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording import Recording
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import atomic, read_record
+from bo_sysid.study import Study
+
+_SEED = 700_001  # starts are none of those of training, valuation or evaluation
+_PICTURES, _WIDTH, _HEIGHT = 8, 320, 240
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a policy did on the plant.
+
+    Attributes:
+        returns: `E` sums of rewards of whole episodes.
+        recording: path of one recorded episode.
+        pictures: path of a strip of pictures; None where this machine cannot render.
+        not_rendered: why not, else empty.
+    """
+
+    returns: np.ndarray
+    recording: Path
+    pictures: Path | None
+    not_rendered: str
+
+    @property
+    def sentence(self) -> str:
+        """The returns in words."""
+        told = Estimate.of(self.returns)
+        count = len(self.returns)
+        error = f" ± {told.error:.2g} (standard error)" if count > 1 else ""
+        return f"Return on the plant: {told.mean:.4g}{error}, {count} episodes."
+
+
+def play(
+    folder: Path,
+    *,
+    policy: Path | None = None,
+    episodes: int = 20,
+    out: Path | None = None,
+    trust_code: bool = False,
+) -> Played:
+    """Evaluate and record the policy of a run of `learn` on the plant of its study.
+
+    Args:
+        folder: the run folder.
+        policy: another policy; the run's last one by default.
+        episodes: number of evaluated episodes.
+        out: folder of the recording and the pictures; `play` in the run folder by default.
+        trust_code: run the Python files that the study names.
+
+    Raises:
+        RunError: the folder is no run of `learn`, or holds no policy yet.
+        UserError: the policy belongs to another model, or the machine is a person's.
+    """
+    if episodes < 1:
+        raise UserError(f"play: --episodes is {episodes}; at least 1")
+    record = read_record(folder)
+    if record["command"] != "learn":
+        raise RunError(f"{folder}: a run of {record['command']}; play shows runs of learn")
+    study = Study.load(folder / "study.yaml", trust_code=trust_code)
+    if study.plant is None:
+        raise study.error(
+            ("plant",), "play needs a simulated plant; a policy for your machine is in policy.pt"
+        )
+    file = policy or folder / "policy.npz"
+    if not file.is_file():
+        raise RunError(f"{file}: no such policy" + ("" if policy else "; the run has none yet"))
+    learned, scene = LearnedPolicy.load(file), Scene.of(study)
+    environment = scene.environment(scene.compiled(scene.candidates.points[0]), 1)
+    learned.require(environment.observation_size, environment.action_size, str(file))
+    plant = build_plant(study, seed=scene.seed + _SEED)
+    returns = plant.evaluate(learned.act, episodes, seed=scene.seed + _SEED)
+    try:
+        recording = plant.record(learned.act)
+    except PlantError as error:
+        if error.recording is None:
+            raise
+        recording = error.recording
+    place = out or folder / "play"
+    path = write_recording(recording, place / "recording.parquet")
+    pictures, why = _pictures(scene.model, recording, place / "pictures.png")
+    return Played(returns, path, pictures, why)
+
+
+def _pictures(model: Model, recording: Recording, path: Path) -> tuple[Path | None, str]:
+    """Draw a strip of pictures of a recording; return its path, or why there is none."""
+    setting = os.environ.get("MUJOCO_GL", "")
+    if setting in ("", "disable", "off", "0", "false"):
+        return None, "No pictures: set MUJOCO_GL=egl (or osmesa, glfw) where rendering works."
+    try:
+        strip = render(model, recording)
+    except Exception as error:  # whatever the graphics driver raises
+        return None, f"No pictures: rendering with MUJOCO_GL={setting} failed ({error})."
+    from matplotlib.image import imsave
+
+    with atomic(path) as place:
+        imsave(place, strip)
+    return path, ""
+
+
+def render(model: Model, recording: Recording, count: int = _PICTURES) -> np.ndarray:
+    """Return `count` pictures of a recording side by side, `height x (count width) x 3`.
+
+    Args:
+        model: drawn at the recorded positions.
+        recording: with every joint's position.
+        count: pictures, evenly over time.
+    """
+    compiled = model.compile(visuals=True)
+    data = mujoco.MjData(compiled)
+    start, stop = recording.span
+    frames = []
+    with mujoco.Renderer(compiled, _HEIGHT, _WIDTH) as renderer:
+        for time in np.linspace(start, stop, count):
+            for k, name in enumerate(model.qpos_channels):
+                data.qpos[k] = recording.channels[name].at(np.array([time]))[0]
+            mujoco.mj_forward(compiled, data)
+            renderer.update_scene(data, camera=0 if compiled.ncam else -1)
+            frames.append(renderer.render())
+    return np.concatenate(frames, axis=1)

@@ -1,0 +1,95 @@
+"""What a run of `learn` found, as a figure and as text."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from bo_sysid.report.text import table
+from bo_sysid.runs import Run, read_frame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_Z95 = 1.96
+
+
+def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
+    """Return `learning.json` in words and tables."""
+    rows = read_frame(folder, "iterations.parquet")
+    several = "y" if summary["trajectories"] == 1 else "ies"
+    head = (
+        f"{summary['name']}: {summary['trajectories']} real trajector{several}, "
+        f"{summary['seconds_recorded']:.4g} s."
+    )
+    chosen = ", ".join(f"{name} {value:.4g}" for name, value in summary["chosen"].items())
+    shown = ["iteration", "trajectories", "evaluated", "entropy", "deviation", "floor"]
+    shown += ["model_return", "model_error", "plant_return", "plant_error"]
+    parts = [
+        head,
+        "",
+        table(rows[[c for c in shown if rows[c].notna().any()]]),
+        "",
+        f"The last policy was learned on {chosen}.",
+        summary["waiting"] or summary["stopped"],
+    ]
+    if summary["notes"]:
+        parts += ["", *[f"- {note}" for note in summary["notes"]]]
+    return "\n".join(parts)
+
+
+def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure":
+    """Return returns against real trajectories, and those of training against simulated steps.
+
+    Args:
+        iterations: trajectories, model_return, model_error, plant_return, plant_error, diagnosed.
+        training: learned (the iteration), steps, batch_return.
+    """
+    from matplotlib.figure import Figure
+
+    from bo_sysid.report.figures import IDENTIFIED, NOMINAL, RECORDED, SECOND
+
+    figure = Figure(figsize=(7.2, 5.6), layout="constrained")
+    top, bottom = figure.subplots(2, 1)
+    for kind, colour, label in (
+        ("model", IDENTIFIED, "on the identified model"),
+        ("plant", RECORDED, "on the plant"),
+    ):
+        mean = iterations[f"{kind}_return"].astype(float)
+        if mean.notna().any():
+            error = _Z95 * iterations[f"{kind}_error"].astype(float)
+            top.errorbar(
+                iterations["trajectories"], mean, error.fillna(0.0), color=colour, marker="o",
+                markersize=4, capsize=3, label=label,
+            )  # fmt: skip
+    for number in iterations.loc[iterations["diagnosed"], "trajectories"]:
+        top.axvline(number, color=NOMINAL, linestyle="--", label="diagnosis")
+    top.xaxis.get_major_locator().set_params(integer=True)
+    top.set_xlabel("real trajectories")
+    top.set_ylabel("return (95 % interval)")
+    top.legend(fontsize="small")
+    last = training["learned"].max()
+    for number in training["learned"].unique():
+        part = training[training["learned"] == number]
+        newest = number == last
+        bottom.plot(
+            part["steps"], part["batch_return"], color=IDENTIFIED if newest else SECOND,
+            alpha=1.0 if newest else 0.5, label=f"iteration {number}" if newest else None,
+        )  # fmt: skip
+    bottom.set_xlabel("simulated control steps")
+    bottom.set_ylabel("return of the batch")
+    bottom.legend(fontsize="small")
+    return figure
+
+
+def write_learning_figures(run: Run) -> list[Path]:
+    """Draw what `learn` left in a run folder; return the paths of the figures."""
+    from bo_sysid.report.figures import save
+
+    figure = learning_curve(
+        run.read_frame("iterations.parquet"), run.read_frame("training.parquet")
+    )
+    with run.writing("figures/learning.png") as path:
+        save(figure, path)
+    return [run.path("figures/learning.png")]

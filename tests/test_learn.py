@@ -1,0 +1,334 @@
+"""The outer loop: it finds the plant, counts, survives a kill, and waits for a person."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+import yaml
+from learning import learned, pendulum
+
+from bo_sysid.cli import main
+from bo_sysid.errors import RunError, StudyError, UserError
+from bo_sysid.learn.identified import evaluated_again, identified
+from bo_sysid.learn.learn import learn
+from bo_sysid.learn.play import play
+from bo_sysid.learn.scene import Scene
+from bo_sysid.plants.build import build_plant
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording import read_recording
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.study import Study
+
+RESULTS = ("learning.json", "iterations.parquet", "trajectories.parquet", "training.parquet")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a finished run."""
+    folder = tmp_path_factory.mktemp("whole")
+    (folder / "study.yaml").write_text(yaml.safe_dump(pendulum()))
+    assert main(["learn", str(folder / "study.yaml"), "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def contents(run: Path) -> dict[str, object]:
+    """Return what a run found, as values."""
+    found: dict[str, object] = {"learning": json.loads((run / "learning.json").read_text())}
+    for name in sorted(run.rglob("belief.parquet")):
+        found[str(name.relative_to(run))] = pd.read_parquet(name).to_json(double_precision=15)
+    for name in sorted((run / "trajectories").glob("*.parquet")):
+        found[name.name] = pd.read_parquet(name).to_json(double_precision=15)
+    for name in sorted(run.glob("iterations/*/policy.npz")):
+        found[str(name.relative_to(run))] = LearnedPolicy.load(name).theta.tolist()
+    return found
+
+
+def test_a_run_holds_everything_and_finds_the_plant(whole: Path) -> None:
+    told = json.loads((whole / "learning.json").read_text())
+    assert told["status"] == "finished"
+    assert told["trajectories"] == len(list((whole / "trajectories").glob("*.parquet"))) == 2
+    first = told["iterations"][0]
+    assert first["most_probable"]["mass"] == pytest.approx(1.2, abs=0.101)
+    assert first["most_probable"]["damping"] == pytest.approx(0.8, abs=0.101)
+    assert {"mean", "error"} == set(first["plant_return"])
+    assert all((whole / name).is_file() for name in RESULTS)
+    assert (whole / "figures" / "learning.png").stat().st_size > 5_000
+    log = pd.read_parquet(whole / "training.parquet")
+    assert {"learned", "kl", "cg_residual", "trials", "explained_variance"} <= set(log)
+    belief = pd.read_parquet(whole / "iterations" / "01" / "belief.parquet")
+    assert belief["P"].sum() == pytest.approx(1.0)
+
+
+SLOW = """
+import sys, time
+from bo_sysid.cli import main
+from bo_sysid.runs import Run
+write = Run.write_bytes
+def slowly(self, name, content):
+    time.sleep(0.15)
+    return write(self, name, content)
+Run.write_bytes = slowly
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("after", ["iterations/01/identified.json", "iterations/02/policy.npz"])
+def test_a_killed_run_goes_on_to_the_same_result(whole: Path, tmp_path: Path, after: str) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text((whole.parent / "study.yaml").read_text())
+    command = ["learn", str(study), "--out", str(tmp_path / "run")]
+    process = subprocess.Popen([sys.executable, "-c", SLOW, *command])  # noqa: S603
+    until = time.monotonic() + 60
+    while not (tmp_path / "run" / after).exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert (tmp_path / "run" / after).exists()
+    assert not (tmp_path / "run" / "learning.json").exists()
+    assert main(command) == 0
+    assert contents(tmp_path / "run") == contents(whole)
+
+
+def test_a_run_without_a_folder_finds_the_same(whole: Path) -> None:
+    told = learn(Study.from_dict(pendulum()))
+    stored = LearnedPolicy.load(whole / "policy.npz")
+    assert told.policy is not None
+    np.testing.assert_array_equal(told.policy.theta, stored.theta)
+
+
+def test_every_evaluated_candidate_is_evaluated_again_on_all_recordings() -> None:
+    scene = Scene.of(Study.from_dict(pendulum()))
+    plant = build_plant(scene.study)
+    one, two = (plant.record(np.sin(np.arange(200)[:, None] * f)) for f in (0.1, 0.23))
+    alone = identified(scene, [one], np.zeros(0, int))
+    both = identified(scene, [one, two], alone.rows)
+    assert both.rows[: len(alone.rows)].tolist() == alone.rows.tolist()
+    assert both.fresh == len(both.rows) - len(alone.rows)
+    from bo_sysid.identify.problem import make_problem
+
+    deviation = make_problem(scene.study, [one, two]).deviation
+    truth = deviation(scene.candidates.points[both.rows]).deviation
+    np.testing.assert_allclose(both.deviation, truth, rtol=1e-12)
+    assert (np.abs(both.deviation[: len(alone.rows)] - alone.deviation) > 1e-6).all()
+    assert len(evaluated_again(deviation, scene.candidates.points, alone.rows)) == len(alone.rows)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"policy": {"batch": 400, "steps": 400, "hidden": [8], "start": "warm"}},
+        {"learn": {"trajectories": 2, "episodes": 2, "stop": "zhu", "choose": "argmax"}},
+        {"learn": {"trajectories": 2, "episodes": 2, "models": "bootstrap", "stop": "timeout"}},
+    ],
+)
+def test_variants_run_and_resume(tmp_path: Path, changed: dict[str, object]) -> None:
+    study = pendulum(**changed)
+    told = learned(tmp_path, study)
+    assert len(told.trajectories) == 2
+    again = learned(tmp_path, study)
+    pd.testing.assert_frame_equal(again.iterations, told.iterations)
+    if "policy" in changed:
+        log = pd.read_parquet(tmp_path / "run" / "training.parquet")
+        assert log.groupby("learned")["steps"].max().tolist() == [400, 800]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_plant_that_breaks_off_keeps_what_was_recorded(tmp_path: Path) -> None:
+    study = pendulum(learn={"trajectories": 1, "episodes": 2})
+    runaway = {"effect": "asymmetric_damping", "kind": "joint", "site": "hinge", "value": 150.0}
+    study["plant"] = {"effects": [runaway]}
+    told = learned(tmp_path, study)
+    (fault,) = told.trajectories["fault"]
+    assert "diverged at" in fault
+    assert any("what was recorded until then is used" in n for n in told.notes)
+    kept = read_recording(tmp_path / "run" / "trajectories" / "01.parquet")
+    assert 2 <= len(kept.channels["qpos.hinge"].values) < 1001
+
+
+# --- a person's machine ---
+
+
+def machine_study(tmp_path: Path) -> dict[str, object]:
+    """A study without a plant, and the machine's first recording."""
+    study = pendulum(limits={"hinge": {"effort": 0.5, "velocity": 40.0}})
+    plant = build_plant(Study.from_dict(study, tmp_path), seed=7)
+    write_recording(plant.record(np.full((300, 1), 0.2)), tmp_path / "first.csv")
+    del study["plant"]
+    study["recordings"] = {"train": ["first.csv"], "noise": {"qpos": 0.001, "qvel": 0.01}}
+    return study
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
+def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    told = learned(tmp_path, study)
+    assert "waiting for recording 1" in told.waiting
+    assert "recordings/trajectory-01.parquet" in told.waiting
+    assert told.trajectories.empty
+    module = torch.jit.load(str(tmp_path / "run" / "policies" / "policy-01.pt"))
+    commands = module(torch.randn(200, 3) * 30).numpy()
+    about = json.loads((tmp_path / "run" / "policies" / "policy-01.json").read_text())
+    assert np.abs(commands).max() <= 0.5 + 1e-6  # the motor's gear is 1: 0.5 N m
+    assert about["high"] == [pytest.approx(0.5)]
+    again = learned(tmp_path, study)
+    assert again.waiting == told.waiting
+
+    policy = LearnedPolicy.load(tmp_path / "run" / "policy.npz")
+    plant = build_plant(Study.from_dict(pendulum(limits=study["limits"]), tmp_path), seed=8)
+    recording = plant.record(policy.act, steps=400)
+    assert np.abs(recording.channels["ctrl.torque"].values).max() <= 0.5 + 1e-9
+    write_recording(recording, tmp_path / "run" / "recordings" / "trajectory-01.csv")
+    went_on = learned(tmp_path, study)
+    assert len(went_on.trajectories) == 1
+    assert len(went_on.iterations) == 2
+    assert went_on.iterations["plant_return"].isna().all()
+
+
+def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    learned(tmp_path, study)
+    place = tmp_path / "run" / "recordings" / "trajectory-01.csv"
+    place.write_text("time,qpos.hinge,ctrl.torque\n0,0.1,0\n0.02,nan,0\n0.04,0.1,x\n")
+    with pytest.raises(UserError, match=r"trajectory-01"):
+        learned(tmp_path, study)
+    assert place.exists()
+    place.unlink()
+    assert "waiting for recording 1" in learned(tmp_path, study).waiting
+
+
+def test_first_recordings_must_not_change(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    learned(tmp_path, study)
+    text = (tmp_path / "first.csv").read_text().splitlines()
+    (tmp_path / "first.csv").write_text("\n".join(text[:-20]) + "\n")
+    with pytest.raises(RunError, match="recordings that the study names changed"):
+        learned(tmp_path, study)
+
+
+def test_waiting_is_no_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(machine_study(tmp_path)))
+    monkeypatch.chdir(tmp_path)
+    assert main(["learn", "mine.yaml", "--out", "run"]) == 0
+    assert "waiting for recording 1" in capsys.readouterr().out
+    assert main(["play", "run"]) == 2
+    assert "play needs a simulated plant" in capsys.readouterr().err
+
+
+# --- play ---
+
+
+def test_play_evaluates_and_records(whole: Path, tmp_path: Path) -> None:
+    played = play(whole, episodes=3, out=tmp_path)
+    assert played.returns.shape == (3,)
+    assert "± " in played.sentence
+    recording = read_recording(played.recording)
+    assert recording.span[1] == pytest.approx(20.0)
+    assert played.pictures is None
+    assert "MUJOCO_GL" in played.not_rendered
+    np.testing.assert_array_equal(play(whole, episodes=3, out=tmp_path).returns, played.returns)
+
+
+# --- bad input ---
+
+
+def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> None:
+    from bo_sysid.policy.network import GaussianPolicy
+    from bo_sysid.policy.normalisation import Normaliser
+
+    policy = GaussianPolicy.of_size(5, 2, (4,))
+    theta = policy.initial(np.random.default_rng(0))
+    other = LearnedPolicy(policy, theta, Normaliser(np.zeros(5), np.ones(5)), {"task": "arm"})
+    other.save(tmp_path / "arm.npz")
+    with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions.*on arm"):
+        play(whole, policy=tmp_path / "arm.npz")
+    with pytest.raises(RunError, match="no such policy"):
+        play(whole, policy=tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"task": None, "model": "arm.xml", "parameters": []}, "learn needs a task with a reward"),
+        ({"parameters": []}, "at least one uncertain parameter"),
+        ({"plant": None}, r"matches no file.*begins with a recording"),
+        ({"limits": {"hing": {"effort": 1.0}}}, "no such joint; did you mean 'hinge'"),
+        (
+            {"task": {"dm_control": {"domain": "pendulum", "task": "swigup"}}},
+            "no 'pendulum swigup'",
+        ),
+        (
+            {"task": {"dm_control": {"domain": "hopper", "task": "stand"}}},
+            "task .* does not fit the model",
+        ),
+    ],
+)
+def test_wrong_studies_are_told(tmp_path: Path, changed: dict[str, object], message: str) -> None:
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="hinge"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    study = {k: v for k, v in pendulum(**changed).items() if v is not None}
+    if "arm.xml" in changed.values():
+        study.pop("plant")
+    with pytest.raises(UserError, match=f"(?s){message}"):
+        learned(tmp_path, study)
+
+
+@pytest.mark.parametrize(
+    ("section", "key"),
+    [("learn", "trajectories"), ("learn", "episodes"), ("policy", "steps"), ("search", "budget")],
+)
+def test_budgets_of_zero_are_refused(section: str, key: str) -> None:
+    with pytest.raises(StudyError, match=rf"{section}\.{key}.*greater than or equal to 1"):
+        Study.from_dict(pendulum(**{section: {key: 0}}))
+
+
+TASK = """
+import collections
+from dm_control.rl import control
+from dm_control.suite import base
+
+
+class Hold(base.Task):
+    control_timestep, time_limit = 0.02, 0.4
+
+    def get_observation(self, physics):
+        return collections.OrderedDict(q=physics.data.qpos.copy(), v=physics.data.qvel.copy())
+
+    def get_reward(self, physics):
+        return REWARD
+"""
+
+
+@pytest.mark.parametrize(
+    ("reward", "message"),
+    [
+        ("1.0 - abs(float(physics.data.qpos[0]))", ""),
+        ("float('nan')", "gave a reward of nan"),
+        ("None", "gave no reward"),
+    ],
+)
+def test_a_users_own_task(tmp_path: Path, reward: str, message: str) -> None:
+    (tmp_path / "hold.py").write_text(TASK.replace("REWARD", reward))
+    changed = {
+        "task": {"file": "hold.py", "class": "Hold"},
+        "policy": {"batch": 40, "steps": 40, "hidden": [4]},
+        "learn": {"trajectories": 1, "episodes": 2},
+    }
+    study = Study.from_dict(pendulum(**changed), tmp_path, trust_code=True)
+    if message:
+        with pytest.raises(UserError, match=message):
+            learn(study)
+        return
+    told = learn(study)
+    assert told.policy is not None
+    assert any("not vectorised" in note for note in told.notes)

@@ -1,0 +1,173 @@
+"""Choices, stop rules, values and the floor, against answers worked out by hand."""
+
+import numpy as np
+import pytest
+from learning import pendulum
+
+from bo_sysid.belief.stopping import StopReason
+from bo_sysid.identify.problem import make_problem
+from bo_sysid.learn import CHOICES, STOPS
+from bo_sysid.learn.choose import CHOOSE
+from bo_sysid.learn.floor import Floor, floor_of, lacks_physics
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
+from bo_sysid.learn.values import Estimate, Values, values
+from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.plants.build import build_plant
+from bo_sysid.study import Study
+
+X = Parameter("x", ("joint[a].damping",), 0.0, 1.0, 11)
+Y = Parameter("y", ("joint[b].damping",), 0.0, 4.0, 11)
+
+
+@pytest.fixture(scope="module")
+def grid() -> CandidateSet:
+    return CandidateSet.from_grid([X, Y])
+
+
+def row(grid: CandidateSet, x: float, y: float) -> int:
+    return int(np.abs(grid.points - [x, y]).sum(axis=1).argmin())
+
+
+def test_the_names_in_studies_are_those_of_the_registries() -> None:
+    assert tuple(CHOOSE) == CHOICES
+    assert tuple(STOP_RULES) == STOPS
+
+
+def test_choices() -> None:
+    p, mean = np.array([0.2, 0.5, 0.3, 0.0]), np.array([1.0, 0.3, 0.2, 0.9])
+    rng = np.random.default_rng(0)
+    assert CHOOSE["argmax"](p, mean, rng) == 1
+    assert CHOOSE["minimum-mean"](p, mean, rng) == 2
+    drawn = np.bincount([CHOOSE["sample"](p, mean, rng) for _ in range(4000)], minlength=4) / 4000
+    np.testing.assert_allclose(drawn, p, atol=0.03)
+
+
+def test_distances_are_in_shares_of_the_bounds(grid: CandidateSet) -> None:
+    here = row(grid, 0.5, 2.0)
+    assert distances(grid, here)[row(grid, 0.7, 2.4)] == pytest.approx(0.2)
+    assert distances(grid, here)[row(grid, 0.5, 0.0)] == pytest.approx(0.5)
+    near = neighbours(grid, here, 0.1)
+    assert len(near) == 8  # one step either way in two parameters
+    assert here not in near
+    assert len(neighbours(grid, row(grid, 0.0, 0.0), 0.1)) == 3
+    assert len(neighbours(grid, here, 0.05)) == 0
+    farthest = neighbours(grid, here, 0.2, most=16)
+    assert (distances(grid, here)[farthest] > 0.15).all()
+
+
+def slope(grid: CandidateSet, gain: float):  # type: ignore[no-untyped-def]
+    """Values that change by `gain` over the whole of x, with noise common to all models."""
+
+    def valued(rows: np.ndarray) -> Values:
+        common = np.random.default_rng(5).normal(0.0, 30.0, 8)
+        return Values(100.0 + gain * grid.points[rows, :1] + common)
+
+    return valued
+
+
+def test_the_seeds_rule_needs_both_conditions(grid: CandidateSet) -> None:
+    here = row(grid, 0.5, 2.0)
+    flat, steep = slope(grid, 10.0), slope(grid, 1000.0)
+    good = near_enough(grid, here, here, 0.1, 0.05, flat)
+    assert good.stop
+    # one step of x changes the value by 1, exactly the same in every episode
+    assert good.figures["largest_difference"]["mean"] == pytest.approx(1.0, abs=1e-9) or (
+        good.figures["largest_difference"]["mean"] == pytest.approx(-1.0, abs=1e-9)
+    )
+    assert good.figures["largest_difference"]["error"] == pytest.approx(0.0, abs=1e-9)
+    assert not near_enough(grid, here, here, 0.1, 0.05, steep).stop
+    away = near_enough(grid, here, row(grid, 0.7, 2.0), 0.1, 0.05, flat)
+    assert not away.stop
+    assert away.figures["distance"] == pytest.approx(0.2)
+    assert "0.2 of the bounds away" in away.sentence
+
+    def worthless(rows: np.ndarray) -> Values:
+        return Values(np.zeros((len(rows), 4)))
+
+    assert not near_enough(grid, here, here, 0.1, 0.05, worthless).stop
+
+
+def test_the_value_guided_rule_is_the_expected_difference(grid: CandidateSet) -> None:
+    p = np.zeros(len(grid))
+    best, other, slight = row(grid, 0.5, 2.0), row(grid, 0.9, 2.0), row(grid, 0.0, 2.0)
+    p[[best, other, slight]] = 0.6, 0.395, 0.005
+    verdict = value_guided(p, 0.05, 0.01, slope(grid, 20.0))
+    assert verdict.figures["expected_difference"] == pytest.approx(0.395 * 0.4 * 20.0)
+    assert verdict.figures["mass"] == pytest.approx(0.995)
+    assert verdict.stop
+    assert not value_guided(p, 0.01, 0.01, slope(grid, 20.0)).stop
+    broad = np.full(len(grid), 1 / len(grid))
+    told = value_guided(broad, 0.5, 0.01, slope(grid, 0.0))
+    assert not told.stop
+    assert "hold 0 of P" in told.sentence
+
+
+def test_estimates() -> None:
+    told = Estimate.of(np.array([1.0, 2.0, 3.0, 6.0]))
+    assert told.mean == 3.0
+    assert told.error == pytest.approx(np.std([1, 2, 3, 6], ddof=1) / 2)
+    assert Estimate.of(np.array([1.0])).error == np.inf
+
+
+def test_values_are_paired_over_models() -> None:
+    scene = Scene.of(Study.from_dict(pendulum(learn={"episodes": 3})))
+    points = scene.candidates.points
+    light, heavy = scene.compiled(points[0]), scene.compiled(points[-1])
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        return np.sign(observation[:, 2:])  # pump energy in
+
+    told = values(scene, [light, heavy, light], act)
+    assert told.returns.shape == (3, 3)
+    np.testing.assert_array_equal(told.returns[0], told.returns[2])
+    assert told.difference(0, 2) == Estimate(0.0, 0.0)
+    alone = values(scene, [heavy], act)
+    np.testing.assert_array_equal(alone.returns[0], told.returns[1])
+    assert np.abs(told.returns[0] - told.returns[1]).max() > 0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "reason", "expected"),
+    [
+        (3.0, StopReason.CONVERGED, True),
+        (3.0, StopReason.ENTROPY, True),
+        (3.0, StopReason.BUDGET, False),
+        (1.1, StopReason.CONVERGED, False),
+    ],
+)
+def test_physics_is_missing_where_a_converged_floor_is_high(
+    ratio: float, reason: StopReason, expected: bool
+) -> None:
+    floor = Floor(deviation=5.0 * ratio, noise=4.0, resolution=3.0)
+    assert floor.ratio == pytest.approx(ratio)
+    assert lacks_physics(floor, reason) is expected
+
+
+@pytest.mark.parametrize(
+    ("effects", "high"),
+    [
+        ([], False),
+        ([{"effect": "dry_friction", "kind": "joint", "site": "hinge", "value": 0.3}], True),
+    ],
+)
+def test_the_expected_floor_is_that_of_a_plant_without_effects(
+    effects: list[dict[str, object]], high: bool
+) -> None:
+    plain = pendulum()
+    plain["plant"] = {
+        "parameters": {"mass": 1.23, "damping": 0.84},
+        "noise": {"qpos": 0.001, "qvel": 0.01},
+        "effects": effects,
+    }
+    study = Study.from_dict(plain)
+    plant = build_plant(study, seed=3)
+    controls = np.sin(np.arange(600)[:, None] * 0.11)
+    problem = make_problem(study, [plant.record(controls)])
+    points = problem.candidates.points
+    found = problem.deviation(points).deviation
+    best = int(found.argmin())
+    floor = floor_of(problem, points[best], float(found[best]))
+    assert lacks_physics(floor, StopReason.CONVERGED) is high
+    if not high:
+        assert 0.8 < floor.ratio < 1.1
