@@ -18,7 +18,8 @@ from bo_sysid.runs import plain
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
 _ALTERNATIVES = 5
-_BESIDE_UNKNOWN = 0.7  # a name beside something unexplained is never certain
+_UNHEARD = 0.02  # probability that it is something outside the catalogue
+_BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
 
 
 @dataclass(frozen=True)
@@ -94,16 +95,19 @@ def make_answer(decision: Decision, outcome: Outcome, machine: Machine) -> Answe
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
     best, kept = decision.best, outcome.fit
-    probability = float(decision.probability[decision.fits.index(best)])
-    if outcome.unexplained.flagged:
-        probability = min(probability, _BESIDE_UNKNOWN)
-    equivalents = decision.equivalents[:3] if kept is best else ()
-    found = findings(kept, machine, probability, equivalents)
-    alternatives = [
+    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged else _UNHEARD
+    posterior = (1.0 - none_of_these) * decision.probability
+    same = kept.key == best.key
+    equivalents = decision.equivalents[:3] if same else ()
+    found = findings(kept, machine, float(posterior[decision.fits.index(best)]), equivalents)
+    alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
-        for f, p in zip(decision.fits, decision.probability, strict=True)
-        if f is not kept
+        for f, p in zip(decision.fits, posterior, strict=True)
+        if f.key != kept.key
     ]
+    stranger = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
+    alternatives.append({"findings": [stranger], "probability": none_of_these})
+    alternatives.sort(key=lambda a: -a["probability"])
     return Answer(
         verdict(found, outcome.unexplained),
         found,

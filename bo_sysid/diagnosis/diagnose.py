@@ -58,6 +58,11 @@ class Diagnosis:
         return self.answer.table
 
     @property
+    def sessions(self) -> pd.DataFrame:
+        """The magnitudes recording by recording, where there are several."""
+        return self.outcome.sessions.table
+
+    @property
     def errors(self) -> pd.DataFrame:
         """Held-out errors, one row for each measure, horizon and model."""
         return self.holdout.table
@@ -116,6 +121,7 @@ def diagnose(
     if run is not None:
         run.write_json("diagnosis.json", result.as_json())
         run.write_frame("holdout.parquet", result.errors)
+        run.write_frame("sessions.parquet", result.sessions)
         _pictures(run, result)
     tell(result.verdict)
     return result

@@ -1,6 +1,6 @@
 """What the decision amounts to: names that hold, and a learned law for what they leave."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.search import FINAL
+from bo_sysid.diagnosis.sessions import Sessions, by_recording
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 
 _WORDS = {
@@ -65,6 +66,7 @@ class Outcome:
         repaired: the hypothesis that the repaired model is made from.
         unexplained: what it says of the unknown.
         timestep: of the simulation in [s].
+        sessions: the magnitudes recording by recording.
     """
 
     fit: Fit
@@ -72,6 +74,7 @@ class Outcome:
     repaired: Hypothesis
     unexplained: Unexplained
     timestep: float
+    sessions: Sessions
 
 
 def explain(located: Located) -> Outcome:
@@ -81,12 +84,20 @@ def explain(located: Located) -> Outcome:
     unknown = examine(problem, decision)
     unexplained = _said(unknown)
     if unknown.joint is None:
-        return Outcome(fit, decision.nominal, fit.hypothesis, unexplained, timestep)
+        fit, sessions = _widened(located, fit)
+        return Outcome(fit, decision.nominal, fit.hypothesis, unexplained, timestep, sessions)
     kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
     if not all(kept):
         fit = _without(located, fit, kept)
     repaired = learn(problem, fit, unknown)[0]
-    return Outcome(fit, decision.nominal, repaired, unexplained, timestep)
+    fit, sessions = _widened(located, fit)
+    return Outcome(fit, decision.nominal, repaired, unexplained, timestep, sessions)
+
+
+def _widened(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
+    """Return the fit with intervals that hold the differences between recordings."""
+    sessions = by_recording(located.prepared.problem, fit)
+    return replace(fit, covariance=sessions.covariance), sessions
 
 
 def _said(unknown: Unknown) -> Unexplained:

@@ -1,6 +1,6 @@
 """What is supposed to be missing: effects at sites, and how large they are."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable
+from bo_sysid.errors import StudyError, UserError
 from bo_sysid.mjcf import Edit, Model, address_edit
 from bo_sysid.mjcf.address import Address
 from bo_sysid.parameters import Parameter
@@ -142,6 +143,28 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
     return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe))
 
 
+def _made(
+    make: Callable[..., tuple[Part, ...]],
+    c: Candidate,
+    spec: mujoco.MjSpec,
+    x: Float[np.ndarray, " l"],
+    machine: Machine,
+) -> tuple[Part, ...]:
+    """Apply an effect; one of a user's that raises is named.
+
+    Raises:
+        StudyError: the effect's function raises.
+    """
+    try:
+        return make(spec, c.site, c.full(x), machine)
+    except UserError:
+        raise
+    except Exception as error:
+        raise StudyError(
+            f"effect {c.effect.id!r} at {c.site} fails: {type(error).__name__}: {error}"
+        ) from error
+
+
 def edits_and_parts(
     hypothesis: Hypothesis, machine: Machine, *, written: bool = False
 ) -> tuple[list[Edit], list[Part]]:
@@ -160,7 +183,7 @@ def edits_and_parts(
         def edit(spec: mujoco.MjSpec) -> None:
             if number == 0:
                 parts.clear()  # a model with settotalmass may be edited twice
-            parts.extend(made(spec, c.site, c.full(x), machine))
+            parts.extend(_made(made, c, spec, x, machine))
 
         return edit
 

@@ -14,11 +14,13 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import FINER, Problem
 from bo_sysid.diagnosis.refit import settle
+from bo_sysid.errors import ModelError
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
+_DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
 
 
@@ -45,6 +47,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
     """Fit the starts of a hypothesis, by default of nothing, and add the correction there."""
     at = at or nothing(problem)
     start = problem.windows.start
+    _require_finite(problem, at, start)
     for _ in range(_ROUNDS):
         linear = linearise(problem, at, start)
         start, _ = settle(problem, linear, at, start, 1, _SHARES)
@@ -60,6 +63,16 @@ def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
         problem = replace(problem, correction=correction)
         linear = replace(linear, problem=problem)
     return Prepared(problem, start, linear, rms, int((~keep).sum()))
+
+
+def _require_finite(problem: Problem, at: Hypothesis, start: State) -> None:
+    diverged = problem.simulate(at, start).trajectory.diverged
+    if diverged.mean() > _DIVERGED:
+        raise ModelError(
+            f"{problem.model.source}: the simulation diverges in {int(diverged.sum())} of "
+            f"{len(diverged)} windows of the recordings; check the model's units, its time step "
+            f"({problem.windows.timestep:g} s) and the signs and units of the controls"
+        )
 
 
 def nothing(problem: Problem) -> Hypothesis:
