@@ -13,6 +13,7 @@ from bo_sysid.mjcf import Edit, Model, address_edit
 from bo_sysid.mjcf.address import Address
 from bo_sysid.parameters import Parameter
 
+_EXACT = 1e-6  # how far the magnitude of a discrete effect may lie from 1
 PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
 
 
@@ -41,6 +42,8 @@ class Candidate:
         for name in ("low", "high", "probe"):
             value = np.array(getattr(self.extent, name)[: self.size], float)
             object.__setattr__(self, name, value)
+        if self.effect.discrete:
+            object.__setattr__(self, "low", self.high * (1.0 - _EXACT))
 
     @property
     def size(self) -> int:

@@ -193,6 +193,7 @@ class Effect:
             directions, counts as two.
         prior: relative prior probability; below 1 for an effect that recordings can hardly tell
             from a more common one, so that the common name is answered and this one beside it.
+        discrete: whether it is there or not, 1 or 0, and nothing between.
         threshold: whether it acts beyond a threshold only, so that a fit must begin at a point of
             the grid and not at the linear estimate.
         nested: id of the simpler effect that remains where the first component is 0, if any.
@@ -222,6 +223,7 @@ class Effect:
     weight: int = 1
     prior: float = 1.0
     threshold: bool = False
+    discrete: bool = False
     nested: str | None = None
     force: Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]] | None = None
     details: Callable[[Magnitudes, Machine, Site], Mapping[str, tuple[float, str]]] | None = None

@@ -173,6 +173,7 @@ def _sign_extent(site: Site, machine: Machine) -> Extent | None:
 
 @effect(
     "sensor_sign",
+    discrete=True,
     kind="channel",
     components=(Component("reversed", "–"),),
     extent=_sign_extent,
@@ -224,6 +225,7 @@ def _swapped(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[
 
 @effect(
     "channel_swap",
+    discrete=True,
     kind="channel",
     components=(Component("swapped", "–"), Component("channel", "–")),
     shapes=1,
