@@ -34,7 +34,8 @@ def proposed_columns(
         sign, scale, offset = (
             rule.pop(k, d) for k, d in (("sign", 1), ("scale", 1), ("offset", 0))
         )
-        if wire.unit in UNITS and UNITS[wire.unit].factor and "unit" not in rule and scale == 1:
+        known = wire.unit and wire.unit in UNITS and UNITS[wire.unit].factor
+        if known and "unit" not in rule and scale == 1:
             rule["unit"] = wire.unit
         else:
             scale *= wire.scale

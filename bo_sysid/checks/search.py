@@ -23,7 +23,7 @@ _TIE = 0.05  # of the score, within which two hypotheses are alike
 _STEPS = (0.012, 0.002, 0.0003)  # [s] of the delays tried; a stiff servo tells 0.3 ms
 _REACH = 9  # steps to either side
 _DELAYS = tuple(_STEPS[0] * np.arange(-_REACH, _REACH + 1))
-_BEAM = 3
+_BEAM, _WIDE, _FEW = 3, 10, 3  # hypotheses that are followed; more for so few joints
 _MOST = 4  # faults at once
 
 
@@ -34,6 +34,7 @@ def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     that is its own mirror image, for instance.
     """
     twins: tuple[Hypothesis, ...] = ()
+    width = _WIDE if len(evidence.joints) <= _FEW else _BEAM
     best = _timed(evidence, evidence.identity())
     seen = {best[1].key}
     beam = [best]
@@ -46,11 +47,14 @@ def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
                 if child.key not in seen:
                     seen.add(child.key)
                     grown.append(_timed(evidence, child))
-        beam = sorted(grown, key=lambda pair: pair[0])[:_BEAM]
-        if not beam or beam[0][0] > best[0]:
+        beam = sorted(grown, key=lambda pair: pair[0])[:width]
+        if not beam:
             break
-        best = beam[0]
-        twins = tuple(h for score, h in beam[1:] if score < best[0] + _TIE)
+        if beam[0][0] < best[0]:
+            best = beam[0]
+            twins = tuple(h for score, h in beam[1:] if score < best[0] + _TIE)
+        elif len(beam[0][1].causes) > len(best[1].causes) + 1:
+            break  # two faults more did not help either
     return _pruned(evidence, best), twins
 
 

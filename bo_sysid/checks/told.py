@@ -35,8 +35,8 @@ def twin_flags(twins: Sequence[Hypothesis]) -> list[Flag]:
             "look",
             "sign",
             (),
-            f"As well supported: {'; '.join(h.causes)}. These recordings cannot tell which; look "
-            "at the machine.",
+            f"Perhaps: {'; '.join(h.causes)}. These recordings cannot tell for certain; look at "
+            "the machine.",
         )
         for h in twins
     ]

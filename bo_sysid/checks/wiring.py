@@ -14,7 +14,7 @@ from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
 from bo_sysid.checks.search import search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, twin_flags, wire_flags
-from bo_sysid.checks.traces import Traces
+from bo_sysid.checks.traces import LATEST, Traces
 from bo_sysid.recording import Recording
 
 _LATE = 2.5e-3  # [s] a delay below is not worth a word
@@ -23,6 +23,7 @@ _SURE_ZERO = 6.0  # that a zero must differ from nothing
 _LEAST_ZERO = 0.015  # [rad] or [m]
 _LEAST_GAIN = 0.5  # of the score, that a zero must bring
 _FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
+_EXPLAINED = 0.3  # J that a hypothesis must reach at every joint to be proposed
 _MOST, _LEAST = 1500, 60  # instants that are looked at
 
 
@@ -67,13 +68,15 @@ def find_wiring(
     fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()
     found, twins = search(coarse)
+    if found.causes and not _explains(fine, found):
+        found, twins = before, (found,)
     found, late = _timed(fine, found)
     found = _zeroed(fine, found)
     found, late = _timed(fine, found)
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     delay = _common(late)
-    certain = abs(delay.value) > max(_LATE, _SURE * delay.sigma)
+    certain = max(_LATE, _SURE * delay.sigma) < abs(delay.value) < LATEST
     shares = [fine.shares(h, [h.delay])[0] for h in (before, found)]
     balance = pd.DataFrame(
         {
@@ -108,6 +111,12 @@ def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, 
     controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
     late = {n: estimate.delay(evidence, h, n) for n in controls}
     return (replace(h, delay=_common(late).value) if late else h), late
+
+
+def _explains(evidence: Evidence, h: Hypothesis) -> bool:
+    """Whether a hypothesis leaves little unexplained at any joint, or is no more than a try."""
+    shares = evidence.shares(h, [h.delay])[0]
+    return bool((shares[evidence.weights > 0] < _EXPLAINED).all())
 
 
 def _telling(evidence: Evidence, control: str) -> bool:

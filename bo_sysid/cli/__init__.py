@@ -19,6 +19,7 @@ from bo_sysid.cli import (
     diagnose,
     effects,
     identify,
+    init,
     learn,
     play,
     record,
@@ -29,6 +30,7 @@ from bo_sysid.cli import (
 from bo_sysid.errors import UserError
 
 VERBS = (
+    init,
     check,
     identify,
     diagnose,

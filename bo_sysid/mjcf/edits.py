@@ -116,3 +116,22 @@ def parameter_edits(
                     raise ModelError(f"{model.source}: two parameters share {t.address}")
         edits.append(address_edit(model, parameter.addresses, float(value), parameter.apply))
     return sorted(edits, key=lambda edit: edit.stage)
+
+
+@dataclass(frozen=True)
+class MotorEdit:
+    """Adds a motor that acts on a joint with as many N m (N) as its control says.
+
+    Attributes:
+        joint: name of a hinge or slide joint, which also names the motor.
+    """
+
+    joint: str
+    moves_mass = False
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        """Add the motor."""
+        motor = spec.add_actuator(
+            name=self.joint, target=self.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        motor.set_to_motor()

@@ -1,6 +1,6 @@
 """File formats of logs: a module a family, whose readers register themselves by file ending."""
 
-from bo_sysid.recording.formats import arrays, bags, hdf5, lerobot, parquet, text
+from bo_sysid.recording.formats import arrays, bags, hdf5, lerobot, parquet, records, text
 from bo_sysid.recording.formats.registry import FOLDERS, READERS, Reader, log_folder, reader
 
 __all__ = [
@@ -14,5 +14,6 @@ __all__ = [
     "log_folder",
     "parquet",
     "reader",
+    "records",
     "text",
 ]

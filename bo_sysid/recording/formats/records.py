@@ -1,0 +1,46 @@
+"""JSON: a list of records, or an object that holds one beside numbers that stay."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording.formats.registry import reader
+from bo_sysid.recording.table import RawTable
+
+
+@reader(".json")
+def read_json(path: Path) -> RawTable:
+    """Read records (objects of one shape in a list) or columns (lists of one length).
+
+    Numbers beside the records become columns that never change.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: not JSON as its ending says: {error}") from None
+    whole: dict[str, Any] = data if isinstance(data, dict) else {"": data}
+    lists = {k: v for k, v in whole.items() if isinstance(v, list) and v}
+    records = [v for v in lists.values() if isinstance(v[0], dict)]
+    if records:
+        rows = max(records, key=len)
+        names = list(dict.fromkeys(k for row in rows for k in row))
+        columns = {n: _column([row.get(n) for row in rows]) for n in names}
+    else:
+        columns = {k: _column(v) for k, v in lists.items()}
+    if not columns:
+        raise RecordingError(f"{path}: holds neither a list of records nor lists of numbers")
+    length = max(map(len, columns.values()))
+    for name, value in whole.items():
+        if isinstance(value, int | float) and name not in columns:
+            columns[name] = np.full(length, float(value))
+    return RawTable(str(path), columns)
+
+
+def _column(cells: list[Any]) -> np.ndarray:
+    """Return numbers where all cells are numbers (or missing), else the cells as they are."""
+    if all(c is None or isinstance(c, bool | int | float) for c in cells):
+        return np.array([np.nan if c is None else float(c) for c in cells])
+    return np.array(cells, dtype=object)

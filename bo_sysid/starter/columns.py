@@ -1,0 +1,192 @@
+"""What the columns of a log may be, by their names and by how they behave."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import RawTable
+
+Kind = Literal["time", "position", "velocity", "command", "effort", "other"]
+
+WORDS: dict[str, frozenset[str]] = {
+    "time": frozenset({"time", "t", "timestamp", "stamp", "timestamps", "clock"}),
+    "position": frozenset(
+        {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
+         "state", "states", "joint", "x"}
+    ),
+    "velocity": frozenset(
+        {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "omega", "rate"}
+    ),
+    "command": frozenset(
+        {"ctrl", "cmd", "command", "commands", "action", "goal", "target", "desired", "des", "ref",
+         "reference", "setpoint", "input", "inputs", "u", "con", "control"}
+    ),
+    "effort": frozenset(
+        {"torque", "tau", "effort", "efforts", "current", "pwm", "duty", "load", "force", "volts",
+         "voltage"}
+    ),
+    "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
+}  # fmt: skip
+"""Words in the names of columns, by what they say."""
+UNITS = {
+    "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
+    "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "ma": "mA", "mnm": "mN m", "percent": "%",
+}  # fmt: skip
+"""Units that names of columns carry."""
+_ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
+_LATE = 8  # samples that a speed may come late
+_MOST = 20_000
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a log.
+
+    Attributes:
+        name: as in the file.
+        kind: what it may be.
+        words: the parts of its name, in small letters.
+        unit: the unit that its name or the file says, empty where neither does.
+        reason: why it is thought to be of its kind.
+    """
+
+    name: str
+    kind: Kind
+    words: tuple[str, ...]
+    unit: str
+    reason: str
+
+    @property
+    def commands(self) -> bool:
+        """Whether it may be what an actuator was told."""
+        return self.kind in ("command", "effort")
+
+
+def describe(table: RawTable) -> tuple[Column, ...]:
+    """Return the numeric columns of a table, with what they may be.
+
+    Raises:
+        RecordingError: no column is a clock.
+    """
+    found = []
+    for name in table.columns:
+        try:
+            values = table.column(name)
+        except RecordingError:
+            continue  # text
+        if np.isfinite(values).any():
+            found.append(_named(name, table.units.get(name, "")))
+    if not any(c.kind == "time" for c in found):
+        found = _timed(table, found)
+    return tuple(_behaved(table, found))
+
+
+def words(name: str) -> tuple[str, ...]:
+    """Return the parts of a name, split at marks, before capitals and before digits."""
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    return tuple(w.lower() for w in re.findall(r"[A-Za-z]+|\d+", spaced))
+
+
+def _named(name: str, unit: str) -> Column:
+    parts = words(name)
+    said = {kind for kind, known in WORDS.items() if known & set(parts)}
+    unit = unit or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    kind: Kind = "other"
+    if (parts and parts[-1] in WORDS["time"]) or parts[:1] == ("time",):
+        kind = "time"
+    elif "command" in said:
+        kind = "command"
+    elif "effort" in said:
+        kind = "other" if "measured" in said else "effort"
+    elif "velocity" in said:
+        kind = "velocity"
+    elif "position" in said:
+        kind = "position"
+    if name.split(".", 1)[0] in ("qpos", "qvel", "ctrl") and "." in name:
+        kind = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}[name.split(".", 1)[0]]  # type: ignore[assignment]
+    return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
+
+
+def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
+    """Find the clock by its behaviour: the column that only rises, in equal steps."""
+    best, spread = "", 0.2
+    for column in found:
+        steps = np.diff(table.column(column.name))
+        steps = steps[np.isfinite(steps)]
+        if len(steps) > 2 and (steps > 0).all():
+            share = float(np.std(steps) / np.mean(steps))
+            if share < spread:
+                best, spread = column.name, share
+    if not best:
+        raise RecordingError(
+            f"{table.source}: no column looks like a clock among "
+            f"{', '.join(repr(c.name) for c in found)}; expected one called time, t or stamp, or "
+            "one that rises in equal steps"
+        )
+    return [
+        replace(c, kind="time", reason="it alone rises in equal steps") if c.name == best else c
+        for c in found
+    ]
+
+
+def _behaved(table: RawTable, found: Sequence[Column]) -> list[Column]:
+    """Tell velocities that are called positions (or nothing) by the positions they derive from."""
+    doubtful = [
+        c for c in found if c.kind in ("position", "other") and not c.name.startswith("qpos.")
+    ]
+    rates = derivatives(table, [c.name for c in doubtful])
+    out = []
+    for c in found:
+        if c.name in rates:
+            c = replace(c, kind="velocity", reason=f"it is the rate of {rates[c.name]}")
+        elif c.name in rates.values() and c.kind == "other":
+            c = replace(c, kind="position", reason="another column is its rate")
+        out.append(c)
+    return out
+
+
+def derivatives(table: RawTable, names: Sequence[str]) -> Mapping[str, str]:
+    """Return, for columns that are the rate of another, that other; the best pairs first."""
+    values = {n: table.column(n)[:_MOST] for n in names}
+    values = {n: v for n, v in values.items() if np.isfinite(v).all() and np.ptp(v) > 0}
+    pairs = []
+    for source, q in values.items():
+        rate = _smooth(np.gradient(_smooth(q)))
+        for name, v in values.items():
+            if name == source or len(v) != len(q):
+                continue
+            faster = _rough(v) / max(_rough(q), 1e-300)
+            later = list(values).index(name) > list(values).index(source)
+            if faster > 1.1 or (faster > 0.9 and later):  # one tone: loggers put rates behind
+                pairs.append((_likeness(rate, _smooth(_smooth(v))), name, source))
+    rates: dict[str, str] = {}
+    for likeness, name, source in sorted(pairs, reverse=True):
+        free = name not in rates and source not in rates and name not in rates.values()
+        if likeness > _ALIKE and free and source not in rates.values():
+            rates[name] = source
+    return rates
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    width = max(min(len(values) // 200, 5), 1)
+    return np.convolve(values, np.ones(width) / width, mode="valid")
+
+
+def _rough(values: np.ndarray) -> float:
+    """Return how fast a column changes for its size: a rate changes faster than its integral."""
+    smooth = _smooth(_smooth(values))
+    return float(np.diff(smooth).std() / max(float(smooth.std()), 1e-300))
+
+
+def _likeness(rate: np.ndarray, values: np.ndarray) -> float:
+    """Return the largest correlation, where speeds may come some samples late (filters)."""
+    best = 0.0
+    for late in range(_LATE + 1):
+        a, b = rate[: len(rate) - late], values[late:]
+        if len(a) > 10 and a.std() > 0 and b.std() > 0:
+            best = max(best, abs(float(np.corrcoef(a, b)[0, 1])))
+    return best

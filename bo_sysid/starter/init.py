@@ -1,0 +1,132 @@
+"""`init`: from a model and logs to a study that can be checked."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.checks.motion import excitation
+from bo_sysid.effects.machine import survey
+from bo_sysid.errors import RecordingError, UserError
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.edits import MotorEdit
+from bo_sysid.recording import Recording, read_tables
+from bo_sysid.runs import atomic
+from bo_sysid.starter.guess import Rules, by_behaviour, guess_rules, read
+from bo_sysid.starter.write import relative, study_text
+
+_WINDOW = 0.3  # [s]
+_LOOKED_AT = 4  # logs whose motion is looked at
+
+
+@dataclass(frozen=True)
+class Started:
+    """A study that was written.
+
+    Attributes:
+        path: of the study.
+        rules: how its logs are read, with the reasons.
+        notes: what else was decided.
+    """
+
+    path: Path
+    rules: Rules
+    notes: tuple[str, ...]
+
+
+def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Started:
+    """Write a commented study from a model and logs.
+
+    Args:
+        model: an MJCF or URDF file.
+        logs: files or folders; all of one machine and one format.
+        out: the study file to be written, which must not exist.
+
+    Raises:
+        UserError: the study exists, a file cannot be read, or nothing in the logs fits the model.
+    """
+    out, source = Path(out), Path(model)
+    if out.exists():
+        raise UserError(f"{out}: exists; name another file with --out, or remove it")
+    files = [Path(log) for log in logs]
+    tables = [t for f in files for t in read_tables(f)]
+    for table in tables[1:]:
+        missing = set(tables[0].columns) ^ set(table.columns)
+        if missing:
+            raise RecordingError(
+                f"{table.source}: its columns differ from those of {tables[0].source} "
+                f"({', '.join(sorted(missing)[:6])}); init takes logs of one format"
+            )
+    nominal, notes, fixed = _held_base(source, tables[0].columns)
+    nominal, written, more = _driven(nominal, source, out)
+    rules = guess_rules(nominal, tables[0])
+    if rules.held:
+        nominal = Model.from_file(written, base="fixed" if fixed else "free", hold=rules.held)
+    rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
+    if rules.unmatched:
+        more.append(f"No column was found for: {', '.join(rules.unmatched)}.")
+    recording = read(tables[0], rules)
+    holdout = files[-max(len(files) // 4, 1) :] if len(files) > 1 else []
+    train = files[: len(files) - len(holdout)]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    text = study_text(
+        source.stem,
+        relative(written, out.parent),
+        [relative(f, out.parent) for f in train],
+        [relative(f, out.parent) for f in holdout],
+        rules,
+        _scales(nominal, recording),
+        base_fixed=fixed,
+        notes=[*notes, *more],
+    )
+    with atomic(out) as beside:
+        beside.write_text(text, encoding="utf-8")
+    return Started(out, rules, (*notes, *more))
+
+
+def _held_base(source: Path, columns: object) -> tuple[Model, list[str], bool]:
+    """Return the model; a floating base that no column tells about is held."""
+    model = Model.from_file(source)
+    compiled = model.compile()
+    free = [n for n in model.joints if int(compiled.joint(n).type[0]) == 0]
+    told = [c for c in list(columns) if any(f in str(c) for f in free)]  # type: ignore[call-overload]
+    if not free or told:
+        return model, [], False
+    note = f"The base ({', '.join(free)}) was not recorded and is held where the model puts it."
+    return Model.from_file(source, base="fixed"), [note], True
+
+
+def _driven(model: Model, source: Path, out: Path) -> tuple[Model, Path, list[str]]:
+    """Return a model with actuators: one that has none (as every URDF) gets a motor a joint."""
+    if model.actuators:
+        return model, source, []
+    compiled = model.compile()
+    edits = [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
+    path = out.with_suffix(".xml")
+    model.export(path, edits)
+    note = f"{source.name} has no actuators: {path.name} has a motor of 1 N m (N) for every joint."
+    return Model.from_file(path), path, [note]
+
+
+def _scales(model: Model, recording: Recording) -> pd.DataFrame:
+    """Return bounds of what a joint may lack, and how it moved."""
+    machine = survey(model.compile(), [recording])
+    motion = excitation([recording], list(machine.joints)).set_index("joint")
+    rows = []
+    for name, joint in machine.joints.items():
+        values = recording.channels[f"qpos.{name}"].values
+        rows.append(
+            {
+                "joint": name,
+                "friction": joint.force,
+                "damping": joint.force / joint.speed,
+                "armature": joint.inertia,
+                "low": float(values.min()),
+                "high": float(values.max()),
+                "speed": float(motion.loc[name, "fastest"]),  # type: ignore[arg-type]
+            }
+        )
+    step = min(np.median(np.diff(c.time)) for c in recording.of_kind("qpos").values())
+    return pd.DataFrame(rows).assign(horizon=max(round(_WINDOW / float(step)), 1))

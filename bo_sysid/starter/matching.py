@@ -1,0 +1,119 @@
+"""Which column belongs to which joint and actuator, with reason and confidence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from bo_sysid.recording import RawTable
+from bo_sysid.starter.columns import WORDS, Column, derivatives, words
+
+_SURE, _LIKELY, _ORDER = 0.9, 0.6, 0.3
+_GENERIC = frozenset().union(*WORDS.values()) | {"joint", "motor", "link", "actuator", "servo"}
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A channel, and the column that it is thought to be.
+
+    Attributes:
+        channel: of the model.
+        column: of the log.
+        unit: what the name or the file says about it.
+        reason: why.
+        confidence: 0 to 1.
+    """
+
+    channel: str
+    column: str
+    unit: str
+    reason: str
+    confidence: float
+
+
+def match(
+    kind: str, elements: Sequence[str], columns: Sequence[Column], also: Sequence[str] = ()
+) -> list[Guess]:
+    """Match elements of a model with columns of one kind.
+
+    Args:
+        kind: of the channels: qpos, qvel, ctrl or goal.
+        elements: names of joints or actuators.
+        columns: candidates.
+        also: for each element another name that a column may carry, as the joint of an actuator.
+    """
+    if not elements or not columns:
+        return []
+    score = np.array(
+        [
+            [max(_likeness(n, c), _likeness(o, c)) for c in columns]
+            for n, o in zip(elements, also or elements, strict=True)
+        ]
+    )
+    guesses = []
+    rows, picked = linear_sum_assignment(-score)
+    left = []
+    for r, p in zip(rows.tolist(), picked.tolist(), strict=True):
+        if score[r, p] >= _LIKELY:
+            sure = score[r, p] >= _SURE
+            reason = "the name" if sure else "a similar name"
+            guesses.append(_guess(kind, elements[r], columns[p], reason, float(score[r, p])))
+        else:
+            left.append(elements[r])
+    used = {g.column for g in guesses}
+    unused = [c for c in columns if c.name not in used]
+    left = [e for e in elements if f"{kind}.{e}" not in {g.channel for g in guesses}]
+    family = _family(unused, len(left))
+    if family:
+        reason = "the order alone" if len(left) > 1 else "nothing else is left"
+        confidence = _ORDER if len(left) > 1 else 0.5
+        guesses += [
+            _guess(kind, e, c, reason, confidence) for e, c in zip(left, family, strict=True)
+        ]
+    return guesses
+
+
+def rates_of(table: RawTable, positions: Sequence[Guess], columns: Sequence[Column]) -> list[Guess]:
+    """Match velocities with the positions that they are the rates of."""
+    velocities = [c for c in columns if c.kind == "velocity"]
+    found = derivatives(table, [*(g.column for g in positions), *(c.name for c in velocities)])
+    out = []
+    for g in positions:
+        for c in velocities:
+            if found.get(c.name) == g.column:
+                channel = g.channel.replace("qpos.", "qvel.", 1)
+                out.append(Guess(channel, c.name, c.unit, f"it is the rate of {g.column}", 0.9))
+    return out
+
+
+def _guess(kind: str, element: str, column: Column, reason: str, confidence: float) -> Guess:
+    return Guess(f"{kind}.{element}", column.name, column.unit, reason, confidence)
+
+
+def _likeness(element: str, column: Column) -> float:
+    """Return how much of an element's name a column carries, 0 to 1."""
+    if column.name.endswith((f".{element}", f"/{element}")) or column.name == element:
+        return 1.0
+    own = words(element)
+    special = [w for w in own if w not in _GENERIC] or list(own)
+    shared = [w for w in special if w in column.words]
+    if shared and len(shared) == len(special):
+        return 0.95 if any(not w.isdigit() for w in shared) else 0.6
+    return 0.5 * len(shared) / len(special)
+
+
+def _family(columns: Sequence[Column], count: int) -> list[Column]:
+    """Return `count` columns whose names differ by a number alone, in its order; else nothing."""
+    if count == 0:
+        return []
+    families: dict[tuple[str, ...], list[Column]] = {}
+    for c in columns:
+        stem = tuple(w for w in c.words if not w.isdigit())
+        families.setdefault(stem, []).append(c)
+    fits = [f for f in families.values() if len(f) == count]
+    if not fits and len(columns) == count:
+        fits = [list(columns)]
+    if not fits:
+        return []
+    return sorted(fits[0], key=lambda c: [int(w) for w in c.words if w.isdigit()] or [0])

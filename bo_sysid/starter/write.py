@@ -1,0 +1,139 @@
+"""A study as text, with a comment behind everything that was guessed."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from bo_sysid.checks.proposal import flow
+from bo_sysid.starter.guess import Rules
+
+_WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
+
+
+def study_text(
+    name: str,
+    model: str,
+    train: Sequence[str],
+    holdout: Sequence[str],
+    rules: Rules,
+    scales: pd.DataFrame,
+    *,
+    base_fixed: bool,
+    notes: Sequence[str],
+) -> str:
+    """Return the YAML of a first study.
+
+    Args:
+        name: of the study.
+        model: path of the model, relative to the study.
+        train: paths of the logs to fit to.
+        holdout: paths of the logs to judge by.
+        rules: how the logs are read.
+        scales: one row a joint: joint, friction, damping, armature (upper bounds worth trying),
+            low, high and speed recorded.
+        base_fixed: whether a floating base is held.
+        notes: what else is to be said at the top.
+    """
+    held = list(rules.held)
+    source: dict[str, object] = {"file": model}
+    source |= {"base": "fixed"} if base_fixed else {}
+    source |= {"hold": held} if held else {}
+    lines = [
+        f"# {name}: a first study, written by `bo-sysid init`. Read the comments behind each line:",
+        "# what is marked GUESS rests on little. Then: bo-sysid check",
+        *(f"# {n}" for n in notes),
+        "version: 1",
+        f"name: {flow_text(name)}",
+        f"model: {flow_text(model) if len(source) == 1 else flow(source)}"
+        + (
+            f"  # not recorded, so held where the model puts them: {', '.join(held)}"
+            if held
+            else ""
+        ),
+        "recordings:",
+        f"  train: [{', '.join(map(flow_text, train))}]",
+    ]
+    if holdout:
+        lines.append(
+            f"  holdout: [{', '.join(map(flow_text, holdout))}]  # the last logs; never fitted to"
+        )
+    else:
+        lines.append("  # no holdout: the last quarter of the log, by time, is set aside")
+    lines += _block("columns", rules.columns, rules) + _block("clocks", rules.clocks, rules)
+    if rules.unused:
+        lines.append(f"  # columns not used: {', '.join(rules.unused)}")
+    lines += ["", *_parameters(scales), "", *_deviation(scales), "", *_limits(scales)]
+    return "\n".join(lines) + "\n"
+
+
+def _held(joints: Sequence[str]) -> str:
+    told = ", ".join(joints)
+    return f"  # not recorded, so held where the model puts them: {told}" if joints else ""
+
+
+def flow_text(text: str) -> str:
+    """Return a string as YAML writes it inside a line."""
+    return flow({"x": text})[4:-1]
+
+
+def _block(title: str, block: object, rules: Rules) -> list[str]:
+    if not isinstance(block, dict) or not block:
+        return []
+    lines = [f"  {title}:"]
+    for channel, rule in block.items():
+        key = f"clocks.{channel}" if title == "clocks" else channel
+        lines.append(f"    {channel}: {flow(rule)}{_comment(key, rules)}")
+    return lines
+
+
+def _comment(key: str, rules: Rules) -> str:
+    guess = rules.guesses.get(key)
+    if guess is None:
+        return "  # by its steps" if key == "time" else ""
+    word = next(w for least, w in _WORDS if guess.confidence >= least)
+    return f"  # {word}: {guess.reason}"
+
+
+def _parameters(scales: pd.DataFrame) -> list[str]:
+    lines = [
+        "# What models lack most often; the upper bounds follow from the forces in the log.",
+        '# Add masses that you are not sure of: {address: "body[forearm].mass", apply: scale, …}',
+        "parameters:",
+    ]
+    for row in scales.itertuples():
+        for what, high in (
+            ("frictionloss", row.friction), ("damping", row.damping), ("armature", row.armature),
+        ):  # fmt: skip
+            address = f'"joint[{row.joint}].{what}"'
+            lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}}}")
+    return lines
+
+
+def _deviation(scales: pd.DataFrame) -> list[str]:
+    horizon = int(scales["horizon"].iloc[0])
+    return [
+        f"deviation: {{horizon: {horizon}, starts: fitted}}  # windows of about 0.3 s",
+        "search: {candidates: {sobol: 10000}, budget: 100}",
+    ]
+
+
+def _limits(scales: pd.DataFrame) -> list[str]:
+    lines = [
+        "# For `excite` and policies, before anything moves the machine: what was recorded, not",
+        "# what the machine bears. Correct it, then remove the marks.",
+        "# limits:",
+    ]
+    for row in scales.itertuples():
+        lines.append(
+            f"#   {row.joint}: {{position: [{row.low:.3g}, {row.high:.3g}], "
+            f"velocity: {row.speed:.2g}}}"
+        )
+    return lines
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return a path as a study in `folder` names it."""
+    import os
+
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

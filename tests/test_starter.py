@@ -1,0 +1,222 @@
+"""`init`: studies from a model and nothing but raw logs."""
+
+from math import pi
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+from mcap_ros2.writer import Writer as McapWriter
+
+from bo_sysid.checks.check import check
+from bo_sysid.cli import main
+from bo_sysid.errors import RecordingError, UserError
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import RawTable
+from bo_sysid.simulation import Engine, State
+from bo_sysid.starter.columns import derivatives, describe, words
+from bo_sysid.starter.init import init
+from bo_sysid.study import Study
+
+ROOT = Path(__file__).parent.parent
+SIX = ROOT / "studies" / "diagnosis" / "six_joint_arm_servos.xml"
+TWO = ROOT / "studies" / "diagnosis" / "two_link_arm.xml"
+START = 1_700_000_000 * 10**9
+SEP = "\n" + "=" * 80 + "\n"
+JOINTS = SEP.join(
+    [
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort",
+        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec",
+    ]
+)
+ARRAY = SEP.join(
+    [
+        "std_msgs/MultiArrayLayout layout\nfloat64[] data",
+        "MSG: std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
+        "MSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride",
+    ]
+)
+
+
+def tones(time: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    parts = [np.sin(2 * pi * f * time + rng.uniform(0, 6)) for f in rng.uniform(0.2, 2.0, 5)]
+    return np.sum(parts, axis=0) / 3 * np.minimum(time / 0.5, 1.0)
+
+
+def moved(path: Path, drive: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return time, positions, speeds and controls of a model under random tones."""
+    model = Model.from_file(path).compile()
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([drive * tones(time, a + 3) for a in range(model.nu)], axis=1)
+    start = State(np.zeros((1, model.nq)), np.zeros((1, model.nv)), np.zeros((1, 0)))
+    steps = round(0.004 / model.opt.timestep)
+    run = Engine(1).rollout(model, start, np.repeat(ctrl, steps, axis=0)[None])
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((len(time), model.nq))
+    return time, run.qpos[0, :-1:steps] + noise, run.qvel[0, :-1:steps], ctrl
+
+
+@pytest.fixture
+def mcap(tmp_path: Path) -> Path:
+    """Write the log of the six-joint arm as ROS 2 does: joints in the order of the alphabet."""
+    time, qpos, qvel, ctrl = moved(SIX, 0.5)
+    joints = Model.from_file(SIX).joints
+    order = np.argsort(joints)
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        states = writer.register_msgdef("sensor_msgs/msg/JointState", JOINTS)
+        commands = writer.register_msgdef("std_msgs/msg/Float64MultiArray", ARRAY)
+        for t, q, v, u in zip(time, qpos, qvel, ctrl, strict=True):
+            ns = START + round(1e9 * t)
+            head = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""}
+            message = {
+                "header": head, "name": [joints[j] for j in order], "position": list(q[order]),
+                "velocity": list(v[order]), "effort": [],
+            }  # fmt: skip
+            writer.write_message("/joint_states", states, message, ns, ns)
+            layout = {"dim": [], "data_offset": 0}
+            writer.write_message("/commands", commands, {"layout": layout, "data": list(u)}, ns, ns)
+        writer.finish()
+    return path
+
+
+def test_a_six_joint_arm_from_an_mcap_file(tmp_path: Path, mcap: Path) -> None:
+    started = init(SIX, [mcap], tmp_path / "arm.yaml")
+    study = Study.load(started.path)
+    rules = study.recordings.columns
+    assert rules["qpos.pitch"].source == "/joint_states.position.pitch"
+    assert rules["qvel.base"].source == "/joint_states.velocity.base"
+    assert rules["ctrl.elbow"].source == "/commands.data.2"
+    assert started.rules.guesses["qpos.pitch"].confidence > 0.9
+    assert "order alone" in started.rules.guesses["ctrl.elbow"].reason
+    found = check(study)
+    assert [f.sentence for f in found.flags if f.level == "wrong"] == []
+    assert found.proposal == ""
+
+
+def test_signs_and_units_are_found_by_behaviour(tmp_path: Path) -> None:
+    time, qpos, _, ctrl = moved(TWO, 1.0)
+    frame = pd.DataFrame(
+        {
+            "t_ms": 1e3 * time, "angle1": np.rad2deg(qpos[:, 0]), "angle2": -qpos[:, 1],
+            "torque1": ctrl[:, 0], "torque2": 1e3 * ctrl[:, 1], "note": "x",
+        }
+    )  # fmt: skip
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    study = Study.load(init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml").path)
+    rules = study.recordings.columns
+    assert (rules["time"].source, rules["time"].unit) == ("t_ms", "ms")
+    assert (rules["qpos.shoulder"].source, rules["qpos.shoulder"].unit) == ("angle1", "deg")
+    assert (rules["qpos.elbow"].source, rules["qpos.elbow"].sign) == ("angle2", -1)
+    assert rules["ctrl.elbow"].scale == pytest.approx(1e-3)
+    text = (tmp_path / "arm.yaml").read_text()
+    assert "# likely: the motion: unexplained forces" in text
+    assert "the last quarter of the log" in text
+    assert check(study).proposal == ""
+
+
+def test_a_urdf_gets_motors_and_a_joint_without_a_column_is_held(tmp_path: Path) -> None:
+    link = (
+        '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 -.1"/>'
+        '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    joint = (
+        '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'
+        '<axis xyz="0 1 0"/></joint>'
+    )
+    text = (
+        '<robot name="arm"><link name="base"/>'
+        + link.format("upper")
+        + link.format("hand")
+        + joint.format("elbow", "base", "upper")
+        + joint.format("wrist", "upper", "hand")
+        + "</robot>"
+    )
+    (tmp_path / "arm.urdf").write_text(text)
+    time = np.arange(0.0, 4.0, 0.005)
+    pd.DataFrame(
+        {"time": time, "elbow_pos": np.sin(3 * time), "elbow_torque": np.cos(time)}
+    ).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "arm.urdf", [tmp_path / "log.csv"], tmp_path / "arm.yaml")
+    assert any("has a motor" in n for n in started.notes)
+    assert started.rules.held == ("wrist",)
+    study = Study.load(started.path)
+    assert study.model.hold == ("wrist",)
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    assert [exported.actuator(a).name for a in range(exported.nu)] == ["elbow", "wrist"]
+    assert "continuous" not in str(check(study).flags)
+
+
+def test_rates_are_told_from_positions_by_behaviour() -> None:
+    time = np.arange(0.0, 6.0, 0.01)
+    q, p = np.sin(2 * time), np.sin(3.1 * time + 1)
+    table = RawTable(
+        "log",
+        {
+            "clock": time,
+            "a": q,
+            "b": p,
+            "c": 3.1 * np.cos(3.1 * time + 1),
+            "d": 2 * np.cos(2 * time),
+        },
+    )
+    assert derivatives(table, ["a", "b", "c", "d"]) == {"d": "a", "c": "b"}
+    kinds = {c.name: c.kind for c in describe(table)}
+    assert kinds == {
+        "clock": "time", "a": "position", "b": "position", "c": "velocity", "d": "velocity",
+    }  # fmt: skip
+
+
+def test_names_are_split() -> None:
+    assert words("/joint_states.position.leftElbow2") == (
+        "joint", "states", "position", "left", "elbow", "2",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ({"time": [0, 1, 2], "temp": [1, 2, 4]}, r"no column looks like the position.*shoulder"),
+        ({"a": [0, 3, 1], "pos1": [1, 2, 4]}, r"no column looks like a clock among 'a', 'pos1'"),
+    ],
+)
+def test_columns_that_match_nothing(
+    tmp_path: Path, columns: dict[str, list[float]], expected: str
+) -> None:
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(RecordingError, match=expected):
+        init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml")
+    assert not (tmp_path / "arm.yaml").exists()
+
+
+def test_logs_of_two_formats_and_a_study_that_exists(tmp_path: Path) -> None:
+    for name, column in (("a", "pos1"), ("b", "pos3")):
+        pd.DataFrame({"time": [0, 1, 2], column: [1, 2, 4]}).to_csv(
+            tmp_path / f"{name}.csv", index=False
+        )
+    with pytest.raises(RecordingError, match=r"b.csv: its columns differ .*pos1, pos3"):
+        init(TWO, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "arm.yaml")
+    (tmp_path / "arm.yaml").write_text("mine")
+    with pytest.raises(UserError, match="exists; name another file"):
+        init(TWO, [tmp_path / "a.csv"], tmp_path / "arm.yaml")
+    assert (tmp_path / "arm.yaml").read_text() == "mine"
+
+
+def test_the_command_says_what_it_guessed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, qpos, _, ctrl = moved(TWO, 1.0)
+    pd.DataFrame({"time": time, "pos_shoulder": qpos[:, 0], "pos_elbow": qpos[:, 1],
+                  "cmd_shoulder": ctrl[:, 0], "cmd_elbow": ctrl[:, 1]}).to_csv(
+        tmp_path / "log.csv", index=False
+    )  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", str(TWO), "log.csv"]) == 0
+    assert "pos_elbow" in capsys.readouterr().out
+    assert main(["check", "two_link_arm.yaml", "--out", "found"]) == 0
+    assert "nothing to correct" in capsys.readouterr().out
+    assert (tmp_path / "found" / "log.png").stat().st_size > 10_000
