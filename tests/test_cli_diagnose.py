@@ -101,3 +101,19 @@ def test_wrong_input_gives_one_message(
     assert "dry_friction" in err
     assert "Traceback" not in err
     assert not (diagnosed / "runs").exists()
+
+
+def test_the_demo_finds_what_the_arm_had(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo"]) == 0
+    out = capsys.readouterr().out
+    assert "The elbow has dry friction of 0.15" in out
+    assert "The recorded arm had: joint[elbow].frictionloss 0.15." in out
+    answer = json.loads((tmp_path / "runs/demo/diagnose/diagnosis.json").read_text())
+    (finding,) = answer["findings"]
+    assert finding["value"] == pytest.approx(0.15, rel=0.03)
+    forecast = answer["holdout"]["forecast"]
+    assert forecast["repaired"] < 1.15 * forecast["noise_floor"]
+    assert forecast["refitted"] > 10 * forecast["noise_floor"]

@@ -85,24 +85,6 @@ def test_a_run_holds_the_answer_and_report_prints_it(
     assert "search.seed: 1 there, 2 now" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_the_demo_finds_what_the_pendulum_had(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["demo"]) == 0
-    out = capsys.readouterr().out
-    assert "The recorded pendulum had: rod mass 0.613, damping 0.047, dry friction 0.024." in out
-    answer = json.loads((tmp_path / "runs/demo/identify/identification.json").read_text())
-    found = {row["name"]: row["value"] for row in answer["parameters"]}
-    # the truth is off the grid; a step is 0.02 kg, 0.01 N m s/rad, 0.01 N m
-    assert found["rod mass"] == pytest.approx(0.613, abs=0.02)
-    assert found["damping"] == pytest.approx(0.047, abs=0.01)
-    assert found["dry friction"] == pytest.approx(0.024, abs=0.01)
-    errors = pd.DataFrame(answer["errors"])
-    assert (errors["identified"] < 0.5 * errors["nominal"]).all()
-
-
 def test_a_killed_run_goes_on_to_the_same_result(folder: Path) -> None:
     whole, killed = folder / "whole", folder / "killed"
     assert main(["identify", "pendulum.yaml", "--out", "whole"]) == 0

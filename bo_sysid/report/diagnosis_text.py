@@ -94,6 +94,8 @@ def alternatives_table(alternatives: Sequence[Mapping[str, Any]]) -> pd.DataFram
 
 def set_text(members: Sequence[Mapping[str, Any]]) -> str:
     """Return a set of effects in words: "dry_friction at elbow (0.15), payload at hand (0.3)"."""
+    if any(m["effect"] == "unknown" for m in members):
+        return "none of these, something unknown"
     said = [f"{m['effect']} at {m['site']} ({m['value']:.3g})" for m in members]
     return ", ".join(said) or "nothing is missing"
 

@@ -1,24 +1,24 @@
-"""`bo-sysid demo`: the main job on an embedded study, from recording to pictures."""
+"""`bo-sysid demo`: the main job on an embedded study, from recording to the repaired model."""
 
 import argparse
 from importlib import resources
 from pathlib import Path
 
 from bo_sysid.cli.common import RUNS, Verbs
-from bo_sysid.cli.identify import identify_into, print_run
+from bo_sysid.cli.diagnose import diagnose_into, print_run
 from bo_sysid.cli.progress import shown
 from bo_sysid.cli.record import record_into
 
-FILES = ("pendulum.yaml", "pendulum.xml")
+FILES = ("arm.yaml", "arm.xml")
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "demo",
-        help="identify a simulated pendulum, in a minute",
-        description="Record a simulated pendulum that differs from its model, find out in what, "
-        "and leave tables and pictures.",
+        help="find out what the model of a simulated arm lacks, in a minute",
+        description="Record a simulated two-link arm that has something its model lacks, find out "
+        "what and where, and leave the repaired model and pictures.",
     )
     parser.add_argument(
         "--out", type=Path, default=RUNS / "demo", metavar="FOLDER", help="default: %(default)s"
@@ -27,7 +27,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Record the pendulum, identify it, and print what was found."""
+    """Record the arm, diagnose it, and print what was found and what was true."""
+    from bo_sysid.execution import use_threads
     from bo_sysid.runs import Run, atomic
     from bo_sysid.study import Study
 
@@ -37,12 +38,13 @@ def run(args: argparse.Namespace) -> None:
     study = Study.load(args.out / FILES[0])
     folder = args.out / "record"
     with Run.open(folder, study.resolved(folder), "record") as run, shown("record") as progress:
-        recorded = record_into(run, study, "pendulum", progress)
+        recorded = record_into(run, study, "arm", progress)
     study = Study.load(recorded)
-    folder = args.out / "identify"
-    with Run.open(folder, study.resolved(folder), "identify") as run:
-        identify_into(run, study)
+    folder = args.out / "diagnose"
+    with use_threads(None), Run.open(folder, study.resolved(folder), "diagnose") as run:
+        diagnose_into(run, study)
     print_run(run)
     assert study.plant is not None  # noqa: S101 - the embedded study has one
     truth = ", ".join(f"{name} {value:g}" for name, value in study.plant.parameters.items())
-    print(f"\nThe recorded pendulum had: {truth}.")
+    print(f"\nThe recorded arm had: {truth}.")
+    print(f"To go on with the repaired model: bo-sysid identify {folder / 'study_repaired.yaml'}")
