@@ -20,7 +20,7 @@ _EXPORTS = {
     "learn": "bo_sysid.learn.learn",
 }
 
-__all__ = ["Recording", "Study", "diagnose", "identify", "learn"]  # noqa: F822 - resolved by __getattr__
+__all__ = ["Recording", "Study", "diagnose", "identify", "learn"]
 
 
 def __getattr__(name: str) -> Any:

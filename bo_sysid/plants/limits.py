@@ -26,7 +26,7 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     `position`, and its force by `effort`.
 
     Raises:
-        StudyError: a limit is of a joint that the model does not have.
+        StudyError: a limit is of a joint that the model does not have, or leaves no command.
     """
     if not study.limits:
         return ()
@@ -53,6 +53,10 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
             ends = sorted(gear * x for x in limit.position)
             reach.append((ends[0], ends[1]))
         low, high = max(r[0] for r in reach), min(r[1] for r in reach)
+        if not low < high:
+            raise study.error(
+                ("limits", _joint_of(compiled, a)), f"leaves actuator {name!r} no command"
+            )
         if np.isfinite([low, high]).all():
             bounds[name] = (float(low), float(high))
     return (_edit(bounds, forces),)

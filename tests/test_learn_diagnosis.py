@@ -1,0 +1,68 @@
+"""The diagnosis in the loop: called where no candidate will do, survived where it fails."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from learning import learned, pendulum
+
+import bo_sysid.diagnosis
+from bo_sysid.errors import UserError
+
+
+def lacking(**learn: Any) -> dict[str, Any]:
+    """Return a study whose plant has dry friction that its model lacks."""
+    noise = {"qpos": 0.0005, "qvel": 0.005}
+    friction = {"effect": "dry_friction", "kind": "joint", "site": "hinge", "value": 0.25}
+    return pendulum(
+        recordings={"train": ["none.parquet"], "noise": noise},
+        diagnosis={"effects": ["dry_friction", "viscous_damping", "joint_spring"], "most": 1},
+        learn={"trajectories": 1, "episodes": 2, "epsilon": 0.1, **learn},
+        plant={
+            "parameters": {"mass": 1.2, "damping": 0.8},
+            "effects": [friction],
+            "noise": noise,
+        },
+    )
+
+
+def test_the_loop_goes_on_with_the_repaired_model(tmp_path: Path) -> None:
+    told = learned(tmp_path, lacking())
+    assert told.iterations["diagnosed"].tolist() == [True]
+    assert any("hinge has dry friction of 0.25" in note for note in told.notes)
+    assert told.chosen["dry friction of hinge"] == pytest.approx(0.25, abs=0.04)
+    run = tmp_path / "run"
+    before = json.loads((run / "iterations" / "01" / "identified.json").read_text())["floor"]
+    after = json.loads((run / "iterations" / "01" / "repaired" / "identified.json").read_text())
+    assert before["deviation"] > 1.5 * after["floor"]["deviation"]
+    again = learned(tmp_path, lacking())
+    pd.testing.assert_frame_equal(again.iterations, told.iterations)
+    assert again.chosen == told.chosen
+
+
+def test_without_diagnosis_the_loop_stays_with_the_model(tmp_path: Path) -> None:
+    told = learned(tmp_path, lacking(diagnose="never"))
+    assert told.iterations["diagnosed"].tolist() == [False]
+    assert not (tmp_path / "run" / "diagnosis-01").exists()
+
+
+def test_a_diagnosis_that_fails_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def fails(*arguments: Any, **keywords: Any) -> None:
+        calls.append(arguments)
+        raise UserError("nothing moves")
+
+    monkeypatch.setattr(bo_sysid.diagnosis, "diagnose", fails)
+    told = learned(tmp_path, lacking(trajectories=2))
+    assert len(calls) == 1
+    assert told.iterations["diagnosed"].tolist() == [True, False]
+    (note,) = told.notes
+    assert note == (
+        "The diagnosis gave no study to go on with: nothing moves. The loop goes on as it was."
+    )
+    assert set(told.chosen) == {"mass", "damping"}

@@ -1,0 +1,94 @@
+"""Limits bind commands by clipping, positions and velocities by ending the episode."""
+
+import numpy as np
+import pytest
+
+from bo_sysid.errors import StudyError
+from bo_sysid.mjcf import Model
+from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.environment import BatchEnvironment, control_range
+from bo_sysid.plants.limits import LimitedTask, limit_edits
+from bo_sysid.plants.tasks import Start, find_task
+from bo_sysid.study import Study
+
+ARM = """
+<mujoco>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
+      <body name="lower" pos="0 0 -0.5">
+        <joint name="elbow" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="shoulder" joint="shoulder" gear="4" ctrlrange="-3 3"/>
+    <position name="elbow" joint="elbow" kp="20" ctrlrange="-3 3"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def study(tmp_path, limits):
+    (tmp_path / "arm.xml").write_text(ARM)
+    data = {"model": "arm.xml", "recordings": {"train": ["none.csv"]}, "limits": limits}
+    return Study.from_dict(data, tmp_path)
+
+
+def test_commands_are_narrowed_to_what_the_limits_allow(tmp_path):
+    limits = {"shoulder": {"effort": 2.0}, "elbow": {"effort": 5.0, "position": [-0.5, 1.0]}}
+    model = Model.from_xml(ARM)
+    made = model.compile(limit_edits(study(tmp_path, limits), model))
+    low, high = control_range(made)
+    np.testing.assert_allclose(low, [-0.5, -0.5])  # 2 N m through a gear of 4
+    np.testing.assert_allclose(high, [0.5, 1.0])
+    np.testing.assert_allclose(made.actuator_forcerange[1], [-5.0, 5.0])
+    assert not limit_edits(study(tmp_path, {}), model)
+
+
+def test_a_plant_keeps_to_them_whatever_is_commanded(tmp_path):
+    bound = study(tmp_path, {"shoulder": {"effort": 2.0}})
+    free = study(tmp_path, {})
+    much, allowed = np.tile([3.0, 0.0], (50, 1)), np.tile([0.5, 0.0], (50, 1))
+    positions = [
+        build_plant(s).record(c).channels["qpos.shoulder"].values
+        for s, c in ((bound, much), (free, allowed), (free, much))
+    ]
+    np.testing.assert_allclose(positions[0], positions[1], atol=1e-12)
+    assert np.abs(positions[0] - positions[2]).max() > 0.01
+
+
+def test_an_episode_ends_where_a_limit_of_motion_is_left():
+    model = Model.from_dm_control("cartpole", "swingup")
+    data = {
+        "model": {"dm_control": {"domain": "cartpole", "task": "swingup"}},
+        "recordings": {"train": ["none.csv"]},
+        "limits": {"slider": {"position": [-0.3, 0.3], "velocity": 1.0}},
+    }
+    task = LimitedTask(find_task("cartpole", "swingup"), Study.from_dict(data), model)
+    environment = BatchEnvironment(task, model.compile(), 2)
+    environment.begin([Start(np.array([0.0, 3.1])), Start(np.array([0.0, 3.1]))])
+    ended = None
+    for k in range(200):
+        step = environment.step(np.array([[1.0], [0.0]]))
+        assert not step.terminated[1]
+        if step.terminated[0]:
+            ended = k
+            break
+        assert abs(environment.sims.qpos[0, 0]) <= 0.3
+        assert abs(environment.sims.qvel[0, 0]) <= 1.0
+    assert ended is not None
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"sholder": {"effort": 1.0}}, "no such joint; did you mean 'shoulder'"),
+        ({"elbow": {"position": [3.5, 4.0]}}, "leaves actuator 'elbow' no command"),
+    ],
+)
+def test_wrong_limits_are_told(tmp_path, limits, message):
+    with pytest.raises(StudyError, match=message):
+        limit_edits(study(tmp_path, limits), Model.from_xml(ARM))
