@@ -1,6 +1,6 @@
 """A two-link arm with known physics missing, for the tests of the diagnosis."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mujoco
@@ -30,8 +30,14 @@ def record(
     sampling: float = 0.002,
     sigma: float = SIGMA,
     finer: int = 4,
+    force: tuple[str, Callable[[np.ndarray], np.ndarray]] | None = None,
 ) -> Recording:
-    """Return noisy joint positions of an arm with effects in it, stepped finer than the model."""
+    """Return noisy joint positions of an arm with effects in it, stepped finer than the model.
+
+    Args:
+        missing: effects as (id, kind of site, site, magnitudes).
+        force: a joint and a force on it as a function of its position, of no known kind.
+    """
     rng, model = np.random.default_rng(seed), arm()
     machine = survey(model.compile(), [_moving()])
     edits = [
@@ -48,7 +54,11 @@ def record(
     for k, u in enumerate(ctrl):
         qpos[k] = data.qpos
         data.ctrl[:] = u
-        mujoco.mj_step(compiled, data, finer)
+        for _ in range(finer):
+            if force is not None:
+                j = model.joints.index(force[0])
+                data.qfrc_applied[j] = force[1](data.qpos[j : j + 1])[0]
+            mujoco.mj_step(compiled, data)
     qpos += sigma * rng.normal(size=qpos.shape)
     return Recording.from_arrays(
         time,

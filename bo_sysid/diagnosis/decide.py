@@ -79,7 +79,7 @@ def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], 
         return False
     apart = project(Q, fit.residual - best.residual)
     distance = float(np.sqrt((apart**2).sum() / dof))
-    return gap < _BAND or (distance < _SAME and fit.size <= best.size)
+    return gap < _BAND or (distance < _SAME and len(fit.members) <= len(best.members))
 
 
 def _names(fit: Fit) -> set[tuple[str, str]]:

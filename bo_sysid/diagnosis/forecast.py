@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
-from bo_sysid.diagnosis.problem import FINER, Problem, pose
+from bo_sysid.diagnosis.problem import Problem, finer_step, pose
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
@@ -25,7 +25,6 @@ LONGER = 0.3  # [s] forecast beside it
 _ROUNDS = 5
 _SHARES = (1.0, 0.3, 0.06)
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
-_FINE = 0.5  # share of the finer step above which forecasts use it
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
 _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
 
@@ -81,7 +80,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     estimate; where a joint may have been at rest, a start at rest is tried as well, since with dry
     friction no small change of the start leads from one to the other.
     """
-    finer = FINER if hypothesis.numerics > _FINE else 1
+    finer = finer_step(hypothesis.numerics)
     plain = _plain(problem, hypothesis)
     channels = len(problem.windows.channels)
     known = np.zeros((problem.windows.observed.shape[1], channels), bool)
@@ -103,7 +102,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
 
 def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     """Return the errors with starts fitted inside the windows, over √((n - p)/n)."""
-    finer = FINER if hypothesis.numerics > _FINE else 1
+    finer = finer_step(hypothesis.numerics)
     plain = _plain(problem, hypothesis)
     everything = np.ones(problem.count, bool)
     start, _ = _estimated(problem, plain, problem.windows.start, everything, finer)

@@ -9,12 +9,10 @@ import yaml
 
 from bo_sysid.diagnosis.findings import Finding
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.problem import FINER
+from bo_sysid.diagnosis.problem import finer_step
 from bo_sysid.effects import Filter, Force, Machine, Part, Reading
 from bo_sysid.mjcf import Model
 from bo_sysid.study import Study
-
-_FINE = 0.5  # share of the finer step above which the repaired model steps finer
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
 
@@ -37,15 +35,16 @@ def write_model(
     Where the recordings show the finer step of a continuous machine, the time step is divided.
     """
     edits, parts = edits_and_parts(hypothesis, machine, written=True)
-    if hypothesis.numerics > _FINE:
-        edits.append(_finer)
+    division = finer_step(hypothesis.numerics)
+    if division > 1:
+        edits.append(lambda spec: _finer(spec, division))
     model.export(path, edits)
     mujoco.MjModel.from_xml_path(str(path))
     return tuple(parts)
 
 
-def _finer(spec: mujoco.MjSpec) -> None:
-    spec.option.timestep = spec.option.timestep / FINER
+def _finer(spec: mujoco.MjSpec, division: int) -> None:
+    spec.option.timestep = spec.option.timestep / division
 
 
 def study_text(study: Study, found: Sequence[Finding], folder: Path) -> str:

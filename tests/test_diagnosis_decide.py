@@ -1,0 +1,99 @@
+"""The decision on made-up fits, against what its rules say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_helpers import candidate, posed, record
+
+from bo_sysid.diagnosis.decide import decide
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.rules import Prior, admissible, required
+from bo_sysid.simulation import State
+
+BLOCKS, DOF = 20, 4000
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return posed(record(duration=2.0))[1]
+
+
+def fit(members: tuple[Candidate, ...], rms: float, unique: float = 5.0, seed: int = 0) -> Fit:
+    """A fit of given quality whose residual is made of noise of that size."""
+    rng = np.random.default_rng(seed)
+    cost = np.full(BLOCKS, rms**2 * DOF / BLOCKS) * (1 + 0.01 * rng.normal(size=BLOCKS))
+    nothing = np.zeros((2, 2))
+    return Fit(
+        Hypothesis(members, tuple(c.probe for c in members)),
+        (None,) * len(members),
+        State(nothing, nothing, nothing[:, :0]),
+        np.full((2, DOF // 2), rms) * (1 + 0.2 * rng.normal(size=(2, DOF // 2))),
+        np.zeros((2, DOF // 2, len(members))),
+        rms,
+        cost,
+        cost,
+        (unique,) * len(members),
+        np.eye(len(members)),
+    )
+
+
+def decided(*fits: Fit):
+    nominal = next(f for f in fits if not f.members)
+    return decide(fits, nominal, Prior(40, 3), np.zeros((2, DOF // 2, 0)), DOF)
+
+
+def test_the_set_that_explains_is_answered(machine) -> None:
+    friction = fit((candidate(machine, "dry_friction", "elbow"),), 1.0)
+    damping = fit((candidate(machine, "viscous_damping", "elbow"),), 2.0, seed=1)
+    decision = decided(fit((), 5.0), friction, damping)
+    assert decision.best is friction
+    assert decision.probability[0] > 0.99
+    assert decision.probability.sum() == pytest.approx(1.0)
+
+
+def test_a_second_effect_below_the_margin_is_not_admitted(machine) -> None:
+    one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
+    single = fit((one,), 1.001)
+    pair = replace(fit((one, two), 0.99), unique=(5.0, 0.15))
+    assert decided(fit((), 5.0), single, pair).best is single
+
+
+def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
+    nominal = fit((), 5.0)
+    weak = fit((candidate(machine, "dry_friction", "elbow"),), 3.0, unique=2.0)
+    assert required(weak, nominal) == pytest.approx(np.sqrt(8.0))
+    assert not admissible(weak, nominal)
+    assert decided(nominal, weak).best is nominal
+
+
+def test_nothing_is_preferred_where_nothing_is_gained(machine) -> None:
+    nominal = fit((), 1.0)
+    useless = fit((candidate(machine, "armature", "elbow"),), 0.9999, unique=0.3)
+    assert decided(nominal, useless).best is nominal
+
+
+def test_sets_with_the_same_predictions_are_equivalent(machine) -> None:
+    one = fit((candidate(machine, "payload", "forearm"),), 1.0)
+    other = replace(
+        fit((candidate(machine, "link_mass", "forearm"),), 1.0), residual=one.residual, cv=one.cv
+    )
+    decision = decided(fit((), 5.0, seed=3), one, other)
+    assert {decision.best, *decision.equivalents} == {one, other}
+
+
+def test_a_superset_of_the_answer_is_no_equivalent(machine) -> None:
+    one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
+    single = fit((one,), 1.0)
+    pair = replace(fit((one, two), 1.0), residual=single.residual, cv=single.cv)
+    assert decided(fit((), 5.0), single, pair).equivalents == ()
+
+
+def test_the_prior_halves_for_nothing_and_shares_an_eighth_by_size(machine) -> None:
+    prior = Prior(40, 3)
+    one = candidate(machine, "dry_friction", "elbow")
+    two = candidate(machine, "payload", "forearm")
+    assert prior.log(fit((), 1.0)) == pytest.approx(np.log(0.5))
+    assert prior.log(fit((one,), 1.0)) == pytest.approx(np.log(0.125 / 40))
+    assert prior.log(fit((one, two), 1.0)) == pytest.approx(np.log(0.125 / 780))

@@ -1,0 +1,77 @@
+"""What is not in the catalogue is flagged, located and described; what is there is not flagged."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnosis_helpers import arm, posed, record
+
+from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.unknown import examine, law_candidate, learn
+from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects.learned import features
+
+
+def spring_law(q: np.ndarray) -> np.ndarray:
+    """A magnet near 0.2 rad: no spring, no cogging."""
+    z = (q - 0.2) / 0.15
+    return -0.08 * z * np.exp(-(z**2))
+
+
+def settled(nominal: Fit) -> Decision:
+    """The decision that nothing in the catalogue is missing."""
+    return Decision(nominal, nominal, (nominal,), np.ones(1), ())
+
+
+@pytest.fixture(scope="module")
+def magnet():
+    problem, _ = posed(record(duration=8.0, force=("elbow", spring_law)), horizon=150)
+    ready = prepare(problem)
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
+    return ready, nominal
+
+
+def test_a_magnet_is_flagged_at_its_joint_as_a_force_of_position(magnet) -> None:
+    ready, nominal = magnet
+    assert nominal.rms > 1.5
+    unknown = examine(ready.problem, settled(nominal))
+    assert unknown.flagged
+    assert unknown.joint == "elbow"
+    assert unknown.depends_on == ("position",)
+
+
+def test_the_learned_law_explains_it(magnet) -> None:
+    ready, nominal = magnet
+    unknown = examine(ready.problem, settled(nominal))
+    hypothesis, start, terms, weights = learn(ready.problem, nominal, unknown)
+    assert len(terms) == len(weights) == len(hypothesis.x[-1])
+    r = project(ready.linear.Q, ready.problem.residual(hypothesis, start))
+    left = np.sqrt((r**2).sum() / ready.problem.dof)
+    assert (left**2 - 1) < 0.2 * (nominal.rms**2 - 1)
+
+
+def test_noise_alone_is_not_flagged() -> None:
+    problem, _ = posed(record(duration=6.0), horizon=150)
+    ready = prepare(problem)
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
+    decision = settled(nominal)
+    assert not examine(ready.problem, decision).flagged
+
+
+def test_the_law_is_a_force_on_its_joint() -> None:
+    _, machine = posed(record(duration=2.0))
+    terms = [f for f in features("elbow", machine) if f.depends_on == "position"]
+    law = law_candidate(machine, "elbow", terms)
+    weights = np.zeros(len(terms))
+    weights[3] = 2.0
+    (part,) = law.parts(arm().spec(), weights, machine)
+    q = np.linspace(-1, 1, 5)
+    both = {"elbow": q, "shoulder": q}
+    motion = SimpleNamespace(
+        time=q, qpos=both, qvel=both, ctrl={}, signals={}, timestep=0.002, memory={}
+    )
+    expected = 2.0 * machine.joints["elbow"].force * terms[3].value(motion)
+    np.testing.assert_allclose(part.law(motion), expected)
