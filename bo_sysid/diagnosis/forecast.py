@@ -26,6 +26,7 @@ _ROUNDS = 5
 _SHARES = (1.0, 0.3, 0.06)
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
+_TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
 _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
 
 
@@ -167,14 +168,15 @@ def _prior(problem: Problem) -> Float[np.ndarray, " n"]:
     nv = problem.machine.model.nv
     position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
     layout, windows = problem.layout, problem.windows
+    travel = np.zeros(nv)
     for joint in problem.machine.joints.values():
-        speed[joint.dof] = _SPEED * joint.speed
+        speed[joint.dof], travel[joint.dof] = _SPEED * joint.speed, _TRAVEL * joint.travel
     scale = 1 / np.maximum(problem.weight.reshape(-1, len(windows.channels)).max(axis=0), 1e-300)
     for k, name in enumerate(windows.channels):
         if name in layout.qpos:
             dof = int(layout.velocity[layout.qpos[name]])
             if dof >= 0:
-                position[dof] = _POSITION * scale[k]
+                position[dof] = _POSITION * scale[k] + travel[dof]
     return np.concatenate([position, speed])
 
 
