@@ -1,0 +1,202 @@
+"""The outer loop against its reference and its rivals, on plants that differ from the model.
+
+Arms, each with the same simulated steps a policy, on paired seeds:
+
+- true: TRPO on the plant's own parameters, the reference; its log is also that of TRPO straight on
+  the plant, with every episode counted as a real trajectory.
+- worst: TRPO on the corner of B that predicts the plant worst.
+- method: `learn` as the study says: P sampled, the seed's stop rule.
+- zhu: argmax P, the search ended by values, the loop by time out.
+- uniform: TRPO with a model drawn from all of B in every episode (domain randomisation).
+
+Every policy is evaluated on the plant from the same starts. Figures: interquartile means over
+seeds, and the paired ratio to the reference with its bootstrap interval.
+
+    python benchmarks/learn.py [--quick]
+"""
+
+import itertools
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from common import Cases, benchmark
+
+from bo_sysid.execution import limit_threads, threads
+from bo_sysid.identify.problem import make_problem
+from bo_sysid.learn.learn import learn
+from bo_sysid.learn.scene import Scene
+from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.environment import Environment
+from bo_sysid.plants.excitation import smooth_random
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.policy.train import Training, train
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+
+ROOT = Path(__file__).parent.parent
+ARMS = ("true", "worst", "uniform", "method", "zhu")
+STUDIES = ("cheetah", "swimmer", "hopper")
+SEEDS, EPISODES, EVALUATION = 5, 50, 900_001
+
+QUICK = {
+    "policy.batch": 2000,
+    "policy.steps": 20_000,
+    "learn.trajectories": 2,
+    "learn.episodes": 4,
+    "search.budget": 12,
+}
+
+
+def study_of(task: str, seed: int, quick: bool, changed: dict[str, Any] | None = None) -> Study:
+    """Return the study of a task with a seed."""
+    more = {"search.seed": seed, **(QUICK if quick else {}), **(changed or {})}
+    if not quick:
+        return Study.load(ROOT / "studies" / "seed" / f"{task}.yaml", more)
+    return Study.load(Path(__file__).parent / "learn_quick" / f"{task}.yaml", more)
+
+
+def truth(scene: Scene) -> np.ndarray:
+    """Return the plant's parameter values, which only this benchmark may look at."""
+    plant = scene.study.plant
+    assert plant is not None
+    return np.array([plant.parameters[p.name] for p in scene.parameters])
+
+
+def worst(scene: Scene) -> np.ndarray:
+    """Return the corner of B with the largest deviation from one recording of the plant."""
+    plant = build_plant(scene.study)
+    compiled = scene.model.compile()
+    controls = smooth_random(compiled, 10.0, plant.control_timestep, seed=scene.seed)
+    problem = make_problem(scene.study, [plant.record(controls)], threads=threads())
+    corners = np.array(list(itertools.product(*scene.candidates.bounds.T)))
+    return corners[problem.deviation(corners).deviation.argmax()]
+
+
+def trained(scene: Scene, environment: Environment, folder: Path) -> Training:
+    """Return the training of one policy; one that was interrupted goes on."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return train(
+        environment,
+        scene.settings,
+        steps=scene.study.policy.steps,
+        seed=scene.seed,
+        threads=threads(),
+        folder=folder,
+    )
+
+
+def on_plant(scene: Scene, policy: LearnedPolicy) -> list[float]:
+    """Return the policy's returns on the plant."""
+    plant = build_plant(scene.study)
+    return [float(r) for r in plant.evaluate(policy.act, EPISODES, seed=EVALUATION)]
+
+
+def single(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[str, Any]:
+    """Return what one policy learned without the loop is worth."""
+    scene = Scene.of(study_of(task, seed, quick))
+    centre, spread = truth(scene), None
+    if arm == "worst":
+        centre = worst(scene)
+    elif arm == "uniform":
+        spread = np.full(len(scene.candidates), 1 / len(scene.candidates))
+    with limit_threads(1):
+        training = trained(scene, scene.training(centre, spread, threads()), folder)
+        returns = on_plant(scene, training.policy)
+    log: pd.DataFrame = training.log
+    limit = scene.training(centre, None, 1).episode_steps
+    return {
+        "returns": returns,
+        "point": centre.tolist(),
+        "curve": [(log["steps"] / limit).tolist(), log["batch_return"].tolist()],
+    }
+
+
+def looped(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[str, Any]:
+    """Return what the outer loop came to."""
+    zhu = {"learn.choose": "argmax", "learn.stop": "zhu", "learn.epsilon": 0.02}
+    study = study_of(task, seed, quick, zhu if arm == "zhu" else None)
+    with Run.open(folder, study.resolved(relative_to=folder), "learn", seed=seed) as run:
+        learning = learn(study, run)
+    assert learning.policy is not None
+    scene = Scene.of(study)
+    table = learning.iterations
+    return {
+        "returns": on_plant(scene, learning.policy),
+        "point": list(learning.chosen.values()),
+        "trajectories": len(learning.trajectories),
+        "curve": [table["trajectories"].tolist(), table["plant_return"].tolist()],
+        "reason": learning.reason,
+    }
+
+
+def case(task: str, arm: str, seed: int, quick: bool) -> dict[str, Any]:
+    """Return one arm on one task with one seed."""
+    kind = "quick" if quick else "full"
+    folder = ROOT / "runs" / "benchmark-learn" / kind / f"{task}-{arm}-{seed}"
+    work = looped if arm in ("method", "zhu") else single
+    return work(task, arm, seed, quick, folder)
+
+
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean of the middle half of the last axis."""
+    ordered = np.sort(values, axis=-1)
+    cut = ordered.shape[-1] // 4
+    return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+
+
+def compared(own: np.ndarray, reference: np.ndarray) -> dict[str, float | None]:
+    """Return interquartile mean, and its ratio to the paired reference with a 95 % interval."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(len(own), size=(10_000, len(own)))
+    level = interquartile_mean(own)
+    below = interquartile_mean(reference)
+    if not below > 0:
+        return {"return": float(level), "ratio": None, "low": None, "high": None}
+    under = np.maximum(interquartile_mean(reference[drawn]), 1e-9)
+    low, high = np.quantile(interquartile_mean(own[drawn]) / under, [0.025, 0.975])
+    return {
+        "return": float(level),
+        "ratio": float(level / below),
+        "low": float(low),
+        "high": float(high),
+    }
+
+
+def needed(cases: list[dict[str, Any]], share: float = 0.95) -> float:
+    """Return after how many real trajectories TRPO on the plant reaches a share of its end."""
+    found = []
+    for one in cases:
+        trajectories, returns = np.array(one["curve"])
+        end = np.mean(returns[-max(len(returns) // 10, 1) :])
+        found.append(trajectories[np.argmax(returns >= share * end)])
+    return float(np.median(found))
+
+
+def run(quick: bool, cases: Cases) -> dict[str, Any]:
+    """Run every arm on every task with every seed."""
+    tasks, seeds = (("pendulum", "cartpole"), 1) if quick else (STUDIES, SEEDS)
+    figures: dict[str, Any] = {}
+    for task in tasks:
+        told = {
+            arm: [
+                cases.get(f"{task} {arm} {s}", lambda t=task, a=arm, s=s: case(t, a, s, quick))
+                for s in range(seeds)
+            ]
+            for arm in ARMS
+        }
+        mean = {arm: np.array([np.mean(c["returns"]) for c in told[arm]]) for arm in ARMS}
+        figures[task] = {arm: compared(mean[arm], mean["true"]) for arm in ARMS}
+        for arm in ("method", "zhu"):
+            figures[task][arm]["trajectories"] = [c["trajectories"] for c in told[arm]]
+        figures[task]["plant_trajectories"] = needed(told["true"])
+    return figures
+
+
+if __name__ == "__main__":
+    benchmark("learn", run)
