@@ -30,6 +30,8 @@ _PROBE = 8.0  # [s] of motion on which a magnitude is set
 _ATTEMPTS = 12  # sites, magnitudes and motions that are tried before a case is given up
 _STEPS = 7  # of the search for a magnitude
 _NEAR = 0.15  # of the logarithm of a size
+_UNEVEN = (0.6, 1.6)  # of the sizes within a group
+_LEEWAY = 0.7  # of the range of sizes, for the whole recording
 _AMPLITUDES = (1.0, 0.7, 0.5, 0.35)  # shares of the machine's motion, until it keeps its limits
 _QUANTA = (0.1, 1.0)  # resolution of tier 2's encoders, in sigma
 _FINE, _FINE_SERVO = Stepping(2, "RK4"), Stepping(8, "RK4")  # a servo's fast pole needs it
@@ -37,7 +39,7 @@ _SMOOTH: tuple[tuple[int, Integrator], ...] = (
     (8, "Euler"), (8, "implicit"), (10, "implicitfast"), (16, "implicitfast"), (8, "RK4"),
 )  # fmt: skip
 _SERVO: tuple[tuple[int, Integrator], ...] = ((10, "implicit"), (16, "implicitfast"), (16, "RK4"))
-_CONTACT: tuple[tuple[int, Integrator], ...] = ((2, "implicitfast"), (2, "Euler"), (3, "implicit"))
+_CONTACT: tuple[tuple[int, Integrator], ...] = ((4, "implicitfast"), (4, "Euler"), (6, "implicit"))
 
 
 class NoCase(Exception):  # noqa: N818 - told to whoever draws
@@ -64,14 +66,19 @@ class Case:
 def draw_case(draw: Draw, loaded: LoadedSuite) -> Case:
     """Draw a case.
 
+    Where sizes cannot be reached (a joint that is held moves no less under more friction), all is
+    drawn anew, from a range of sizes whose upper end comes down from attempt to attempt.
+
     Raises:
         NoCase: what the draw asks for cannot be had on its machine.
     """
     machine = loaded.machines[draw.machine]
     rng = np.random.default_rng(draw.seed)
-    for _ in range(_ATTEMPTS):
+    low, high = loaded.suite.sizes
+    for k in range(_ATTEMPTS):
+        most = high * (2.0 * low / high) ** (k / (_ATTEMPTS - 1)) if high > 2.0 * low else high
         try:
-            return _Attempt(draw, loaded, machine, rng).case()
+            return _Attempt(draw, loaded, machine, rng, (low, most)).case()
         except (PlantDiverged, _Unreachable):
             continue
     raise NoCase(f"{draw.name}: nothing drawn for it could be sized")
@@ -85,8 +92,14 @@ class _Attempt:
     """One attempt at a case; everything it draws comes from one generator."""
 
     def __init__(
-        self, draw: Draw, loaded: LoadedSuite, machine: ProofMachine, rng: np.random.Generator
+        self,
+        draw: Draw,
+        loaded: LoadedSuite,
+        machine: ProofMachine,
+        rng: np.random.Generator,
+        sizes: tuple[float, float],
     ) -> None:
+        self._sizes = sizes
         self._draw, self._suite, self._machine, self._rng = draw, loaded.suite, machine, rng
         self._dt = machine.file.timestep
         self._servo = bool(np.any(machine.compiled.actuator_biasprm[:, 1]))
@@ -111,13 +124,14 @@ class _Attempt:
             if self._within(probe):
                 break
         scales = Scales.of(plain, probe)
-        found = [self._sized(REALISED[id], site, scales) for id, site in self._sites()]
+        found = self._found(scales)
         physics = self._physics([c for c, _ in found])
         rolls = {
             part: self._roll(self._plant(physics), part, getattr(self._suite.seconds, part))
             for part in ("train", "holdout")
         }
         total = self._reference().size(rolls["train"], self._noise_vector())
+        self._require_size(total, len(found))
         final = [(self._ended(c, physics, rolls["train"]), size) for c, size in found]
         if len(final) == 1:
             final = [(final[0][0], total)]
@@ -142,20 +156,34 @@ class _Attempt:
         )  # fmt: skip
         return (parameter,), [float(self._rng.uniform(chosen.low, chosen.high))]
 
-    def _sites(self) -> list[tuple[str, str]]:
-        """Draw where each effect is."""
-        found: list[tuple[str, str]] = []
+    def _found(self, scales: Scales) -> list[tuple[Concealed, float]]:
+        """Draw where each effect is and how large, log-uniform; return them with their sizes.
+
+        A group shares out one size among its sites, unevenly.
+        """
+        rng, found = self._rng, []
         for id in self._draw.effects:
-            sites = REALISED[id].sites(self._machine)
-            if self._draw.grouped:
-                return [(id, site) for site in sites]
-            found.append((id, str(self._rng.choice(sites))))
+            item, size = REALISED[id], log_uniform(rng, *self._sizes)
+            sites = item.sites(self._machine)
+            if not self._draw.grouped:
+                found.append(self._sized(item, str(rng.choice(sites)), scales, size))
+                continue
+            for site in sites:
+                share = size / np.sqrt(len(sites)) * log_uniform(rng, *_UNEVEN)
+                found.append(self._sized(item, site, scales, share))
         return found
 
-    def _sized(self, item: Realised, site: str, scales: Scales) -> tuple[Concealed, float]:
-        """Return the effect at a magnitude that gives a size drawn log-uniform, and that size."""
+    def _require_size(self, total: float, count: int) -> None:
+        """Refuse a case whose size is far from what was asked for, as where motion differs."""
+        low, high = self._suite.sizes
+        if count and not _LEEWAY * low <= total <= high * count / _LEEWAY:
+            raise _Unreachable(f"the whole recording shows a size of {total:g}")
+
+    def _sized(
+        self, item: Realised, site: str, scales: Scales, target: float
+    ) -> tuple[Concealed, float]:
+        """Return an effect at a magnitude that gives a size, and the size that it gives."""
         place = Place(self._machine, scales, site)
-        target = log_uniform(self._rng, *self._suite.sizes)
         most = item.most(place)
         concealed = item.draw(self._rng, place)
         if abs(concealed.value) > most:
@@ -170,7 +198,7 @@ class _Attempt:
             factor = float(np.clip((target / size) ** (1.0 / slope), 0.05, 20.0))
             room = most / abs(concealed.value)
             if factor > room and room < 1.01:  # as large as it can be here
-                if size < self._suite.sizes[0]:
+                if size < min(self._suite.sizes[0], target):
                     break
                 return concealed, size
             concealed = item.scaled(concealed, min(factor, room))

@@ -13,6 +13,9 @@ from bo_sysid.proof.physics import Bristle, Concealed, ForceAt, Law, Transmissio
 _YIELDS = (1e-4, 5e-4)  # [rad] presliding before a bristle gives way
 _SLIDE_YIELDS = 0.2  # of that at a slide, in m
 _BRISTLE_DAMPING = 1e-3  # [s]
+_SOFTEST = 15.0  # [rad/s] of a rotor on its gear
+_SHARE = 0.05  # of a joint's typical force, from which magnitudes are sought
+_MOST = 2.0  # of a joint's typical force or inertia, the most that is concealed
 
 
 def joints(machine: ProofMachine) -> tuple[str, ...]:
@@ -61,13 +64,12 @@ def _rotor(machine: ProofMachine, joint: str) -> float:
 
 
 def _dry(rng: np.random.Generator, place: Place) -> Concealed:
-    value = 0.05 * float(place.scales.force[place.dof])
-    details = bristle_details(rng, place)
+    value, details = _force(place), bristle_details(rng, place)
     return Concealed("dry_friction", "joint", place.site, value, place.unit("N m"), details)
 
 
 def _stribeck(rng: np.random.Generator, place: Place) -> Concealed:
-    value = 0.05 * float(place.scales.force[place.dof])
+    value = _force(place)
     details = bristle_details(rng, place) | {
         "coulomb": value * rng.uniform(0.5, 2.0),
         "speed": float(place.scales.speed[place.dof]) * log_uniform(rng, 0.08, 0.4),
@@ -97,6 +99,7 @@ def _plain(
     start: Callable[[Place], float],
     law: Callable[[int, Concealed], ForceAt],
     signed: bool = False,
+    most: float = _MOST,
     details: Callable[[np.random.Generator, Place], dict[str, float]] = lambda rng, place: {},
 ) -> None:
     """Register a force at any joint that follows from the motion at once."""
@@ -110,7 +113,9 @@ def _plain(
         dof = draft.machine.dof(c.site)
         draft.laws.append(Law(dof, law(dof, c)))
 
-    realised(Realised(id, "joint", joints, draw, compose))
+    realised(
+        Realised(id, "joint", joints, draw, compose, lambda place: most / _SHARE * start(place))
+    )
 
 
 def _periods(rng: np.random.Generator, place: Place) -> dict[str, float]:
@@ -135,7 +140,12 @@ def _spring(dof: int, c: Concealed) -> ForceAt:
 
 
 def _force(place: Place) -> float:
-    return 0.05 * float(place.scales.force[place.dof])
+    return _SHARE * float(place.scales.force[place.dof])
+
+
+def most_force(place: Place) -> float:
+    """Return the largest force that is concealed at a joint."""
+    return _MOST / _SHARE * _force(place)
 
 
 def _per_speed(place: Place) -> float:
@@ -143,7 +153,7 @@ def _per_speed(place: Place) -> float:
 
 
 def _armature(rng: np.random.Generator, place: Place) -> Concealed:
-    value = 0.05 * float(place.scales.inertia[place.dof])
+    value = _SHARE * float(place.scales.inertia[place.dof])
     return Concealed("armature", "joint", place.site, value, place.unit("kg m²"))
 
 
@@ -180,11 +190,19 @@ def _compose_rotor(draft: Draft, c: Concealed) -> None:
 realised(
     Realised(
         "dry_friction", "joint", joints, _dry,
-        lambda draft, c: bristle(draft, c, lambda t, q, v, load: c.value),
+        lambda draft, c: bristle(draft, c, lambda t, q, v, load: c.value), most_force,
     )
 )  # fmt: skip
 realised(
-    Realised("stribeck_friction", "joint", joints, _stribeck, _compose_stribeck, along=("coulomb",))
+    Realised(
+        "stribeck_friction",
+        "joint",
+        joints,
+        _stribeck,
+        _compose_stribeck,
+        most_force,
+        along=("coulomb",),
+    )
 )
 realised(
     Realised(
@@ -214,7 +232,18 @@ realised(
     Realised(
         "armature", "joint", joints, _armature,
         lambda draft, c: add_armature(draft.model, draft.machine.dof(c.site), c.value),
+        lambda place: _MOST * float(place.scales.inertia[place.dof]),
     )
 )  # fmt: skip
-realised(Realised("backlash", "joint", geared, _backlash, _compose_rotor, tiers=(3,)))
-realised(Realised("joint_compliance", "joint", geared, _compliance, _compose_rotor, tiers=(3,)))
+realised(
+    Realised(
+        "backlash", "joint", geared, _backlash, _compose_rotor,
+        lambda place: 0.2 * float(place.scales.travel[place.dof]), tiers=(3,),
+    )
+)  # fmt: skip
+realised(
+    Realised(
+        "joint_compliance", "joint", geared, _compliance, _compose_rotor,
+        lambda place: 1.0 / (_rotor(place.machine, place.site) * _SOFTEST**2), tiers=(3,),
+    )
+)  # fmt: skip

@@ -8,7 +8,14 @@ from math import exp, log1p
 import numpy as np
 
 from bo_sysid.proof.draft import Draft, Place, Realised, realised
-from bo_sysid.proof.joints import bristle, bristle_details, joints, log_uniform, sign
+from bo_sysid.proof.joints import (
+    bristle,
+    bristle_details,
+    joints,
+    log_uniform,
+    most_force,
+    sign,
+)
 from bo_sysid.proof.machine import ProofMachine
 from bo_sysid.proof.physics import Concealed, Law
 
@@ -106,11 +113,40 @@ def _several(machine: ProofMachine) -> tuple[str, ...]:
     return found if len(found) > 1 else ()
 
 
-realised(Realised("magnet", "joint", joints, _magnet, _compose_magnet, tiers=(4,), known=False))
-realised(Realised("worn_spot", "joint", joints, _worn, _compose_worn, tiers=(4,), known=False))
 realised(
     Realised(
-        "warming_friction", "joint", joints, _warming, _compose_warming, tiers=(4,), known=False
+        "magnet",
+        "joint",
+        joints,
+        _magnet,
+        _compose_magnet,
+        most_force,
+        tiers=(4,),
+        known=False,
+    )
+)
+realised(
+    Realised(
+        "worn_spot",
+        "joint",
+        joints,
+        _worn,
+        _compose_worn,
+        most_force,
+        tiers=(4,),
+        known=False,
+    )
+)
+realised(
+    Realised(
+        "warming_friction",
+        "joint",
+        joints,
+        _warming,
+        _compose_warming,
+        most_force,
+        tiers=(4,),
+        known=False,
     )
 )
 realised(Realised("cable", "joint", _several, _cable, _compose_cable, tiers=(4,), known=False))
