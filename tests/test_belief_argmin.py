@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
+from bo_sysid.belief import joint as joint_module
 from bo_sysid.belief.argmin import ArgminBelief, allot, argmin_probability
 from bo_sysid.belief.gp import Conditional
 from bo_sysid.belief.surrogate import Surrogate, fit_surrogate
@@ -176,3 +177,24 @@ def test_order_of_candidates_does_not_matter(surrogate):
 
 def test_entropy_of_a_uniform_belief():
     assert ArgminBelief(np.full(8, 1 / 8), "exact", 0.0).entropy == pytest.approx(np.log(8))
+
+
+def test_low_rank_belief_over_many_candidates_is_near_the_exact_one(monkeypatch):
+    """Two dimensions, 3 136 candidates: as near to an exact run as a second exact run is."""
+    axes = np.meshgrid(np.linspace(0, 1, 56), np.linspace(0, 1, 56), indexing="ij")
+    x = np.stack([a.ravel() for a in axes], axis=1)
+    evaluated = np.random.default_rng(0).choice(len(x), 20, replace=False)
+    u = x[evaluated] - np.array([0.43, 0.58])
+    deviations = np.sqrt(0.02 + (u[:, 0] + u[:, 1]) ** 2 + 0.1 * u[:, 1] ** 2)
+    surrogate = fit_surrogate(x[evaluated], deviations, UNIT, members=2, seed=0)
+    monkeypatch.setattr(joint_module, "DENSE", 0)
+    low_rank = argmin_probability(surrogate, x, samples=8192, seed=3)
+    monkeypatch.setattr(joint_module, "EXACT", len(x))
+    exact, again = (argmin_probability(surrogate, x, samples=8192, seed=s) for s in (1, 2))
+    assert (low_rank.estimator, exact.estimator) == ("low-rank", "exact")
+    assert low_rank.mass_lost <= 1e-3
+
+    def distance(a, b):
+        return np.abs(a.probabilities - b.probabilities).sum() / 2
+
+    assert distance(low_rank, exact) < distance(again, exact) + 0.03

@@ -11,7 +11,6 @@ References:
 
 import numpy as np
 from jaxtyping import Float, Int
-
 from scipy.special import ndtri
 
 from bo_sysid.acquisition.context import SelectionContext

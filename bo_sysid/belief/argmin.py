@@ -11,7 +11,7 @@ from bo_sysid.belief.joint import Contest, contest
 from bo_sysid.belief.rows import RowIndex
 from bo_sysid.belief.surrogate import Surrogate
 
-CELLS = 8_000_000  # samples x candidates drawn at a time
+CELLS = 16_000_000  # samples x candidates drawn at a time
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,8 @@ def _distinct(
         step = 2 * max(1, CELLS // max(len(field.rows), 1))
         for start in range(0, share, step):
             size = min(step, share - start)
-            noise = rng.standard_normal(((size + 1) // 2, len(field.factor))) @ field.factor
+            normals = rng.standard_normal(((size + 1) // 2, len(field.factor)))
+            noise = normals.astype(field.factor.dtype) @ field.factor
             counts += field.tally(field.mean + noise, len(counts))
             counts += field.tally(field.mean - noise[: size // 2], len(counts))
     return counts / counts.sum(), lost, exact

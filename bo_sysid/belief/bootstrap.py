@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from bo_sysid.arrays import Points, Probabilities, Rows
 from bo_sysid.belief.argmin import ArgminBelief, allot
 from bo_sysid.belief.gp import Conditional
-from bo_sysid.belief.joint import CHUNK, MASS, covariance_factor
+from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, covariance_factor
 from bo_sysid.belief.surrogate import Surrogate
 
 SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
@@ -132,9 +132,12 @@ def _minima(
 ) -> tuple[Int[np.ndarray, " b"], float]:
     """Return the arg-min of one joint sample for each bootstrap, and a bound on the mass lost."""
     residual = member.residual(values)
-    open_rows, lost = _open_rows(member, x, residual, known_values, known_rows)
+    open_rows, bound, lost = _open_rows(member, x, residual, known_values, known_rows)
     V = member.whitened(x[open_rows])
-    factor = covariance_factor(member, x[open_rows], member.variance(V), rng)
+    exact = len(open_rows) <= (EXACT if len(x) <= EXACT else DENSE)
+    factor = covariance_factor(
+        member, x[open_rows], member.variance(V), None if exact else bound, rng
+    )
     draws = rng.standard_normal((values.shape[1], len(factor))) @ factor
     draws += member.mean + residual.T @ V
     everything = np.concatenate([draws, known_values.T], axis=1)
@@ -148,8 +151,8 @@ def _open_rows(
     residual: Float[np.ndarray, "n b"],
     known_values: Float[np.ndarray, "k b"],
     known_rows: Int[np.ndarray, " k"],
-) -> tuple[Int[np.ndarray, " s"], float]:
-    """Return the uncertain rows that may be an arg-min, and a bound on the mass of the others.
+) -> tuple[Int[np.ndarray, " s"], Float[np.ndarray, " s"], float]:
+    """Return the uncertain rows that may be an arg-min, their bounds, and the sum of the others'.
 
     In each bootstrap a candidate is the arg-min only if it is below the best evaluated candidate
     or, where none is known in this set, below a level that the minimum hardly ever exceeds.
@@ -175,7 +178,8 @@ def _open_rows(
     order = np.argsort(bound, kind="stable")
     mass = np.cumsum(bound[order])
     first = int(np.searchsorted(mass, MASS, side="right"))
-    return uncertain[np.sort(order[first:])], float(mass[first - 1]) if first else 0.0
+    kept = np.sort(order[first:])
+    return uncertain[kept], bound[kept], float(mass[first - 1]) if first else 0.0
 
 
 def _check(
