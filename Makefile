@@ -17,7 +17,7 @@ $(READY): pyproject.toml constraints.txt
 	@echo "Installing into .venv, once; this takes a few minutes"
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install -q -q --disable-pip-version-check $(PIP_ARGS) \
-		--constraint constraints.txt --editable '.[dev,notebooks]'
+		--constraint constraints.txt --editable '.[dev,notebooks,report]'
 	@touch $(READY)
 
 demo: setup

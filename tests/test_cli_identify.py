@@ -73,7 +73,7 @@ def test_a_run_holds_the_answer_and_report_prints_it(
     assert float(rows["mass"][3]) == pytest.approx(0.62, abs=0.021)
     assert float(rows["damping"][2]) == pytest.approx(0.03, abs=0.011)
     assert json.loads((run / "run.json").read_text())["seed"] == 1
-    assert main(["report", str(run)]) == 0
+    assert main(["report", str(run), "--text"]) == 0
     again = capsys.readouterr().out.replace(f"{run}:", "runs/pendulum-identify:")
     assert out.startswith(again)
     assert {p.name for p in (run / "figures").iterdir()} == {

@@ -131,8 +131,12 @@ def _forces(
     return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
 
 
-def sets(decision: Decision) -> pd.DataFrame:
+def sets(decision: Decision, heard_of: float = 1.0) -> pd.DataFrame:
     """Return the sets between which was decided, most probable first, "nothing" among them.
+
+    Args:
+        decision: the posterior over sets.
+        heard_of: probability that it is one of them at all.
 
     Returns:
         Columns set (in words), effects (their number), probability, rms [sensor sigma], best and
@@ -146,7 +150,7 @@ def sets(decision: Decision) -> pd.DataFrame:
         {
             "set": set_words(fit),
             "effects": fit.size,
-            "probability": float(probability),
+            "probability": heard_of * float(probability),
             "rms": fit.rms,
             "best": fit is decision.best,
             "equivalent": fit.key in equivalents,

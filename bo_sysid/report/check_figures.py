@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.report.figures import IDENTIFIED, NOMINAL, RECORDED
+from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED
 
 _WIDTH = 7.2  # inches
 _MOST = 10  # panels

@@ -9,28 +9,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from bo_sysid.report.figures import NOMINAL, RECORDED, SECOND
+from bo_sysid.report.look import (
+    COLOURS,
+    GREY,
+    MODELS,
+    RECORDED,
+    chance,
+    first_part,
+    set_colour,
+    sure,
+    top_sets,
+    with_gaps,
+    worst_channels,
+    worst_joints,
+)
 
-REPAIRED = "#0072B2"
-COLOURS = {"nominal": NOMINAL, "refitted": SECOND, "repaired": REPAIRED}
-MODELS = {
-    "nominal": "nominal model",
-    "refitted": "refitted, no new physics",
-    "repaired": "repaired model",
-}
-UNITS = {"qpos": "rad or m", "qvel": "rad/s or m/s"}
 _LINES = {
     "nominal": {"linestyle": "-", "linewidth": 1.5},
     "refitted": {"linestyle": (0, (4, 5)), "linewidth": 1.2},
     "repaired": {"linestyle": "-", "linewidth": 1.1},
 }
-_GREY = "#AAAAAA"
 _WIDTH = 7.2  # inches
 _CHANNELS = 3
-_SECONDS = 12.0
 _JOINTS = 3
-_UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
-_SETS = 8
 
 
 def held_out(traces: pd.DataFrame, unit: str = "rad") -> Figure:
@@ -62,7 +63,7 @@ def held_out(traces: pd.DataFrame, unit: str = "rad") -> Figure:
 def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: str) -> None:
     part = with_gaps(part)
     time, recorded = part["time"], part["recorded"]
-    top.plot(time, recorded, color=_GREY, linewidth=4.0, label="recorded")
+    top.plot(time, recorded, color=GREY, linewidth=4.0, label="recorded")
     for model in (m for m in MODELS if m in part):
         style: dict[str, Any] = {"color": COLOURS[model], **_LINES[model]}
         top.plot(time, part[model], label=MODELS[model], **style)
@@ -149,69 +150,3 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.set_xlabel("what the training recordings leave unexplained [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)
     return figure
-
-
-def worst_channels(traces: pd.DataFrame) -> list[str]:
-    """Return the channels, those first that the nominal model predicts worst for their range."""
-
-    def badness(part: pd.DataFrame) -> float:
-        error = np.sqrt(np.nanmean(np.square(part["recorded"] - part["nominal"])))
-        return float(error / max(float(np.ptp(part["recorded"].dropna())), 1e-12))
-
-    names = list(dict.fromkeys(traces["channel"]))
-    size = {n: badness(traces[traces["channel"] == n]) for n in names}
-    return sorted(names, key=lambda n: -size[n])
-
-
-def worst_joints(pieces: pd.DataFrame) -> list[str]:
-    """Return the joints, those first whose missing force is largest beside what a model leaves."""
-    size = {}
-    for name in dict.fromkeys(pieces["joint"]):
-        part = sure(pieces[pieces["joint"] == name])
-        left = np.hypot(part["repaired"].std(), part["sigma"].median())
-        size[name] = float(part["nominal"].std() / max(float(left), 1e-12)) if len(part) > 2 else 0
-    order = sorted(size, key=lambda n: -size[n])
-    return [n for n in order if size[n] > 0] or order[:1]
-
-
-def sure(part: pd.DataFrame) -> pd.DataFrame:
-    """Return the pieces of one joint in which its recording says something about the force."""
-    largest = float(np.nanquantile(part["nominal"].abs(), 0.95)) if len(part) else 0.0
-    kept = part[part["sigma"] < max(_UNSURE * largest, 2 * float(part["sigma"].min()))]
-    return kept if len(kept) else part
-
-
-def first_part(traces: pd.DataFrame) -> pd.DataFrame:
-    """Return the first seconds of the first recording."""
-    first: pd.DataFrame = traces[traces["recording"] == traces["recording"].iloc[0]]
-    return first.loc[first["time"] <= float(first["time"].min()) + _SECONDS]
-
-
-def with_gaps(part: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of one channel with a gap after each window: lines do not join two starts."""
-    values = [c for c in ("recorded", *MODELS) if c in part]
-    ends = part.groupby("window", sort=False).tail(1).assign(**dict.fromkeys(values, np.nan))
-    return pd.concat([part, ends]).sort_values(["window", "time"], kind="stable")
-
-
-def top_sets(sets: pd.DataFrame) -> pd.DataFrame:
-    """Return the sets that are shown: the most probable, and "nothing is missing"."""
-    top = sets.iloc[:_SETS]
-    nothing = sets[(sets["effects"] == 0) & ~sets.index.isin(top.index)]
-    return pd.concat([top, nothing])
-
-
-def set_colour(row: object) -> str:
-    """Return the colour of a set: the answer, its equivalents, nothing, others."""
-    if getattr(row, "best", False):
-        return REPAIRED
-    if getattr(row, "equivalent", False):
-        return "#56B4E9"
-    return NOMINAL if getattr(row, "effects", 1) == 0 else _GREY
-
-
-def chance(p: float) -> str:
-    """Return a probability as it is said."""
-    if p < 0.001:
-        return "below 0.001"
-    return "above 0.999" if p > 0.999 else f"{p:.3f}"

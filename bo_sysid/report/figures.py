@@ -6,8 +6,19 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which colour-blind people can tell apart
-RECORDED, NOMINAL, IDENTIFIED, SECOND = "#000000", "#D55E00", "#0072B2", "#E69F00"
+from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED, SECOND
+
+__all__ = [
+    "IDENTIFIED",
+    "NOMINAL",
+    "RECORDED",
+    "SECOND",
+    "marginals",
+    "predictions",
+    "progress",
+    "save",
+]
+
 _WIDTH = 7.2  # inches
 _CHANNELS = 6
 _SHOWN = 3_000

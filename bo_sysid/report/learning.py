@@ -48,7 +48,7 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
     """
     from matplotlib.figure import Figure
 
-    from bo_sysid.report.figures import IDENTIFIED, NOMINAL, RECORDED, SECOND
+    from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED, SECOND
 
     figure = Figure(figsize=(7.2, 5.6), layout="constrained")
     top, bottom = figure.subplots(2, 1)

@@ -162,18 +162,19 @@ def _local(model: mujoco.MjModel, geom: int) -> Points:
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         corners = [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
         return np.asarray(np.array(corners) * size)
-    ball, along = _ball(), np.array([0.0, 0.0, size[1]])
+    round_, along = ball(), np.array([0.0, 0.0, size[1]])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return np.concatenate([ball * size[0] - along, ball * size[0] + along])
+        return np.concatenate([round_ * size[0] - along, round_ * size[0] + along])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        ring = ball[np.abs(ball[:, 2]) < 1e-9] * size[0]
+        ring = round_[np.abs(round_[:, 2]) < 1e-9] * size[0]
         return np.concatenate([ring - along, ring + along])
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return np.asarray(ball * size[0])
-    return np.asarray(ball * size)  # an ellipsoid
+        return np.asarray(round_ * size[0])
+    return np.asarray(round_ * size)  # an ellipsoid
 
 
-def _ball() -> Points:
+def ball() -> Points:
+    """Return points on the unit sphere, rings of them."""
     turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
     lift = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _AROUND // 2 + 1)
     a, b = (m.ravel() for m in np.meshgrid(turn, lift))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
-from bo_sysid.report.figures import NOMINAL, RECORDED
+from bo_sysid.report.look import NOMINAL, RECORDED
 from bo_sysid.report.robot import Posed, Site, depth_order, outline, view
 
 _FILL, _EDGE = "#D9DEE4", "#5A6673"

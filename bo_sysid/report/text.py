@@ -90,7 +90,7 @@ def check_text(found: Check) -> str:
 
 def table(frame: pd.DataFrame) -> str:
     """Return a DataFrame as aligned columns; numbers have four digits, what is missing is empty."""
-    rows = [[_cell(value) for value in row] for row in frame.to_numpy(object)]
+    rows = [[cell(value) for value in row] for row in frame.to_numpy(object)]
     cells = [[str(c) for c in frame.columns], *rows]
     numeric = [pd.api.types.is_numeric_dtype(frame[c]) for c in frame.columns]
     widths = [max(len(row[k]) for row in cells) for k in range(len(numeric))]
@@ -104,7 +104,8 @@ def table(frame: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def _cell(value: object) -> str:
+def cell(value: object) -> str:
+    """Return a value as a table shows it."""
     if isinstance(value, float):
         return "" if pd.isna(value) else f"{value:.4g}"
     return "" if value is None else str(value)

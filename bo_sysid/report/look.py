@@ -1,0 +1,86 @@
+"""What every figure shares: colours, words, and which part of a table is shown."""
+
+import numpy as np
+import pandas as pd
+
+# Okabe and Ito's colours, which colour-blind people can tell apart
+RECORDED, NOMINAL, IDENTIFIED, SECOND = "#000000", "#D55E00", "#0072B2", "#E69F00"
+REPAIRED, EQUIVALENT, GREY = IDENTIFIED, "#56B4E9", "#AAAAAA"
+COLOURS = {"nominal": NOMINAL, "refitted": SECOND, "repaired": REPAIRED, "identified": IDENTIFIED}
+MODELS = {
+    "nominal": "nominal model",
+    "refitted": "refitted, no new physics",
+    "repaired": "repaired model",
+    "identified": "identified model",
+}
+_SECONDS = 12.0
+_UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
+_SETS = 8
+
+
+def worst_channels(traces: pd.DataFrame) -> list[str]:
+    """Return the channels, those first that the nominal model predicts worst for their range."""
+
+    def badness(part: pd.DataFrame) -> float:
+        error = np.sqrt(np.nanmean(np.square(part["recorded"] - part["nominal"])))
+        return float(error / max(float(np.ptp(part["recorded"].dropna())), 1e-12))
+
+    names = list(dict.fromkeys(traces["channel"]))
+    size = {n: badness(traces[traces["channel"] == n]) for n in names}
+    return sorted(names, key=lambda n: -size[n])
+
+
+def worst_joints(pieces: pd.DataFrame) -> list[str]:
+    """Return the joints, those first whose missing force is largest beside what a model leaves."""
+    size = {}
+    for name in dict.fromkeys(pieces["joint"]):
+        part = sure(pieces[pieces["joint"] == name])
+        left = np.hypot(part["repaired"].std(), part["sigma"].median())
+        size[name] = float(part["nominal"].std() / max(float(left), 1e-12)) if len(part) > 2 else 0
+    order = sorted(size, key=lambda n: -size[n])
+    return [n for n in order if size[n] > 0] or order[:1]
+
+
+def sure(part: pd.DataFrame) -> pd.DataFrame:
+    """Return the pieces of one joint in which its recording says something about the force."""
+    largest = float(np.nanquantile(part["nominal"].abs(), 0.95)) if len(part) else 0.0
+    kept = part[part["sigma"] < max(_UNSURE * largest, 2 * float(part["sigma"].min()))]
+    return kept if len(kept) else part
+
+
+def first_part(traces: pd.DataFrame) -> pd.DataFrame:
+    """Return the first seconds of the first recording."""
+    first: pd.DataFrame = traces[traces["recording"] == traces["recording"].iloc[0]]
+    return first.loc[first["time"] <= float(first["time"].min()) + _SECONDS]
+
+
+def with_gaps(part: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of one channel with a gap after each window: lines do not join two starts."""
+    if part["window"].nunique() == len(part):  # predictions of one step each
+        return part
+    values = [c for c in ("recorded", *MODELS) if c in part]
+    ends = part.groupby("window", sort=False).tail(1).assign(**dict.fromkeys(values, np.nan))
+    return pd.concat([part, ends]).sort_values(["window", "time"], kind="stable")
+
+
+def top_sets(sets: pd.DataFrame) -> pd.DataFrame:
+    """Return the sets that are shown: the most probable, and "nothing is missing"."""
+    top = sets.iloc[:_SETS]
+    nothing = sets[(sets["effects"] == 0) & ~sets.index.isin(top.index)]
+    return pd.concat([top, nothing])
+
+
+def set_colour(row: object) -> str:
+    """Return the colour of a set: the answer, its equivalents, nothing, others."""
+    if getattr(row, "best", False):
+        return REPAIRED
+    if getattr(row, "equivalent", False):
+        return EQUIVALENT
+    return NOMINAL if getattr(row, "effects", 1) == 0 else GREY
+
+
+def chance(p: float) -> str:
+    """Return a probability as it is said."""
+    if p < 0.001:
+        return "below 0.001"
+    return "above 0.999" if p > 0.999 else f"{p:.3f}"

@@ -1,0 +1,119 @@
+"""What the page is made of: sections with text, figures, tables; and what a run folder holds."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from bo_sysid.errors import RunError
+from bo_sysid.report.text import cell
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table, one row a list of cells."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, frame: pd.DataFrame) -> "Table":
+        """Return a DataFrame with numbers of four digits; what is missing is empty."""
+        return cls(
+            tuple(str(c) for c in frame.columns),
+            tuple(tuple(cell(v) for v in row) for row in frame.to_numpy(object)),
+            tuple(pd.api.types.is_numeric_dtype(frame[c]) for c in frame.columns),
+        )
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Figures of which one is shown, chosen by its label.
+
+    Attributes:
+        words: what the figure shows, for those who do not see it.
+        figures: by label.
+        choice: what is chosen between: "channel", "joint".
+    """
+
+    words: str
+    figures: dict[str, "go.Figure"]
+    choice: str = ""
+
+    @property
+    def height(self) -> int:
+        """Height in pixels."""
+        return int(next(iter(self.figures.values())).layout.height)
+
+    @property
+    def content(self) -> str:
+        """The figures as JSON that is safe inside a script element."""
+        whole = {label: json.loads(f.to_json()) for label, f in self.figures.items()}
+        return json.dumps(whole, separators=(",", ":")).replace("<", "\\u003c")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page.
+
+    Attributes:
+        key: its anchor.
+        title: its heading.
+        text: paragraphs.
+        plots: figures with their words.
+        tables: with their captions.
+        items: a list.
+        code: shown as it is, by caption.
+        links: files beside the page, with what they are.
+    """
+
+    key: str
+    title: str
+    text: Sequence[str] = ()
+    plots: Sequence[Plot] = ()
+    tables: Sequence[tuple[str, Table]] = ()
+    items: Sequence[str] = ()
+    code: Sequence[tuple[str, str]] = ()
+    links: Sequence[tuple[str, str]] = ()
+
+
+@dataclass
+class Found:
+    """What a run folder holds, and what could not be read of it.
+
+    Attributes:
+        folder: the run folder.
+        problems: what is missing or damaged, in words.
+    """
+
+    folder: Path
+    problems: list[str] = field(default_factory=list)
+
+    def has(self, name: str) -> bool:
+        """Return whether a file is there."""
+        return (self.folder / name).is_file()
+
+    def sections(self, *makers: Callable[["Found"], Section | None]) -> Iterator[Section]:
+        """Yield the sections for which the run has something; what fails is noted."""
+        for make in makers:
+            try:
+                section = make(self)
+            except RunError as error:
+                self.problems.append(str(error))
+            except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+                said = f"{type(error).__name__}: {error}"
+                self.problems.append(f"{_title(make)}: not as this version writes it ({said})")
+            else:
+                if section is not None:
+                    yield section
+
+
+def _title(make: Callable[..., Any]) -> str:
+    return make.__name__.replace("_", " ")

@@ -1,0 +1,262 @@
+"""The sections of the page, each made from what a run folder holds; None where it has nothing."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from bo_sysid.errors import BoSysidError, RunError
+from bo_sysid.report import interactive
+from bo_sysid.report.diagnosis_text import (
+    VERDICTS,
+    alternatives_table,
+    errors_table,
+    findings_table,
+    set_text,
+)
+from bo_sysid.report.look import top_sets, worst_channels, worst_joints
+from bo_sysid.report.marked import marked_robot
+from bo_sysid.report.parts import Found, Plot, Section, Table
+from bo_sysid.runs import read_frame, read_json
+
+_PAIRS = 6
+_CHANNELS = 12  # of a page; all are in the run folder
+_FILES = {
+    "model_repaired.xml": "the repaired model, MJCF that plain MuJoCo loads",
+    "study_repaired.yaml": "the study that goes on with it",
+    "model_identified.xml": "the model with the identified parameters",
+    "diagnosis.json": "the diagnosis, to be read by programs",
+    "identification.json": "the identification, to be read by programs",
+    "learning.json": "the learning, to be read by programs",
+    "policy.npz": "the learned policy",
+    "study.yaml": "the study, with every default",
+}
+
+
+def headline(found: Found) -> dict[str, Any]:
+    """Return the name of the run, its verdict and the sentences that say it all."""
+    try:
+        if found.has("diagnosis.json"):
+            diagnosis = read_json(found.folder, "diagnosis.json")
+            summary = _summary(found)
+            verdict = str(diagnosis["verdict"])
+            sentences = summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
+            return {
+                "name": summary.get("name", found.folder.name),
+                "verdict": VERDICTS.get(verdict, verdict),
+                "sentences": sentences,
+            }
+        if found.has("identification.json"):
+            made = read_json(found.folder, "identification.json")
+            values = [
+                f"{p['name']} is {p['value']:.4g} {p['unit']} "
+                f"(95 %: {p['low95']:.4g} to {p['high95']:.4g}; the model had {p['nominal']:.4g})."
+                for p in made["parameters"]
+            ]
+            return {
+                "name": made["name"],
+                "verdict": "The parameters that fit.",
+                "sentences": [*values, made["stopped"]],
+            }
+        if found.has("learning.json"):
+            made = read_json(found.folder, "learning.json")
+            said = made["waiting"] or made["stopped"]
+            text = f"{made['trajectories']} real trajectories, {made['seconds_recorded']:.4g} s."
+            return {"name": made["name"], "verdict": said, "sentences": [text]}
+    except (RunError, KeyError, TypeError, ValueError):
+        pass  # the sections say what is damaged
+    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": []}
+
+
+def robot(found: Found) -> Section | None:
+    """The robot with the guilty sites marked."""
+    if not (found.has("diagnosis.json") and found.has("pose.json")):
+        return None
+    diagnosis = read_json(found.folder, "diagnosis.json")
+    pose = read_json(found.folder, "pose.json")
+    try:
+        posed, sites = marked_robot(found.folder / diagnosis["model"], pose, diagnosis)
+    except BoSysidError as error:
+        raise RunError(f"the robot cannot be drawn: {error}") from None
+    said = "; ".join(w.replace("\n", " ") for _, w in sites) or "no site is marked"
+    words = f"The robot in a recorded pose, {said}. Drag to turn it."
+    return Section("robot", "Where", plots=[Plot(words, {"": interactive.robot(posed, sites)})])
+
+
+def proof(found: Found) -> Section | None:
+    """Recorded against predicted on recordings that were never used."""
+    if not found.has("diagnosis.json"):
+        return None
+    holdout = read_json(found.folder, "diagnosis.json")["holdout"]
+    plots = []
+    if found.has("traces.parquet"):
+        traces = read_frame(found.folder, "traces.parquet")
+        if len(traces):
+            unit = holdout.get("free_run", {}).get("unit", "rad or m")
+            chosen = worst_channels(traces)[:_CHANNELS]
+            figures = {c: interactive.held_out(traces, c, unit) for c in chosen}
+            words = (
+                "Above: what was recorded (grey), and what the nominal, the refitted and the "
+                "repaired model forecast; each piece starts from the moment before it, nothing "
+                "later is used. Below: recorded minus forecast; the repaired model should lie on "
+                "zero."
+            )
+            plots = [Plot(words, figures, "channel")]
+    errors = errors_table(holdout)
+    tables = [("Errors, root mean square", Table.of(errors))] if len(errors) else []
+    if not plots and not tables:
+        return Section("proof", "Proof", text=["Nothing was set aside to prove the repair on."])
+    return Section("proof", "Proof on recordings that were never used", plots=plots, tables=tables)
+
+
+def missing_force(found: Found) -> Section | None:
+    """Where in time and state the residual sits."""
+    if not found.has("forces.parquet"):
+        return None
+    pieces = read_frame(found.folder, "forces.parquet")
+    if pieces.empty:
+        return None
+    figures = {j: interactive.forces(pieces, j) for j in worst_joints(pieces)[:_CHANNELS]}
+    words = (
+        "Each dot is a tenth of a second: the force that would have to be added at the joint for "
+        "the model to follow the training recording. A step over speed is dry friction, a slope "
+        "over speed is damping, a slope over position is a spring. Blue: what the repaired model "
+        "still lacks."
+    )
+    return Section("forces", "When the mismatch acts", plots=[Plot(words, figures, "joint")])
+
+
+def explanations(found: Found) -> Section | None:
+    """What was found, and what else was tried."""
+    if not found.has("diagnosis.json"):
+        return None
+    diagnosis = read_json(found.folder, "diagnosis.json")
+    tables = []
+    if diagnosis["findings"]:
+        tables.append(("Found", Table.of(findings_table(diagnosis["findings"]))))
+    plots = []
+    if found.has("sets.parquet"):
+        sets = top_sets(read_frame(found.folder, "sets.parquet"))
+        words = (
+            "What each explanation leaves unexplained in the training recordings, in units of the "
+            "sensor noise (dashed: nothing is left but noise), with its probability. "
+            "Blue: the answer; light blue: not to be told from it; orange: nothing is missing."
+        )
+        plots.append(Plot(words, {"": interactive.evidence(sets)}))
+    elif diagnosis["alternatives"]:
+        tables.append(("Also tried", Table.of(alternatives_table(diagnosis["alternatives"]))))
+    same = dict.fromkeys(set_text(e) for f in diagnosis["findings"] for e in f["equivalents"])
+    text = [f"These recordings do not tell it from {s}." for s in same]
+    if diagnosis["next_experiment"]:
+        text.append(f"What to record next: {diagnosis['next_experiment'].get('sentence', '')}")
+    return Section("explanations", "What was found, and what else was tried",
+                   text=text, plots=plots, tables=tables)  # fmt: skip
+
+
+def parameters(found: Found) -> Section | None:
+    """The belief over parameters."""
+    if not found.has("identification.json"):
+        return None
+    made = read_json(found.folder, "identification.json")
+    table = pd.DataFrame(made["parameters"])
+    belief = read_frame(found.folder, "belief.parquet")
+    ones = {
+        str(p["name"]): interactive.marginal(belief, str(p["name"]), str(p["unit"]), p["nominal"])
+        for p in made["parameters"]
+    }
+    names = [str(n) for n in table["name"]]
+    plots = [Plot("Probability of each value of a parameter. P goes to a point as the search goes "
+                  "on; P_boot says how sure these recordings are.", ones, "parameter")]  # fmt: skip
+    pairs = list(itertools.combinations(names, 2))[:_PAIRS]
+    if pairs:
+        figures = {f"{a}, {b}": interactive.pair(belief, a, b) for a, b in pairs}
+        plots.append(Plot("P_boot over two parameters.", figures, "pair"))
+    tables = [
+        ("Parameters, with 95 % intervals from P_boot", Table.of(table)),
+        ("Errors of prediction, root mean square", Table.of(pd.DataFrame(made["errors"]))),
+    ]
+    return Section("parameters", "Parameters", plots=plots, tables=tables)
+
+
+def search(found: Found) -> Section | None:
+    """The search: deviation and entropy per evaluation."""
+    if not found.has("evaluations.parquet"):
+        return None
+    evaluations = read_frame(found.folder, "evaluations.parquet")
+    if evaluations.empty:
+        return None
+    words = "The deviation of every candidate that was tried, and what is left to be known."
+    plot = Plot(words, {"": interactive.progress(evaluations)})
+    return Section("search", f"Search: {len(evaluations)} evaluations", plots=[plot])
+
+
+def predictions(found: Found) -> Section | None:
+    """Recorded, nominal and identified on recordings set aside."""
+    if not (found.has("identification.json") and found.has("traces.parquet")):
+        return None
+    traces = read_frame(found.folder, "traces.parquet")
+    figures = {c: interactive.held_out(traces, c, "") for c in worst_channels(traces)[:_CHANNELS]}
+    words = "Recorded (grey), nominal and identified model on the recording that was set aside."
+    return Section("predictions", "Predictions", plots=[Plot(words, figures, "channel")])
+
+
+def learned(found: Found) -> Section | None:
+    """The policies' returns against real trajectories."""
+    if not found.has("iterations.parquet"):
+        return None
+    iterations = read_frame(found.folder, "iterations.parquet")
+    if iterations.empty:
+        return None
+    plot = Plot("Return of the policy after each round, on the identified model and on the plant.",
+                {"": interactive.learning(iterations)})  # fmt: skip
+    shown = [c for c in iterations if iterations[c].notna().any() and _flat(iterations[c])]
+    tables = [("Rounds", Table.of(iterations[shown]))]
+    return Section("learning", "Learning", plots=[plot], tables=tables)
+
+
+def data(found: Found) -> Section | None:
+    """What was done to the data."""
+    notes: Sequence[str] = _summary(found).get("notes", ())
+    if not notes and found.has("identification.json"):
+        notes = read_json(found.folder, "identification.json").get("notes", ())
+    if not notes:
+        return None
+    return Section("data", "What was done to the data", items=[str(n) for n in notes])
+
+
+def again(found: Found) -> Section:
+    """How to run it again: command, study, versions, files."""
+    code = []
+    record: Any = {}
+    if found.has("run.json"):
+        record = read_json(found.folder, "run.json")
+        seed = f" --seed {record['seed']}" if record.get("seed") is not None else ""
+        code.append(("Command", f"bo-sysid {record['command']} study.yaml{seed}"))
+    if found.has("study.yaml"):
+        text = (found.folder / "study.yaml").read_text(encoding="utf-8", errors="replace")
+        code.append(("Study", text))
+    last = record["sessions"][-1]["versions"] if record.get("sessions") else {}
+    versions = pd.DataFrame({"package": list(last), "version": list(last.values())})
+    links = [(name, words) for name, words in _FILES.items() if found.has(name)]
+    tables = [("Versions", Table.of(versions))] if last else []
+    return Section("again", "Run it again", code=code, tables=tables, links=links)
+
+
+MAKERS = (
+    robot, proof, missing_force, explanations, parameters, predictions, search, learned, data,
+    again,
+)  # fmt: skip
+"""The sections in the order of the page."""
+
+
+def _summary(found: Found) -> Mapping[str, Any]:
+    if not found.has("summary.json"):
+        return {}
+    summary = read_json(found.folder, "summary.json")
+    return summary if isinstance(summary, dict) else {}
+
+
+def _flat(column: pd.Series) -> bool:
+    """Return whether the cells of a column can be shown in a table."""
+    return bool(column.map(lambda v: isinstance(v, str | int | float | bool)).all())

@@ -1,0 +1,62 @@
+"""The page of a run that is going on, served to this machine alone."""
+
+import hashlib
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from bo_sysid.errors import RunError
+from bo_sysid.report.page import NAME, page
+
+HOST = "127.0.0.1"
+
+
+def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
+    """Return a server of the page of a run, made anew for each visit.
+
+    Args:
+        folder: the run folder.
+        port: 0 for any that is free.
+
+    Raises:
+        RunError: the folder is no run.
+        OSError: the port is taken.
+    """
+    page(folder)  # tells at once what is wrong with the folder
+
+    class Handler(BaseHTTPRequestHandler):
+        """Answers with the page, with its version, or with a file that the page links to."""
+
+        def do_GET(self) -> None:
+            wanted = self.path.split("?")[0].lstrip("/")
+            try:
+                if wanted in ("", NAME):
+                    self._send("text/html; charset=utf-8", page(folder, live=True).encode())
+                elif wanted == "version":
+                    self._send("text/plain", version(folder).encode())
+                elif wanted in {p.name for p in folder.iterdir() if p.is_file()}:
+                    self._send("application/octet-stream", (folder / wanted).read_bytes())
+                else:
+                    self.send_error(HTTPStatus.NOT_FOUND)
+            except (RunError, OSError) as error:
+                self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=str(error))
+
+        def log_message(self, *_: object) -> None:
+            """Keep the terminal free."""
+
+        def _send(self, kind: str, content: bytes) -> None:
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
+            self.wfile.write(content)
+
+    return ThreadingHTTPServer((HOST, port), Handler)
+
+
+def version(folder: Path) -> str:
+    """Return a hash that changes when a file of the run does."""
+    files = sorted(p for p in folder.iterdir() if p.suffix in (".json", ".parquet"))
+    state = [(p.name, p.stat().st_mtime_ns, p.stat().st_size) for p in files]
+    return hashlib.sha256(repr(state).encode()).hexdigest()[:16]

@@ -1,0 +1,241 @@
+"""The page of a run: what it shows, that text stays text, and what it says of a damaged run."""
+
+import json
+import re
+import shutil
+import threading
+import urllib.error
+import urllib.request
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from chromium import ask, needs_chromium
+
+from bo_sysid.errors import RunError
+from bo_sysid.report import interactive
+from bo_sysid.report.page import page, write_page
+from bo_sysid.report.serve import make_server
+from bo_sysid.runs import Run
+
+NASTY = "<script>alert(1)</script>"
+MODEL = f"""
+<mujoco>
+  <worldbody>
+    <body name="rod">
+      <joint name="{NASTY.replace("<", "&lt;")}" axis="0 1 0"/>
+      <geom name="rod" type="capsule" size=".02" fromto="0 0 0 0 0 -.4" mass=".5"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+SECTIONS = ["robot", "proof", "forces", "explanations", "data", "again"]
+
+
+def finding(joint: str) -> dict[str, object]:
+    return {
+        "effect": "dry_friction", "kind": "joint", "site": joint, "value": 0.15, "unit": "N m",
+        "interval": [0.14, 0.16], "before": 0.0, "after": 0.15, "details": {}, "group": None,
+        "probability": 0.98, "equivalents": [], "sentence": f"The {joint} has dry friction.",
+    }  # fmt: skip
+
+
+def diagnosis(joint: str) -> dict[str, object]:
+    forecast = {"unit": "sensor sigma", "horizon_s": 0.08, "nominal": 181.0, "refitted": 170.0,
+                "repaired": 1.02, "learned_residual": None, "noise_floor": 1.01}  # fmt: skip
+    return {
+        "verdict": "missing-physics", "findings": [finding(joint)], "alternatives": [],
+        "located": [],
+        "holdout": {"forecast": forecast, "fit": {}, "free_run": {**forecast, "unit": "rad"}},
+        "unexplained": {"share": 0.0, "kind": None, "site": None, "depends_on": []},
+        "next_experiment": None, "model": "model_repaired.xml", "study": "study_repaired.yaml",
+        "sha256": "",
+    }  # fmt: skip
+
+
+def traces(joint: str, seconds: float, joints: int) -> pd.DataFrame:
+    time = np.arange(0, seconds, 0.002)
+    q = np.sin(3 * time)
+    parts = [
+        pd.DataFrame(
+            {
+                "recording": "holdout", "time": time, "window": (time // 2).astype(int),
+                "channel": f"qpos.{joint}{k or ''}", "recorded": q, "nominal": 1.3 * q,
+                "refitted": 1.2 * q, "repaired": q + 1e-3,
+            }
+        )
+        for k in range(joints)
+    ]  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+def write_run(folder: Path, joint: str = NASTY, seconds: float = 4.0, joints: int = 2) -> Path:
+    """Write what a diagnosis leaves."""
+    speed = np.linspace(-3, 3, 40)
+    pieces = pd.DataFrame(
+        {
+            "joint": joint, "time": np.arange(40.0), "position": np.sin(speed), "speed": speed,
+            "unit": "N m", "nominal": -0.15 * np.sign(speed), "repaired": 0.001 * speed,
+            "sigma": 0.01,
+        }
+    )  # fmt: skip
+    sets = pd.DataFrame(
+        {
+            "set": [f"dry friction of {joint}", "nothing is missing"], "effects": [1, 0],
+            "probability": [0.98, 0.0], "rms": [1.02, 120.0], "best": [True, False],
+            "equivalent": False,
+        }
+    )  # fmt: skip
+    with Run.open(folder, {"name": joint}, "diagnose", seed=0) as run:
+        run.write_text("model_repaired.xml", MODEL)
+        run.write_json("diagnosis.json", diagnosis(joint))
+        run.write_json("pose.json", {f"qpos.{joint}": 0.7})
+        run.write_json("summary.json", {"name": joint, "sentences": [joint], "notes": [joint]})
+        run.write_frame("traces.parquet", traces(joint, seconds, joints))
+        run.write_frame("forces.parquet", pieces)
+        run.write_frame("sets.parquet", sets)
+    return folder
+
+
+class Outline(HTMLParser):
+    """Collects the sections, the words outside scripts, and what the scripts hold."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.sections: list[str] = []
+        self.words, self.scripts = "", []
+        self._script = False
+        self.outside: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        if tag == "section":
+            self.sections.append(given.get("id") or "")
+        if tag == "script":
+            self._script = True
+            self.scripts.append("")
+        self.outside += [v for k, v in given.items() if k in ("src", "srcset") and v]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._script = self._script and tag != "script"
+
+    def handle_data(self, data: str) -> None:
+        if self._script:
+            self.scripts[-1] += data
+        else:
+            self.words += data
+
+
+def test_it_has_every_section_and_needs_no_network(tmp_path: Path) -> None:
+    seen = Outline(page(write_run(tmp_path / "run")))
+    assert seen.sections == SECTIONS
+    assert not seen.outside
+    assert "The model lacks physics." in seen.words
+    assert "181" in seen.words
+    assert "noise floor" in seen.words
+
+
+def test_a_joint_called_script_shows_as_text(tmp_path: Path) -> None:
+    seen = Outline(page(write_run(tmp_path / "run")))
+    assert NASTY in seen.words
+    assert not any(s.startswith("alert") for s in seen.scripts)
+    assert not any("<script" in s for s in seen.scripts if s.lstrip().startswith("{"))
+
+
+def test_figures_are_plotly_objects_of_what_was_stored() -> None:
+    stored = traces("elbow", 4.0, 1)
+    figure = interactive.held_out(stored, "qpos.elbow")
+    drawn = {t.name.split(" (")[0]: t for t in figure.data if t.yaxis == "y"}
+    assert set(drawn) == {
+        "recorded", "nominal model", "refitted, no new physics", "repaired model"
+    }  # fmt: skip
+    shown = np.asarray(drawn["nominal model"].y, float)
+    assert np.nanmax(shown) == pytest.approx(1.3, rel=1e-3)
+    assert np.isnan(shown).sum() == stored["window"].nunique()  # a gap after each window
+    error = next(t for t in figure.data if t.yaxis == "y2" and t.name.startswith("repaired"))
+    assert np.nanmax(np.abs(np.asarray(error.y, float))) == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_a_long_run_of_six_joints_stays_below_six_megabytes(tmp_path: Path) -> None:
+    path = write_page(write_run(tmp_path / "run", "elbow", seconds=60.0, joints=6))
+    assert path.stat().st_size < 6e6
+
+
+def test_what_is_damaged_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run")
+    (run / "forces.parquet").write_text("no")
+    (run / "traces.parquet").unlink()
+    record = json.loads((run / "run.json").read_text())
+    (run / "run.json").write_text(json.dumps({**record, "format": 99, "status": "interrupted"}))
+    seen = Outline(page(run))
+    assert seen.sections == ["problems", "robot", "proof", "explanations", "data", "again"]
+    assert re.search(r"forces\.parquet: damaged", seen.words)
+    assert "format 99" in seen.words
+    assert "its status is interrupted" in seen.words
+    (run / "diagnosis.json").write_text('{"verdict": 3}')
+    seen = Outline(page(run))
+    assert "not as this version writes it" in seen.words
+    assert "again" in seen.sections
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match=r"not a run folder \(it has no run\.json\)"):
+        page(tmp_path)
+
+
+def test_the_live_page_is_served_to_this_machine_and_follows_the_run(tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", "elbow")
+    (tmp_path / "secret.txt").write_text("no")
+    with make_server(run) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        host, port = server.server_address[:2]
+        assert host == "127.0.0.1"
+
+        def get(name: str) -> str:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/{name}", timeout=10) as answer:
+                return answer.read().decode()
+
+        assert "The model lacks physics." in get("")
+        before = get("version")
+        assert get("version") == before
+        (run / "pose.json").write_text("{}")
+        assert get("version") != before
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            get("../secret.txt")
+        server.shutdown()
+
+
+@needs_chromium
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1200, 500])
+def test_it_is_drawn_without_errors_and_can_be_used(tmp_path: Path, width: int) -> None:
+    path = write_page(write_run(tmp_path / "run"))
+    script = """
+      const plot = document.getElementById("plot-2-1");
+      const first = plot.data[1].y.length;
+      await Plotly.relayout(plot, {"xaxis.range": [1, 2]});
+      const zoomed = [...plot.layout.xaxis.range];
+      const select = document.querySelector("select[data-for='plot-2-1']");
+      select.value = select.options[1].value;
+      select.dispatchEvent(new Event("change"));
+      await new Promise(r => setTimeout(r, 300));
+      return {
+        first, zoomed, shown: plot.dataset.shown, axis: plot.layout.yaxis.title.text,
+        sections: [...document.querySelectorAll("section")].map(s => s.id),
+        drawn: [...document.querySelectorAll(".plot")].every(p => p.querySelector("svg, canvas")),
+        wide: document.documentElement.scrollWidth - innerWidth,
+        ran: typeof window.ran,
+      };
+    """
+    answer, problems = ask(path, script, width)
+    assert problems == []
+    assert answer["sections"] == SECTIONS
+    assert answer["drawn"]
+    assert answer["zoomed"] == [1, 2]
+    assert answer["shown"] == f"qpos.{NASTY}1"
+    assert "&lt;script&gt;" in answer["axis"]
+    assert answer["wide"] <= 0  # nothing sticks out at this width
+    shutil.rmtree(path.parent)
