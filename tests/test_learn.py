@@ -190,6 +190,7 @@ def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
     assert len(went_on.trajectories) == 1
     assert len(went_on.iterations) == 2
     assert went_on.iterations["plant_return"].isna().all()
+    assert any("trajectory-01 ends after 8 of 20 s" in note for note in went_on.notes)
 
 
 def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path) -> None:
@@ -236,6 +237,19 @@ def test_play_evaluates_and_records(whole: Path, tmp_path: Path) -> None:
     assert played.pictures is None
     assert "MUJOCO_GL" in played.not_rendered
     np.testing.assert_array_equal(play(whole, episodes=3, out=tmp_path).returns, played.returns)
+
+
+def test_play_without_working_graphics_says_so(whole: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "bo_sysid.cli", "play", str(whole), "--episodes", "1"]
+    done = subprocess.run(  # noqa: S603
+        [*command, "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MUJOCO_GL": "nonsense"},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "No pictures: MUJOCO_GL=nonsense does not work on this machine" in done.stdout
+    assert (tmp_path / "recording.parquet").is_file()
 
 
 # --- bad input ---

@@ -1,6 +1,7 @@
 """`bo-sysid play`: a learned policy on its plant."""
 
 import argparse
+import os
 from pathlib import Path
 
 from bo_sysid.cli.common import Verbs
@@ -27,6 +28,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Play, and print the returns."""
+    failed = _without_graphics()
+
     from bo_sysid.learn.play import play
 
     played = play(
@@ -38,4 +41,15 @@ def run(args: argparse.Namespace) -> None:
     )
     print(played.sentence)
     print(f"Recording: {played.recording}")
-    print(f"Pictures: {played.pictures}" if played.pictures else played.not_rendered)
+    print(f"Pictures: {played.pictures}" if played.pictures else failed or played.not_rendered)
+
+
+def _without_graphics() -> str:
+    """Import MuJoCo, without graphics where those asked for do not work; return why not."""
+    asked = os.environ.get("MUJOCO_GL", "")
+    try:
+        import mujoco  # noqa: F401 - fails where the graphics library is missing
+    except Exception as error:  # whatever the library raises
+        os.environ["MUJOCO_GL"] = "disable"
+        return f"No pictures: MUJOCO_GL={asked} does not work on this machine ({error})."
+    return ""

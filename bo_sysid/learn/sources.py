@@ -12,7 +12,7 @@ import pandas as pd
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.learn.hand_over import hand_over
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.values import Estimate
+from bo_sysid.learn.values import VALUE_SEED, Estimate
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.plant import PlantError, Trajectory
@@ -22,8 +22,8 @@ from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 from bo_sysid.study.inputs import load_train, read_files
 
+_WHOLE = 0.95  # share of an episode that a recording of it should have
 _LONGEST = 20.0  # [s] of the first excitation, where a task has no end
-_PLANT_SEED = 500_009  # starts of evaluations are none of those of trajectories
 
 
 class Waiting(NamedTuple):
@@ -136,9 +136,12 @@ class PlantSource:
         return frame
 
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
-        """Return the policy's return over episodes that are counted apart."""
+        """Return the policy's return over episodes that are counted apart.
+
+        They start like those by which the policy is valued on models, so that the two compare.
+        """
         scene = self._scene
-        episodes, seed = scene.study.learn.episodes, scene.seed + _PLANT_SEED
+        episodes, seed = scene.study.learn.episodes, scene.seed + VALUE_SEED
         return Estimate.of(self._plant.evaluate(policy.act, episodes, seed=seed))
 
 
@@ -214,11 +217,17 @@ class MachineSource:
                 "steps": round((r.span[1] - r.span[0]) / step),
                 "seconds": r.span[1] - r.span[0],
                 "reward": np.nan,
-                "fault": "",
+                "fault": self._silence(r),
             }
             for k, r in enumerate(read)
         ]
         return pd.DataFrame(rows, columns=["number", "name", "steps", "seconds", "reward", "fault"])
+
+    def _silence(self, recording: Recording) -> str:
+        seconds, whole = recording.span[1] - recording.span[0], self._scene.task.time_limit
+        if not np.isfinite(whole) or seconds > _WHOLE * whole:
+            return ""
+        return f"{recording.name} ends after {seconds:.3g} of {whole:g} s"
 
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
         """Return None: only the machine itself knows."""
