@@ -18,6 +18,7 @@ from bo_sysid.cli import (
     demo,
     diagnose,
     effects,
+    excite,
     identify,
     init,
     learn,
@@ -32,6 +33,7 @@ from bo_sysid.errors import UserError
 VERBS = (
     init,
     check,
+    excite,
     identify,
     diagnose,
     learn,

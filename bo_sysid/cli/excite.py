@@ -1,0 +1,61 @@
+"""`bo-sysid excite`: a safe and informative trajectory to record."""
+
+import argparse
+from pathlib import Path
+
+from bo_sysid.cli.common import Verbs, add_study, load_study
+from bo_sysid.cli.progress import shown
+
+
+def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
+    """Add the verb."""
+    parser = verbs.add_parser(
+        "excite",
+        help="plan a safe trajectory that tells the parameters",
+        description="Plan controls that keep the study's limits and tell its parameters as well "
+        "as possible, through the simulator. Writes a CSV file, a picture, predicted intervals.",
+    )
+    add_study(parser)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="runs/<study>-excite otherwise")
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of the trajectory")
+    parser.add_argument("--interval", type=float, default=0.01, help="between two controls, in s")
+    parser.add_argument("--budget", type=int, default=400, help="trajectories that are tried")
+    parser.add_argument(
+        "--effects", action="store_true", help="also friction, damping, armature, springs of joints"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Plan, write, and print what the trajectory will tell."""
+    study = load_study(args)
+
+    from bo_sysid.excite.excite import excite
+    from bo_sysid.execution import Progress
+    from bo_sysid.report.check_figures import recording_figure
+    from bo_sysid.report.figures import save
+    from bo_sysid.report.text import table
+
+    with shown("excite") as progress:
+        found = excite(
+            study,
+            seconds=args.seconds,
+            interval=args.interval,
+            budget=args.budget,
+            effects=args.effects,
+            report=lambda done, cost: progress(Progress(min(done, args.budget), args.budget)),
+        )
+    folder: Path = args.out or Path("runs") / f"{args.study.stem}-excite"
+    folder.mkdir(parents=True, exist_ok=True)
+    found.controls.to_csv(folder / "controls.csv", index=False)
+    found.parameters.to_csv(folder / "parameters.csv", index=False)
+    save(recording_figure(found.predicted, set()), folder / "predicted.png")
+    shown_columns = {"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
+    print("What a recording of this trajectory would tell at best:")
+    print(table(found.parameters.rename(columns=shown_columns)))
+    print(
+        f"\n{100 * found.used:.0f} % of the limits are used, over parameters within their bounds."
+    )
+    for note in found.notes:
+        print(f"- {note}")
+    print(f"\n{folder}: controls.csv (hold each row until the next), parameters.csv, predicted.png")

@@ -1,0 +1,1 @@
+"""Trajectories to record: within limits, as informative as possible."""

@@ -1,0 +1,131 @@
+"""What a machine bears: positions, speeds, efforts, and parts that must not touch."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bo_sysid.errors import StudyError, nearest
+from bo_sysid.mjcf import Model
+from bo_sysid.simulation import Trajectory
+from bo_sysid.study.outer import Limit
+
+_TOUCH = 0.01  # [s] between two poses at which contacts are looked for
+_COLLISION = 1.0  # violation that touching counts as
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of every degree of freedom of a model of hinges and slides.
+
+    Attributes:
+        position: `nv x 2`; infinite where there is no limit.
+        velocity: `nv`.
+        effort: `nv`, of what the actuators do along it.
+        joints: names.
+        touching: whether the model's parts can touch.
+    """
+
+    position: Float[np.ndarray, "nv 2"]
+    velocity: Float[np.ndarray, " nv"]
+    effort: Float[np.ndarray, " nv"]
+    joints: tuple[str, ...]
+    touching: bool
+
+    @classmethod
+    def of(cls, model: Model, stated: Mapping[str, Limit]) -> "Limits":
+        """Return the stated limits, within those of the model's joints.
+
+        Raises:
+            StudyError: a limit names no joint, or a joint is neither a hinge nor a slide.
+        """
+        compiled = model.compile()
+        for name in stated:
+            if name not in model.joints:
+                raise StudyError(f"limits: no joint {name!r}; {nearest(name, model.joints)}")
+        if compiled.nq != compiled.nv or (np.asarray(compiled.jnt_type) < 2).any():
+            raise StudyError("excite needs a model of hinges and slides; hold a floating base")
+        position = np.tile([-np.inf, np.inf], (compiled.nv, 1))
+        velocity, effort = np.full(compiled.nv, np.inf), np.full(compiled.nv, np.inf)
+        for j, name in enumerate(model.joints):
+            if compiled.jnt_limited[j]:
+                position[j] = compiled.jnt_range[j]
+            limit = stated.get(name)
+            if limit is not None and limit.position is not None:
+                low, high = limit.position
+                position[j] = max(position[j, 0], low), min(position[j, 1], high)
+            if limit is not None:
+                velocity[j] = limit.velocity or np.inf
+                effort[j] = limit.effort or np.inf
+        joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, joint).all():
+            raise StudyError("limits: effort is known only for actuators that drive one joint each")
+        can_touch = bool((compiled.geom_contype > 0).any() and compiled.ngeom > 1)
+        return cls(position, velocity, effort, model.joints, can_touch)
+
+    def violation(
+        self,
+        model: mujoco.MjModel,
+        trajectory: Trajectory,
+        ctrl: Float[np.ndarray, "W S nu"],
+        margin: float,
+    ) -> Float[np.ndarray, " W"]:
+        """Return by how much the worst limit is exceeded in each of W simulations; 0 for not.
+
+        Args:
+            model: the compiled model, for efforts and contacts.
+            trajectory: what the simulations did.
+            ctrl: their controls.
+            margin: share of each limit that may be used.
+        """
+        middle, half = self._centres()
+        off = np.abs(trajectory.qpos - middle) / half
+        fast = np.abs(trajectory.qvel) / self.velocity
+        worst = np.maximum(off.max(axis=(1, 2)), fast.max(axis=(1, 2)))
+        if np.isfinite(self.effort).any():
+            worst = np.maximum(worst, self._effort(model, trajectory, ctrl))
+        if self.touching:
+            worst += _COLLISION * self._touched(model, trajectory)
+        worst[trajectory.diverged] = 10.0
+        return np.asarray(np.maximum(worst - margin, 0.0))
+
+    def _centres(self) -> tuple[np.ndarray, np.ndarray]:
+        bounded = np.isfinite(self.position).all(axis=1)
+        position = np.where(bounded[:, None], self.position, [-1.0, 1.0])
+        middle = np.where(bounded, position.mean(axis=1), 0.0)
+        half = np.where(bounded, 0.5 * np.diff(position, axis=1)[:, 0], np.inf)
+        return middle, half
+
+    def _effort(
+        self, model: mujoco.MjModel, trajectory: Trajectory, ctrl: Float[np.ndarray, "W S nu"]
+    ) -> Float[np.ndarray, " W"]:
+        """Return the largest share of an effort limit that is used.
+
+        Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g.
+        """
+        torque = np.zeros((*ctrl.shape[:2], model.nv))
+        for a in range(model.nu):
+            dof = int(model.jnt_dofadr[model.actuator_trnid[a, 0]])
+            gear, gain, bias = (
+                model.actuator_gear[a, 0], model.actuator_gainprm[a, 0], model.actuator_biasprm[a],
+            )  # fmt: skip
+            q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
+            force = gain * ctrl[..., a] + bias[0] + gear * (bias[1] * q + bias[2] * v)
+            torque[..., dof] += gear * force
+        return np.asarray((np.abs(torque) / self.effort).max(axis=(1, 2)))
+
+    def _touched(self, model: mujoco.MjModel, trajectory: Trajectory) -> Bool[np.ndarray, " W"]:
+        """Return whether any parts touch in each simulation."""
+        data = mujoco.MjData(model)
+        stride = max(round(_TOUCH / model.opt.timestep), 1)
+        touched = np.zeros(len(trajectory.qpos), bool)
+        for w, poses in enumerate(trajectory.qpos[:, ::stride]):
+            for pose in poses:
+                data.qpos[:] = pose
+                mujoco.mj_fwdPosition(model, data)
+                if any(data.contact[c].dist < 0 for c in range(data.ncon)):
+                    touched[w] = True
+                    break
+        return touched

@@ -1,0 +1,122 @@
+"""Trajectories that are planned: informative, and within limits for every machine they are for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bo_sysid.cli import main
+from bo_sysid.errors import StudyError
+from bo_sysid.excite.evolution import minimise
+from bo_sysid.excite.excite import Designer, excite
+from bo_sysid.excite.fourier import Series
+from bo_sysid.excite.limits import Limits
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.study import Study
+from bo_sysid.study.outer import Limit
+
+ROD = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="hinge" axis="0 1 0" damping=".05"/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".5"/></body>
+  </worldbody>
+  <actuator><motor name="m" joint="hinge" ctrlrange="-2 2"/></actuator>
+</mujoco>
+"""
+PARAMETERS = (
+    Parameter("mass", ("geom[rod].mass",), 0.4, 0.6),
+    Parameter("damping", ("joint[hinge].damping",), 0.0, 0.1),
+)
+LIMIT = {"hinge": Limit(position=(-0.8, 0.6), velocity=4.0, effort=1.5)}
+
+
+def designer() -> Designer:
+    model = Model.from_xml(ROD)
+    limits = Limits.of(model, LIMIT)
+    return Designer(model, PARAMETERS, limits, {"qpos.hinge": 1e-3}, seconds=3.0, interval=0.02)
+
+
+def test_a_quadratic_is_minimised() -> None:
+    target, scale = np.array([1.0, -2.0, 0.5]), np.array([1.0, 30.0, 0.1])
+    best, lowest = minimise(
+        lambda x: float(scale @ (x - target) ** 2), np.zeros(3), 0.5, budget=1500, seed=1
+    )
+    np.testing.assert_allclose(best, target, atol=1e-3)
+    assert lowest < 1e-6
+
+
+def test_controls_start_and_end_at_rest_and_keep_their_range() -> None:
+    series = Series(np.array([0.5]), np.array([2.0]), np.array([0.5, 1.5]), 4.0, 0.01)
+    u = series.controls(np.array([3.0, -4.0, 2.0, 1.0, 0.3]))
+    assert u.shape == (400, 1)
+    assert u[0] == pytest.approx(0.5)
+    assert u[-1] == pytest.approx(0.5, abs=0.02)
+    assert u.min() == -1.5
+    assert u.max() == 2.5
+
+
+def test_a_limit_is_measured_where_it_is_exceeded() -> None:
+    d = designer()
+    still = np.zeros((150, 1))
+    assert d.violation(still, d.point[None], 0.0) == pytest.approx(0.1 / 0.7)  # off the middle
+    pushed = still + 1.8  # of 1.5 N m
+    assert d.violation(pushed, d.point[None], 1.0) > 0.2
+    trajectory, ctrl = d.run(pushed, d.point[None])
+    fastest = np.abs(trajectory.qvel).max() / 4.0
+    low, high = trajectory.qpos.min(), trajectory.qpos.max()
+    off = max(abs(low + 0.1), abs(high + 0.1)) / 0.7
+    expected = max(fastest, off, 1.8 / 1.5)
+    assert d.limits.violation(d._compiled, trajectory, ctrl, 0.0)[0] == pytest.approx(expected)
+
+
+def test_a_plan_tells_more_than_random_tones_and_keeps_the_limits_of_every_machine() -> None:
+    d = designer()
+    random = [d.safe(d.random(100 + k)) for k in range(5)]
+    before = np.median([d.information(u).sigma.max() for u in random])
+    planned = d.design(budget=80, seed=0)
+    assert d.information(planned).sigma.max() < 0.9 * before
+    assert d.violation(planned, np.vstack([d.point[None], d.draws[:24]]), 1.0) == 0.0
+
+
+def test_parts_that_touch_are_seen() -> None:
+    wall = ROD.replace("<worldbody>", '<worldbody><geom type="box" size=".01 1 1" pos=".25 0 0"/>')
+    model = Model.from_xml(wall)
+    d = Designer(
+        model, PARAMETERS, Limits.of(model, {}), {"qpos.hinge": 1e-3}, seconds=2.0, interval=0.02
+    )
+    assert d.violation(np.zeros((100, 1)), d.point[None], 1.0) == 0.0
+    assert d.violation(np.full((100, 1), -2.0), d.point[None], 1.0) > 0.0
+
+
+def test_the_command_writes_controls_a_picture_and_intervals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rod.xml").write_text(ROD)
+    (tmp_path / "rod.yaml").write_text(
+        "model: rod.xml\nrecordings: {train: [later.csv]}\n"
+        "parameters:\n  - {name: mass, address: 'geom[rod].mass', low: 0.4, high: 0.6}\n"
+        "limits: {hinge: {position: [-1, 1], velocity: 5}}\n"
+    )
+    assert main(["excite", "rod.yaml", "--seconds", "2", "--budget", "30", "--effects"]) == 0
+    assert "joint[hinge].frictionloss" in capsys.readouterr().out
+    lines = (tmp_path / "runs/rod-excite/controls.csv").read_text().splitlines()
+    assert lines[0] == "time,ctrl.m"
+    assert len(lines) == 201
+    assert (tmp_path / "runs/rod-excite/predicted.png").is_file()
+
+
+def test_wrong_limits_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "rod.xml").write_text(ROD)
+    data = {"model": "rod.xml", "recordings": {"train": "x"}, "parameters": []}
+    with pytest.raises(StudyError, match="needs parameters to be known"):
+        excite(Study.from_dict(data, tmp_path))
+    with pytest.raises(StudyError, match="no joint 'hing'; did you mean 'hinge'"):
+        Limits.of(Model.from_xml(ROD), {"hing": LIMIT["hinge"]})
+    d = designer()
+    object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
+    with pytest.raises(StudyError, match="standing still"):
+        d.random(0)
