@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from bo_sysid.diagnosis.hypothesis import Candidate, candidates, parameter_candidates
 from bo_sysid.diagnosis.scales import channel_noise
+from bo_sysid.diagnosis.windowing import touches
 from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
@@ -12,6 +13,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine
 
 _WINDOW = 0.3  # [s]
+_CONTACT_STEPS = 8  # of the recording or the model, where geoms can touch
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,13 @@ class Evidence:
     most: int
     window: float
     engine: Engine
+
+
+def _window(machine: Machine) -> float:
+    """Return the length of a window: short where contact soon decides, else long."""
+    if not touches(machine.model):
+        return _WINDOW
+    return min(_WINDOW, _CONTACT_STEPS * max(machine.sampling, machine.model.opt.timestep))
 
 
 def make_evidence(
@@ -75,6 +84,6 @@ def make_evidence(
         parameter_candidates(model, parameters),
         candidates(wanted, machine),
         most,
-        _WINDOW,
+        _window(machine),
         Engine(threads),
     )

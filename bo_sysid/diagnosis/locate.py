@@ -27,6 +27,9 @@ _SHORTEST = 1 / 6  # of the full horizon
 _LEAST = 6  # instants in the shortest window
 _GROWTH = 2.2
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
+_HALVINGS = 3
+_LONG = 0.3  # [s] window for which that number is meant; shorter ones are more
+_MOST = 10  # times that number in the final fits
 _WINDOWS = 24  # in the search; all of them in the final fits
 _FINALISTS = 5
 _POLISH = 2  # times that the leader is linearised anew on all windows
@@ -55,7 +58,9 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     horizon = max(round(evidence.window / evidence.machine.sampling), _LEAST)
     step = evidence.machine.model.opt.timestep
     prepared, length = _tractable(evidence, horizon, step)
-    if prepared.correction_rms > _LONG_STEP and length == horizon:
+    for _ in range(_HALVINGS if length == horizon else 0):
+        if prepared.correction_rms <= _LONG_STEP:
+            break
         step = step / 2
         prepared = prepare(_problem(evidence, horizon, step))
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
@@ -98,7 +103,8 @@ def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared,
 def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
-    stride = 1 if everything else max(round(count / _WINDOWS), 1)
+    wanted = _WINDOWS * max(round(_LONG / max(evidence.window, 1e-9)), 1)
+    stride = 1 if everything and count <= _MOST * wanted else max(round(count / wanted), 1)
     return pose(
         evidence.model,
         evidence.machine,

@@ -10,6 +10,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.recording.noise import noise_sigma
 
 _LEAST = 1e-9
+_MOVES = 15.0  # [sigma] range below which a joint shows noise only
 
 
 def channel_noise(
@@ -24,15 +25,18 @@ def channel_noise(
         RecordingError: no joint's position was recorded, or none moves.
     """
     found: dict[str, float] = {}
+    moves = False
     for name in (n for n in machine.channels if n.startswith("qpos.")):
         series = [r.channels[name] for r in recordings if name in r.channels]
         sigma = float(np.median([noise_sigma(c.time, c.values) for c in series]))
         sigma = float(given.get(name, given.get("qpos", sigma)))
-        moving = max(float(np.ptp(c.values)) for c in series)
-        if moving > 0:
-            found[name] = max(sigma, _LEAST, 1e-6 * moving)
-    if not found:
+        moved = max(float(np.ptp(c.values)) for c in series)
+        if moved > 0:
+            found[name] = max(sigma, _LEAST, 1e-6 * moved)
+            moves |= moved > _MOVES * sigma
+    if not moves:
         raise RecordingError(
-            "no joint of the model moves in the recordings: there is nothing to diagnose"
+            "no joint of the model moves by more than its noise in the recordings: there is "
+            "nothing to diagnose; record motion of every joint (bo-sysid excite)"
         )
     return found

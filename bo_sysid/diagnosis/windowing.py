@@ -7,6 +7,7 @@ projected difference between a finer step and the model's, with one coefficient.
 
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -18,6 +19,7 @@ from bo_sysid.errors import ModelError
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
+_DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
@@ -52,6 +54,9 @@ def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
         linear = linearise(problem, at, start)
         start, _ = settle(problem, linear, at, start, 1, _SHARES)
     linear = linearise(problem, at, start)
+    if touches(problem.machine.model):
+        problem = weighted_by_chaos(linear, at, start)
+        linear = linearise(problem, at, start)
     correction = correction_at(problem, linear, at, start)
     size = np.sqrt((correction**2).mean(axis=1))
     keep = size < _CHAOTIC * np.median(size) + 0.5
@@ -79,6 +84,34 @@ def nothing(problem: Problem) -> Hypothesis:
     """Return the hypothesis that nothing is missing, parameters as in the model."""
     zeros = tuple(np.zeros(c.size) for c in problem.nuisances)
     return Hypothesis(nuisances=problem.nuisances, nuisance_x=zeros)
+
+
+def touches(model: mujoco.MjModel) -> bool:
+    """Whether geoms of the model can come into contact."""
+    active = (model.geom_contype | model.geom_conaffinity) != 0
+    return bool(active.sum() > 1 and (active & (model.geom_bodyid > 0)).any()) or model.npair > 0
+
+
+def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
+    """Return the problem with less weight where contact decides.
+
+    The start is moved within its own uncertainty; what of the change of the predictions is not
+    linear is a variance of every sample, added to the sensor's. Windows in which a contact is made
+    or not by chance lose their weight by themselves.
+    """
+    problem, nv = linear.problem, linear.problem.machine.model.nv
+    r = problem.residual(at, start)
+    N = np.einsum("wri,wrj->wij", linear.J, linear.J)
+    ridge = 1e-6 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(2 * nv) / (2 * nv)
+    root = np.linalg.cholesky(np.linalg.inv(N + ridge + 1e-12 * np.eye(2 * nv)))
+    rng = np.random.default_rng(0)
+    squares = np.zeros_like(r)
+    for _ in range(_DRAWS):
+        move = np.einsum("wij,wj->wi", root, rng.normal(size=(len(start), 2 * nv)))
+        moved = problem.residual(at, start.moved(problem.machine.model, move))
+        squares += (moved - r + np.einsum("wri,wi->wr", linear.J, move)) ** 2
+    variance = (squares / _DRAWS).reshape(problem.weight.shape)
+    return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
 
 
 def correction_at(
