@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
+from bo_sysid.cli.report import page_of
 
 if TYPE_CHECKING:
     from bo_sysid.runs import Run
@@ -54,7 +55,8 @@ def print_run(run: "Run") -> None:
     from bo_sysid.report.text import run_text
 
     print(run_text(run.folder))
+    page = page_of(run.folder)
     print(
         f"\nModel: {run.path('model_repaired.xml')}. Study: {run.path('study_repaired.yaml')}. "
-        f"Figures: {run.path('figures')}."
+        f"Figures: {run.path('figures')}." + (f" Page: {page}." if page else "")
     )

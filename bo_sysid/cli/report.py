@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> None:
     if args.serve:
         _serve(args.folder, args.port)
         return
-    path = None if args.text else _write(args.folder)
+    path = None if args.text else page_of(args.folder)
 
     from bo_sysid.report.text import run_text
 
@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> None:
         print(f"\nFor one HTML page of it: {_HINT}")
 
 
-def _write(folder: Path) -> Path | None:
-    """Write the page; return None where what it needs is not installed."""
+def page_of(folder: Path) -> Path | None:
+    """Write the page of a run and return where it is; None where it cannot be made here."""
     if not _able():
         return None
 

@@ -19,7 +19,7 @@ _AROUND = 24  # points around a round shape
 _ALIGNED = 0.9  # cosine above which a hinge turns in the picture's plane
 _LEVEL = 0.05  # of its width: a machine that is flatter is seen from above
 _TURNED, _LIFTED = np.radians(30.0), np.radians(20.0)
-_SKIPPED = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+_SKIPPED = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _joint_of(model: mujoco.MjModel, kind: str, name: str) -> str | None:
     """Return the joint at which a site is, None where it is at none."""
     if kind == "actuator" and _has(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
         actuator = model.actuator(name).id
-        driven = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        driven = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
         if model.actuator_trntype[actuator] in driven:
             return str(model.joint(model.actuator_trnid[actuator, 0]).name)
         return None

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from bo_sysid.report import diagnosis_figures, figures
 from bo_sysid.report.marked import marked_robot
+from bo_sysid.report.render import rendered
 from bo_sysid.report.robot_figure import robot
 from bo_sysid.runs import Run
 
@@ -35,6 +36,8 @@ def write_figures(run: Run) -> list[Path]:
 def write_diagnosis_figures(run: Run) -> list[Path]:
     """Draw what a diagnosis left in a run folder.
 
+    MuJoCo's own picture of the robot is among it where this machine can render.
+
     Returns:
         The paths of the figures.
 
@@ -42,7 +45,8 @@ def write_diagnosis_figures(run: Run) -> list[Path]:
         RunError: a file of the run is missing or damaged.
     """
     diagnosis = run.read_json("diagnosis.json")
-    posed, sites = marked_robot(run.path(diagnosis["model"]), run.read_json("pose.json"), diagnosis)
+    model, pose = run.path(diagnosis["model"]), run.read_json("pose.json")
+    posed, sites = marked_robot(model, pose, diagnosis)
     drawn = {
         "robot": robot(posed, sites),
         "forces": diagnosis_figures.forces(run.read_frame("forces.parquet")),
@@ -52,7 +56,10 @@ def write_diagnosis_figures(run: Run) -> list[Path]:
     if len(traces):
         unit = diagnosis["holdout"]["free_run"].get("unit", "rad or m")
         drawn["held_out"] = diagnosis_figures.held_out(traces, unit)
-    return _written(run, drawn)
+    paths = _written(run, drawn)
+    points = [site.point.tolist() for site, _ in sites if site.point is not None]
+    picture = run.path("figures/render.png")
+    return [*paths, picture] if rendered(model, pose, points, picture) else paths
 
 
 def _written(run: Run, drawn: Mapping[str, Figure]) -> list[Path]:

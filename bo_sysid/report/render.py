@@ -1,0 +1,129 @@
+"""MuJoCo's own picture of a robot, where this machine can render without a display.
+
+MuJoCo chooses its OpenGL when it is imported, and this package imports it without any. So the
+picture is made by a process of its own, which is asked for EGL and then for OSMesa; where neither
+works (`apt-get install libegl1` or `libosmesa6` provides them), there is none.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bo_sysid.mjcf import Model
+from bo_sysid.report.look import NOMINAL
+from bo_sysid.report.robot import Posed, view
+
+BACKENDS = ("egl", "osmesa")
+_SIZE = (480, 640)  # pixels, rows and columns
+_SECONDS = 60.0
+_SIDEWAYS, _ABOVE = 20.0, 12.0  # [deg] off the plain side view, for depth
+_MARK = 0.09  # of the robot's size
+
+
+def rendered(
+    model: Path, pose: Mapping[str, float], points: Sequence[Sequence[float]], out: Path
+) -> str | None:
+    """Render a robot with marks into a PNG file.
+
+    Args:
+        model: an MJCF file.
+        pose: by position channel.
+        points: places to be marked, in the world, [m].
+        out: the PNG file.
+
+    Returns:
+        The OpenGL that did it, None where none works.
+    """
+    told = os.environ.get("MUJOCO_GL", "")
+    request = {"model": str(model), "pose": dict(pose), "points": [list(p) for p in points]}
+    for backend in (told,) if told in (*BACKENDS, "glfw") else BACKENDS:
+        with tempfile.TemporaryDirectory() as folder:
+            asked = Path(folder) / "request.json"
+            asked.write_text(json.dumps({**request, "out": str(out)}), encoding="utf-8")
+            if _drawn(backend, asked) and out.is_file():
+                return backend
+    return None
+
+
+def _drawn(backend: str, asked: Path) -> bool:
+    """Return whether a process of its own could render with one kind of OpenGL."""
+    try:
+        done = subprocess.run(  # noqa: S603 - this Python, this module
+            [sys.executable, "-m", __name__, str(asked)],
+            env={**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend},
+            capture_output=True,
+            timeout=_SECONDS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return done.returncode == 0
+
+
+def _draw(model: Path, pose: Mapping[str, float], points: np.ndarray, out: Path) -> None:
+    """Render, in a process that has OpenGL."""
+    from matplotlib.image import imsave
+
+    made = Model.from_file(model)
+    posed = Posed.of(made, pose)
+    compiled = _with_sky(made)
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = posed.data.qpos
+    mujoco.mj_forward(compiled, data)
+    surfaces = np.concatenate([posed.surface(g) for g in posed.geoms])
+    low, high = surfaces.min(axis=0), surfaces.max(axis=0)
+    size = float((high - low).max())
+    with mujoco.Renderer(compiled, *_SIZE) as renderer:
+        renderer.update_scene(data, _camera(posed, 0.5 * (low + high), size))
+        for point in points:
+            _mark(renderer.scene, point, _MARK * size)
+        imsave(out, renderer.render())
+
+
+def _with_sky(made: Model) -> mujoco.MjModel:
+    """Return the model with a white sky and light, where it has none of its own."""
+    spec = made.spec()
+    sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    if not any(t.type == sky for t in spec.textures):
+        white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 48}
+        flat = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        spec.add_texture(name="bo_sysid_sky", type=sky, builtin=flat, **white)
+    if not spec.lights:
+        spec.visual.headlight.ambient[:] = 0.55
+        spec.visual.headlight.diffuse[:] = 0.55
+    return spec.compile()
+
+
+def _camera(posed: Posed, middle: np.ndarray, size: float) -> mujoco.MjvCamera:
+    right, up = view(posed)
+    away = -np.cross(right, up)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = middle
+    camera.distance = 1.9 * size
+    camera.azimuth = np.degrees(np.arctan2(away[1], away[0])) + _SIDEWAYS
+    camera.elevation = max(np.degrees(np.arcsin(away[2])) - _ABOVE, -89.0)
+    return camera
+
+
+def _mark(scene: mujoco.MjvScene, point: np.ndarray, radius: float) -> None:
+    """Add a ball that shows what is inside."""
+    geom = scene.geoms[scene.ngeom]
+    red, green, blue = (int(NOMINAL[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    colour = np.array([red, green, blue, 0.55], np.float32)
+    size, turn = np.full(3, radius), np.eye(3).ravel()
+    mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, np.array(point), turn, colour)
+    geom.emission = 0.6
+    scene.ngeom += 1
+
+
+if __name__ == "__main__":
+    told = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    places = np.array(told["points"], float).reshape(-1, 3)
+    _draw(Path(told["model"]), told["pose"], places, Path(told["out"]))

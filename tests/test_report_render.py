@@ -1,0 +1,55 @@
+"""MuJoCo's own picture, where this machine can render; else a drawing, which needs nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from bo_sysid.mjcf import Model
+from bo_sysid.report.render import rendered
+from bo_sysid.report.robot import Posed, find_site, outline, view
+
+ARM = Path(__file__).parents[1] / "studies" / "diagnosis" / "two_link_arm.xml"
+ELBOW = [0.0, 0.0, -0.3]  # [m] in the pose of all zeros
+POSE = {"qpos.shoulder": 0.0, "qpos.elbow": -0.5 * np.pi}
+
+
+def test_a_mark_is_red_where_the_joint_is(tmp_path: Path) -> None:
+    if rendered(ARM, POSE, [ELBOW], tmp_path / "marked.png") is None:
+        pytest.skip("neither EGL nor OSMesa renders here (apt-get install libegl1)")
+    assert rendered(ARM, POSE, [], tmp_path / "plain.png") is not None
+    marked, plain = (imread(tmp_path / f"{n}.png")[..., :3] for n in ("marked", "plain"))
+    changed = np.abs(marked - plain).max(axis=2) > 0.05
+    assert 100 < changed.sum() < 0.1 * changed.size
+    red, _, blue = marked[changed].mean(axis=0)
+    assert red > 1.5 * blue
+
+
+def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
+    assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None
+
+
+def test_joints_lie_where_kinematics_puts_them() -> None:
+    posed = Posed.of(Model.from_file(ARM), POSE)
+    np.testing.assert_allclose(posed.joint_place("elbow"), ELBOW, atol=1e-9)
+    site = find_site(posed, "actuator", "elbow")
+    assert site.point is not None
+    np.testing.assert_allclose(site.point, ELBOW, atol=1e-9)
+    assert find_site(posed, "world", "world").point is None
+    assert find_site(posed, "body", "forearm").geoms == (posed.model.geom("forearm").id,)
+
+
+def test_the_view_shows_the_plane_in_which_the_arm_moves() -> None:
+    posed = Posed.of(Model.from_file(ARM), POSE)
+    onto = view(posed)
+    np.testing.assert_allclose(np.abs(onto @ posed.joint_axis("elbow")), 0, atol=1e-9)
+    np.testing.assert_allclose(onto[1], [0, 0, 1], atol=1e-9)
+
+
+def test_an_outline_is_as_long_as_the_link() -> None:
+    posed = Posed.of(Model.from_file(ARM), {})
+    geom = posed.model.geom("upper").id
+    radius, half = posed.model.geom_size[geom, :2]
+    flat = outline(posed.surface(geom), view(posed))
+    np.testing.assert_allclose(np.ptp(flat, axis=0), [2 * radius, 2 * (half + radius)], rtol=0.02)
