@@ -21,10 +21,11 @@ from bo_sysid.study.inputs import load_model, load_train
 def lacking(**learn: Any) -> dict[str, Any]:
     """Return a study whose plant has dry friction that its model lacks."""
     noise = {"qpos": 0.0005, "qvel": 0.005}
+    effects = ["dry_friction", "viscous_damping", "joint_spring", "armature", "constant_force"]
     friction = {"effect": "dry_friction", "kind": "joint", "site": "hinge", "value": 0.25}
     return pendulum(
         recordings={"train": ["none.parquet"], "noise": noise},
-        diagnosis={"effects": ["dry_friction", "viscous_damping", "joint_spring"], "most": 1},
+        diagnosis={"effects": effects, "most": 2},
         learn={"trajectories": 1, "episodes": 2, "epsilon": 0.1, **learn},
         plant={
             "parameters": {"mass": 1.2, "damping": 0.8},
