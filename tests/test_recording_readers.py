@@ -1,6 +1,7 @@
 """One conformance suite over every registered reader, then what each must refuse."""
 
 import gzip
+import json
 import subprocess
 import sys
 
@@ -33,6 +34,11 @@ def save_hdf5(path):
             file[name.replace(".", "/")] = values
 
 
+def save_json(path):
+    rows = pd.DataFrame(COLUMNS).to_dict("records")
+    path.write_text(json.dumps({"rate": 100, "entries": rows}))
+
+
 def save_parquet(path):
     pd.DataFrame(COLUMNS).to_parquet(path)
 
@@ -48,6 +54,7 @@ SAVE = {  # by ending: a writer of the format's own library
     ".pq": save_parquet,
     ".h5": save_hdf5,
     ".hdf5": save_hdf5,
+    ".json": save_json,
     ".npz": lambda path: np.savez(path, **COLUMNS),
     ".mat": lambda path: scipy.io.savemat(
         path,

@@ -13,7 +13,7 @@ from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
 
 _TOUCH = 0.01  # [s] between two poses at which contacts are looked for
-_COLLISION = 1.0  # violation that touching counts as
+_COLLISION = 2.0  # violation that touching counts as
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,165 @@
+"""Motion, channels, wraps, proposals, sensitivities, and the whole check of a study."""
+
+import subprocess
+import sys
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from bo_sysid.checks.check import check
+from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.motion import channel_flags, excitation, excitation_flags, sampling_flags
+from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
+from bo_sysid.checks.sensitivity import Information, in_words, information
+from bo_sysid.checks.wraps import find_wraps, unwrapped
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, MujocoSimulator, State, cut
+from bo_sysid.study import Study
+
+TIME = np.arange(0.0, 8.0, 0.01)
+SLIDE = """
+<mujoco><option timestep="0.005" gravity="0 0 0"/>
+  <worldbody><body><joint name="x" type="slide" axis="1 0 0"/><geom name="load" size=".1" mass="2"/>
+  </body></worldbody>
+  <actuator><motor name="m" joint="x" ctrlrange="-1 1"/></actuator></mujoco>
+"""
+
+
+def test_how_a_joint_moved() -> None:
+    log = Recording.from_arrays(TIME, qpos={"a": np.sin(2 * pi * TIME), "b": 1e-4 * TIME**0})
+    still = Recording.from_arrays(
+        TIME, qpos={"b": 1e-4 * np.random.default_rng(0).standard_normal(len(TIME))}
+    )
+    table = excitation([log], ["a"])
+    assert table["range"].iloc[0] == pytest.approx(2.0, rel=1e-3)
+    assert table["speed"].iloc[0] == pytest.approx(2 * pi / np.sqrt(2), rel=0.02)
+    assert table["reversals"].iloc[0] in (15, 16)
+    assert table["low_hz"].iloc[0] <= 1.0 <= table["high_hz"].iloc[0]
+    (flag,) = excitation_flags(excitation([still], ["b"]))
+    assert "nothing can be said about it" in flag.sentence
+
+
+def test_saturated_and_frozen_channels() -> None:
+    q = np.sin(3 * TIME)
+    q[300:400] = q[300]
+    u = np.clip(2 * np.sin(3 * TIME), -1.2, 1.2)
+    log = Recording.from_arrays(TIME, qpos={"x": q}, ctrl={"m": u})
+    flags = channel_flags(Model.from_xml(SLIDE).compile(), [log])
+    assert sorted(f.kind for f in flags) == ["frozen", "saturation", "saturation", "saturation"]
+    frozen = next(f for f in flags if f.kind == "frozen")
+    assert frozen.evidence["seconds"] == pytest.approx(0.99)
+    assert any("leaves the model's control range" in f.sentence for f in flags)
+    steady = Recording.from_arrays(TIME, qpos={"x": np.round(np.sin(TIME), 2)}, ctrl={"m": q})
+    assert channel_flags(Model.from_xml(SLIDE).compile(), [steady]) == []
+
+
+def test_clocks_that_lose_samples() -> None:
+    keep = np.ones(len(TIME), bool)
+    keep[100:130] = False
+    (flag,) = sampling_flags([Recording.from_arrays(TIME[keep], qpos={"x": TIME[keep]})])
+    assert "about 30 samples lost" in flag.sentence
+
+
+@pytest.mark.parametrize("period", [2 * pi, 360.0, 4096.0])
+def test_an_angle_that_wraps(period: float) -> None:
+    true = period * (0.3 * TIME + 0.1 * np.sin(TIME))
+    log = Recording.from_arrays(TIME, qpos={"x": true % period})
+    wraps = find_wraps([log])
+    assert wraps["qpos.x"].period == pytest.approx(period)
+    (right,) = unwrapped([log], wraps)
+    assert np.ptp(right.channels["qpos.x"].values - true) == pytest.approx(0.0, abs=1e-9 * period)
+    assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
+
+
+def test_a_proposal_continues_the_rules_that_are_there() -> None:
+    written = {"qpos.a": {"from": "theta", "unit": "deg", "offset": 0.1}, "qpos.b": {"from": "phi"}}
+    wires = {
+        "qpos.a": Wire("qpos.b", scale=pi / 180, unit="deg"),
+        "qpos.b": Wire("qpos.a", sign=-1, offset=0.3),
+        "ctrl.m": Wire("ctrl.m", scale=1 / 255, unit="PWM"),
+    }
+    columns = proposed_columns(written, wires, {})
+    assert columns["qpos.a"] == {"from": "phi", "unit": "deg"}
+    assert columns["qpos.b"] == {"from": "theta", "unit": "deg", "sign": -1, "offset": 0.2}
+    assert columns["ctrl.m"] == {"scale": pytest.approx(1 / 255, rel=1e-5)}
+    clocks = proposed_clocks({"ctrl": {"shift": 0.01}}, "ctrl", -0.004)
+    text = as_yaml(columns, clocks)
+    assert yaml.safe_load(text) == {"columns": columns, "clocks": {"ctrl": {"shift": 0.006}}}
+
+
+def test_information_about_a_mass_is_that_of_the_formula() -> None:
+    """x = x0 + v0 t + F t²/(2 m): what is left of t² without 1 and t tells the mass."""
+    model = Model.from_xml(SLIDE)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(model.compile(), start, np.full((1, 200, 1), 0.8))
+    time = 0.005 * np.arange(201)
+    log = Recording.from_arrays(time, qpos={"x": run.qpos[0, :, 0]}, ctrl={"m": np.full(201, 0.8)})
+    windows = cut(model, [log], horizon=200)
+    mass = Parameter("mass", ("geom[load].mass",), 1.0, 3.0)
+    simulator = MujocoSimulator(model, (mass,), Engine(1))
+    found = information(simulator, np.array([2.0]), windows, {"qpos.x": 1e-3})
+    t = time[1:]
+    slope = -0.8 * t**2 / (2 * 2.0**2)
+    known = np.stack([np.ones_like(t), t], axis=1)
+    rest = slope - known @ np.linalg.lstsq(known, slope, rcond=None)[0]
+    assert found.fisher[0, 0] == pytest.approx(4.0 * rest @ rest / 1e-6, rel=0.02)
+
+
+def test_weak_combinations_are_put_into_words() -> None:
+    parameters = tuple(Parameter(n, ("joint[x].damping",), 0.0, 1.0) for n in "abc")
+    both = np.array([1.0, 1.0, 0.0])
+    fisher = 1e6 * np.outer(both, both) + 1e6 * np.diag([0.0, 0.0, 1.0])
+    found = Information(parameters, fisher)
+    ((sigma, names),) = found.weakest()
+    assert sigma == pytest.approx(12**-0.5)
+    assert in_words(names) in ("a rising while b falls", "b rising while a falls")
+    assert found.table()["determined"].tolist() == ["weakly", "weakly", "yes"]
+
+
+ARM = Path(__file__).parent.parent / "studies" / "diagnosis" / "two_link_arm.xml"
+
+
+def test_the_proposal_of_a_check_makes_the_next_one_clean(tmp_path: Path) -> None:
+    model = Model.from_file(ARM)
+    time = np.arange(0.0, 10.0, 0.004)
+    rng = np.random.default_rng(4)
+    tones = [
+        sum(np.sin(2 * pi * f * time + p) for f, p in rng.uniform(0.2, 2, (5, 2))) for _ in "ab"
+    ]
+    ctrl = np.stack([0.7 * tones[0], 0.3 * tones[1]], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(model.compile(), start, np.repeat(ctrl, 2, axis=0)[None])
+    qpos = run.qpos[0, :-1:2] + 1e-4 * rng.standard_normal((len(time), 2))
+    frame = pd.DataFrame(
+        {
+            "time": time, "qpos.shoulder": -qpos[:, 0], "qpos.elbow": qpos[:, 1],
+            "time.ctrl": time - 0.03, "ctrl.shoulder": ctrl[:, 0], "ctrl.elbow": ctrl[:, 1],
+        }
+    )  # fmt: skip
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    data = {
+        "model": str(ARM),
+        "recordings": {"train": "log.csv"},
+        "parameters": [{"address": "geom[forearm].mass", "low": 0.4, "high": 0.8}],
+    }
+    found = check(Study.from_dict(data, tmp_path))
+    assert {f.kind for f in found.flags if f.level == "wrong"} == {"sign", "clock"}
+    data["recordings"] |= yaml.safe_load(found.proposal)
+    again = check(Study.from_dict(data, tmp_path))
+    assert again.proposal == ""
+    assert [f for f in again.flags if f.level == "wrong"] == []
+    assert again.parameters["determined"].tolist() == ["yes"]
+
+
+def test_checks_do_not_import_torch() -> None:
+    code = "import sys, bo_sysid.checks.check, bo_sysid.starter.init; print('torch' in sys.modules)"
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"
