@@ -97,7 +97,7 @@ def findings(
                 candidate.site.name,
                 quantity,
                 before,
-                before + quantity.value,
+                quantity.value if candidate.effect.absolute else before + quantity.value,
                 _details(candidate, x, fit.covariance[own, own], machine),
                 _group_words(label, candidate, fit),
                 probability,
@@ -116,7 +116,7 @@ def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
             "effect": c.effect.id,
             "kind": c.site.kind,
             "site": c.site.name,
-            "value": c.effect.value(c.full(x)),
+            "value": c.effect.reported(c.full(x), machine, c.site),
         }
         for c, x in zip(fit.members, fit.x, strict=True)
     )
@@ -165,14 +165,16 @@ def _amount(quantity: Quantity) -> str:
 def _value(
     c: Candidate, x: np.ndarray, covariance: Float[np.ndarray, "l l"], machine: Machine
 ) -> Quantity:
+    """Return the reported value; its variance to first order."""
+    at = c.effect.reported(c.full(x), machine, c.site)
     gradient = np.zeros(c.size)
-    if c.effect.vector > 1:
-        norm = max(float(np.linalg.norm(x[: c.effect.vector])), 1e-300)
-        gradient[: c.effect.vector] = x[: c.effect.vector] / norm
-    else:
-        gradient[0] = 1.0
+    for i in range(c.size):
+        h = max(1e-4 * abs(x[i]), 1e-6 * abs(c.probe[i]))
+        moved = x.copy()
+        moved[i] += h
+        gradient[i] = (c.effect.reported(c.full(moved), machine, c.site) - at) / h
     unit = unit_at(c.effect.unit, c.site, machine)
-    return _quantity(c.effect.value(x), float(gradient @ covariance @ gradient), unit)
+    return _quantity(at, float(gradient @ covariance @ gradient), unit)
 
 
 def _quantity(value: float, variance: float, unit: str) -> Quantity:

@@ -112,6 +112,7 @@ def _kd_extent(site: Site, machine: Machine) -> Extent | None:
 
 @effect(
     "servo_kd",
+    prior=0.5,
     kind="actuator",
     components=(Component("damping", "N m s/rad"),),
     extent=_kd_extent,
@@ -236,8 +237,8 @@ def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)
 
 
-def _saturation_level(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
-    return {"largest torque": (_at(site, machine).force_max - float(x[0]), "N m")}
+def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
+    return {"torque lost": (float(x[0]), "N m")}
 
 
 @effect(
@@ -246,12 +247,13 @@ def _saturation_level(x: Magnitudes, machine: Machine, site: Site) -> dict[str, 
     components=(Component("torque lost", "N m"),),
     extent=_saturation_extent,
     noun="a torque limit",
-    sentence="{site} saturates: it lacks {value} of the largest torque commanded.",
+    sentence="{site} saturates at {value}, which the model does not.",
     form="forcerange",
     evidence="large commands do no more than smaller ones",
     separation="steps of several sizes",
     threshold=True,
-    details=_saturation_level,
+    absolute=lambda x, machine, site: _at(site, machine).force_max - float(x[0]),
+    details=_saturation_lost,
 )
 def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Limit the force so that x[0] of the largest one used is lost."""
@@ -319,6 +321,7 @@ def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
 
 @effect(
     "back_emf",
+    prior=0.2,
     kind="actuator",
     components=(Component("coefficient", "N m s/rad"),),
     extent=_back_emf_extent,

@@ -200,6 +200,8 @@ class Effect:
         force: for an effect that is nothing but a force on its joint, that force as a law; its
             signature is then taken from the law, without stepping an edited model.
         details: from magnitudes to derived quantities worth telling, with their units.
+        absolute: the quantity itself, where that is reported instead of its change (the limit of
+            a saturation, the time step).
         form: what it is in a model: MJCF attributes, or a force law, a filter, a reading.
         hidden: whether it adds a joint, whose coordinate no recording shows.
         written: edits the spec of a model file, where plain MJCF can say what `apply` does with
@@ -227,6 +229,7 @@ class Effect:
     nested: str | None = None
     force: Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]] | None = None
     details: Callable[[Magnitudes, Machine, Site], Mapping[str, tuple[float, str]]] | None = None
+    absolute: Callable[[Magnitudes, Machine, Site], float] | None = None
     form: str = ""
     hidden: bool = False
     written: Apply | None = None
@@ -263,8 +266,12 @@ class Effect:
             return ()
         return made if isinstance(made, tuple) else (made,)
 
+    def reported(self, x: Magnitudes, machine: Machine, site: Site) -> float:
+        """Return the value as answers have it: absolute where the effect says so."""
+        return self.value(x) if self.absolute is None else self.absolute(x, machine, site)
+
     def value(self, x: Magnitudes) -> float:
-        """Return the reported value: the first component, or the norm of the vector."""
+        """Return the size of the change: the first component, or the norm of the vector."""
         return float(x[0] if self.vector == 1 else np.linalg.norm(x[: self.vector]))
 
 

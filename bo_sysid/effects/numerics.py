@@ -18,8 +18,8 @@ def _extent(site: Site, machine: Machine) -> Extent:
     return Extent((-0.5 * dt,), (-0.95 * dt,), (4.0 * dt,))
 
 
-def _absolute(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
-    return {"time step": (_timestep(site, machine) + float(x[0]), "s")}
+def _change(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
+    return {"change": (float(x[0]), "s")}
 
 
 @effect(
@@ -29,12 +29,13 @@ def _absolute(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple
     extent=_extent,
     nominal=_timestep,
     noun="another time step",
-    sentence="The recordings were made with a time step that differs by {value} from the model's.",
+    sentence="The recordings were made with a time step of {value}, not the model's.",
     form="option timestep",
     evidence="an error that grows with acceleration and shrinks with the time step",
     separation="the same simulation at a finer step",
     family="numerics",
-    details=_absolute,
+    absolute=lambda x, machine, site: _timestep(site, machine) + float(x[0]),
+    details=_change,
 )
 def timestep(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Change the simulation's time step by x[0]."""
