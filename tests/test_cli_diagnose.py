@@ -68,7 +68,13 @@ def test_it_says_what_is_missing(diagnosed: Path, capsys: pytest.CaptureFixture[
 def test_it_leaves_the_repaired_model_and_what_pictures_show(diagnosed: Path) -> None:
     run = diagnosed / "run"
     drawn = {p.name for p in (run / "figures").iterdir()}
-    assert drawn - {"render.png"} == {"robot.png", "forces.png", "evidence.png", "held_out.png"}
+    assert drawn - {"render.png"} == {
+        "robot.png",
+        "forces.png",
+        "evidence.png",
+        "held_out.png",
+        "before_after.gif",
+    }
     assert json.loads((run / "run.json").read_text())["status"] == "finished"
     study = yaml.safe_load((run / "study_repaired.yaml").read_text())
     assert study["model"] == {"file": "model_repaired.xml"}

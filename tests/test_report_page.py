@@ -117,7 +117,8 @@ class Outline(HTMLParser):
         if tag == "script":
             self._script = True
             self.scripts.append("")
-        self.outside += [v for k, v in given.items() if k in ("src", "srcset") and v]
+        linked = [v for k, v in given.items() if k in ("src", "srcset") and v]
+        self.outside += [v for v in linked if not v.startswith("data:")]
 
     def handle_endtag(self, tag: str) -> None:
         self._script = self._script and tag != "script"

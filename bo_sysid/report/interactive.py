@@ -27,6 +27,7 @@ from bo_sysid.report.robot import Posed, Site, ball, view
 
 _POINTS = 10_000  # of all channels of a page together
 _LEAST_POINTS = 400  # of a curve
+_TICKS = 15
 _DASHES = {"refitted": "dot"}
 _MARK = 0.09  # of the robot's size: radius of a mark
 _STEEL = "#9FB0C3"
@@ -115,6 +116,7 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
         name="",
     )  # fmt: skip
     figure.add_vline(x=1.0, line={"dash": "dash", "color": GREY})
+    figure.update_layout(showlegend=False)
     largest = float(np.log10(max(float(shown["rms"].max()), 2.0)))
     figure.update_xaxes(
         type="log", range=[-0.15, 1.35 * largest + 0.2], title="unexplained [sensor sigma, rms]"
@@ -135,16 +137,20 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:
     right, up = view(posed)
     toward = np.cross(right, up)
     surfaces = {g: posed.surface(g) for g in posed.geoms}
-    size = float(np.ptp(np.concatenate([*surfaces.values(), np.zeros((1, 3))]), axis=0).max())
+    whole = np.concatenate([*surfaces.values(), np.zeros((int(not surfaces), 3))])
+    size, middle = float(np.ptp(whole, axis=0).max()), whole.mean(axis=0)
     figure = go.Figure()
     for geom, points in surfaces.items():
         figure.add_trace(_mesh(points, NOMINAL if geom in guilty else _STEEL))
     for site, words in sites:
         if site.point is not None:
             figure.add_trace(_mesh(site.point + _MARK * size * ball(), NOMINAL, 0.6))
-            x, y, z = (site.point + size * (_MARK * (up + 1.5 * right) + 0.3 * toward))[:, None]
+            outside = 1.0 if right @ (site.point - middle) >= 0 else -1.0
+            beside = _MARK * (up + 1.5 * outside * right) + 0.3 * toward
+            x, y, z = (site.point + size * beside)[:, None]
+            side = "middle right" if outside > 0 else "middle left"
             figure.add_scatter3d(
-                x=x, y=y, z=z, mode="text", textposition="middle right",
+                x=x, y=y, z=z, mode="text", textposition=side,
                 text=[_said(words).replace("\n", "<br>")],
                 textfont={"color": NOMINAL, "size": 15}, hoverinfo="skip",
             )  # fmt: skip
@@ -196,6 +202,7 @@ def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
         x=_light(mass.columns.to_series()), y=_light(mass.index.to_series()),
         z=mass.to_numpy(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
     )  # fmt: skip
+    figure.update_layout(showlegend=False)
     figure.update_xaxes(title=_said(second))
     figure.update_yaxes(title=_said(first))
     return _dressed(figure, 360)
@@ -244,7 +251,8 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
                 mode="lines+markers", line={"color": colour},
                 error_y={"array": _light(error), "color": colour},
             )  # fmt: skip
-    figure.update_xaxes(title="real trajectories")
+    several = len(iterations) and iterations["trajectories"].max() > _TICKS
+    figure.update_xaxes(title="real trajectories", dtick=None if several else 1)
     figure.update_yaxes(title="return (95 % interval)")
     return _dressed(figure, 360)
 
@@ -272,8 +280,9 @@ def _dressed(figure: go.Figure, height: int) -> go.Figure:
         hovermode="closest",
         modebar={"bgcolor": "rgba(0,0,0,0)", "color": "#999999", "activecolor": IDENTIFIED},
     )
-    figure.update_xaxes(gridcolor="rgba(128,128,128,0.25)", zerolinecolor="rgba(128,128,128,0.5)")
-    figure.update_yaxes(gridcolor="rgba(128,128,128,0.25)", zerolinecolor="rgba(128,128,128,0.5)")
+    lines = {"gridcolor": "rgba(128,128,128,0.25)", "zerolinecolor": "rgba(128,128,128,0.5)"}
+    figure.update_xaxes(title_font_size=13, title_standoff=6, **lines)
+    figure.update_yaxes(title_font_size=13, **lines)
     return figure
 
 

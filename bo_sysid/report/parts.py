@@ -68,6 +68,7 @@ class Section:
         title: its heading.
         text: paragraphs.
         plots: figures with their words.
+        images: pictures as data URIs, with what they show.
         tables: with their captions.
         items: a list.
         code: shown as it is, by caption.
@@ -78,6 +79,7 @@ class Section:
     title: str
     text: Sequence[str] = ()
     plots: Sequence[Plot] = ()
+    images: Sequence[tuple[str, str]] = ()
     tables: Sequence[tuple[str, Table]] = ()
     items: Sequence[str] = ()
     code: Sequence[tuple[str, str]] = ()

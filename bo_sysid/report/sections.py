@@ -1,6 +1,7 @@
 """The sections of the page, each made from what a run folder holds; None where it has nothing."""
 
 import itertools
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,6 +22,7 @@ from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.runs import read_frame, read_json
 
 _PAIRS = 6
+_LARGEST = 300_000  # bytes of a picture in the page
 _CHANNELS = 12  # of a page; all are in the run folder
 _FILES = {
     "model_repaired.xml": "the repaired model, MJCF that plain MuJoCo loads",
@@ -81,7 +83,20 @@ def robot(found: Found) -> Section | None:
         raise RunError(f"the robot cannot be drawn: {error}") from None
     said = "; ".join(w.replace("\n", " ") for _, w in sites) or "no site is marked"
     words = f"The robot in a recorded pose, {said}. Drag to turn it."
-    return Section("robot", "Where", plots=[Plot(words, {"": interactive.robot(posed, sites)})])
+    plot = Plot(words, {"": interactive.robot(posed, sites)})
+    return Section("robot", "Where", plots=[plot], images=_moving(found))
+
+
+def _moving(found: Found) -> list[tuple[str, str]]:
+    """Return the animation of before and after, where the run has it."""
+    path = found.folder / "figures" / "before_after.gif"
+    if not path.is_file() or path.stat().st_size > _LARGEST:
+        return []
+    words = (
+        "What was recorded (grey) and what the nominal model (left) and the repaired model (right) "
+        "forecast for it, in real time, where the nominal model is worst."
+    )
+    return [(f"data:image/gif;base64,{b64encode(path.read_bytes()).decode()}", words)]
 
 
 def proof(found: Found) -> Section | None:

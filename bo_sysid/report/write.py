@@ -1,12 +1,15 @@
 """The figures of a run, written into its folder."""
 
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
 from matplotlib.figure import Figure
 
+from bo_sysid.mjcf import Model
 from bo_sysid.report import diagnosis_figures, figures
+from bo_sysid.report.animation import write_animation
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot_figure import robot
@@ -57,9 +60,20 @@ def write_diagnosis_figures(run: Run) -> list[Path]:
         unit = diagnosis["holdout"]["free_run"].get("unit", "rad or m")
         drawn["held_out"] = diagnosis_figures.held_out(traces, unit)
     paths = _written(run, drawn)
+    paths += _animated(run, model, traces)
     points = [site.point.tolist() for site, _ in sites if site.point is not None]
     picture = run.path("figures/render.png")
     return [*paths, picture] if rendered(model, pose, points, picture) else paths
+
+
+def _animated(run: Run, model: Path, traces: pd.DataFrame) -> list[Path]:
+    name = "figures/before_after.gif"
+    if len(traces):
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "moving.gif"
+            if write_animation(made, Model.from_file(model), traces):
+                return [run.write_bytes(name, made.read_bytes())]
+    return []
 
 
 def _written(run: Run, drawn: Mapping[str, Figure]) -> list[Path]:

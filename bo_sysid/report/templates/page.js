@@ -14,6 +14,10 @@
     if (narrow.matches) {
       layout.margin = { ...layout.margin, l: 55, r: 8 };
       layout.font.size = 11;
+      if (figure.data.filter((t) => t.name && t.showlegend !== false).length > 2) { // a legend of several lines
+        layout.margin.b += 50;
+        layout.height += 50;
+      }
     }
     layout.autosize = true;
     return layout;
@@ -24,8 +28,9 @@
     const figure = figures[label ?? Object.keys(figures)[0]];
     const place = document.getElementById(store.dataset.figures);
     place.dataset.shown = label ?? Object.keys(figures)[0];
-    place.style.height = figure.layout.height + "px";
-    return Plotly.react(place, figure.data, layoutFor(figure), options);
+    const layout = layoutFor(figure);
+    place.style.height = layout.height + "px";
+    return Plotly.react(place, figure.data, layout, options);
   }
 
   function drawAll() {

@@ -1,0 +1,128 @@
+"""Recording and simulation on top of each other, before and after the repair, as a moving GIF."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from PIL import Image, ImageDraw, ImageFont
+
+from bo_sysid.mjcf import Model
+from bo_sysid.report.look import COLOURS, MODELS
+from bo_sysid.report.robot import Posed, depth_order, outline, view
+
+_PANEL = 300  # pixels, of a side
+_FINER = 2  # drawn larger and shrunk, for smooth edges
+_RATE = 20  # pictures a second
+_MOST = 60  # pictures
+_PAUSE = 1_000  # [ms] on the last picture
+_COLOURS = 48
+_FILL, _EDGE, _PAPER = "#CDD3DA", "#8A949E", "#FFFFFF"
+_MARGIN = 0.12  # of a panel
+
+
+def write_animation(
+    path: Path,
+    model: Model,
+    traces: pd.DataFrame,
+    models: Sequence[str] = ("nominal", "repaired"),
+) -> bool:
+    """Write recorded motion (grey) with each model's forecast (outlined), one panel a model.
+
+    The piece in which the first model is worst is shown, in real time.
+
+    Args:
+        path: the GIF file.
+        model: whose joints the traces are of.
+        traces: recording, time [s], window, channel, recorded and one column for each model.
+        models: columns to compare.
+
+    Returns:
+        Whether there is anything to show: the traces have positions of the model's joints.
+    """
+    piece = _worst(traces[traces["channel"].isin(model.qpos_channels)], models[0])
+    if piece.empty:
+        return False
+    poses = {m: _poses(piece, m) for m in ("recorded", *models)}
+    posed = Posed.of(model, poses["recorded"][0])
+    onto = view(posed)
+    shapes = {m: [_shapes(posed, model, pose, onto) for pose in poses[m]] for m in poses}
+    everything = np.concatenate([s for m in shapes for frame in shapes[m] for s in frame])
+    place = _Place.of(everything)
+    frames = [
+        _frame([(m, shapes["recorded"][k], shapes[m][k]) for m in models], place)
+        for k in range(len(poses["recorded"]))
+    ]
+    times = [1000 // _RATE] * (len(frames) - 1) + [_PAUSE]
+    few = [f.quantize(_COLOURS) for f in frames]
+    few[0].save(path, "GIF", save_all=True, append_images=few[1:], duration=times, loop=0)
+    return True
+
+
+def _worst(traces: pd.DataFrame, model: str) -> pd.DataFrame:
+    """Return the piece with the largest error of a model, thinned to the pictures' rate."""
+    finite = traces.dropna(subset=["recorded"])
+    if finite.empty:
+        return finite
+    error = (finite["recorded"] - finite[model]).abs().groupby(finite["window"]).max()
+    piece = finite[finite["window"] == error.idxmax()]
+    times = np.unique(piece["time"])
+    wanted = np.arange(times[0], times[-1] + 1e-9, 1 / _RATE)[:_MOST]
+    shown = times[np.minimum(np.searchsorted(times, wanted), len(times) - 1)]
+    return piece[piece["time"].isin(shown)]
+
+
+def _poses(piece: pd.DataFrame, column: str) -> list[dict[str, float]]:
+    """Return one pose for each instant, by position channel."""
+    table = piece.pivot_table(index="time", columns="channel", values=column)
+    return [{str(k): float(v) for k, v in row.items()} for row in table.to_dict("records")]
+
+
+def _shapes(
+    posed: Posed, model: Model, pose: Mapping[str, float], onto: Float[np.ndarray, "2 3"]
+) -> list[Float[np.ndarray, "n 2"]]:
+    """Return the outlines of a robot in a pose, farthest first."""
+    for k, channel in enumerate(model.qpos_channels):
+        posed.data.qpos[k] = pose.get(channel, posed.data.qpos[k])
+    mujoco.mj_kinematics(posed.model, posed.data)
+    order = depth_order(posed, posed.geoms, onto)
+    return [outline(posed.surface(int(g)), onto) for g in order]
+
+
+class _Place:
+    """Where the world's points lie in a panel."""
+
+    def __init__(self, low: Float[np.ndarray, " 2"], size: float) -> None:
+        self._low, self._size = low, size
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "P 2"]) -> "_Place":
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = max(float((high - low).max()), 1e-9)
+        return cls(0.5 * (low + high) - 0.5 * size, size)
+
+    def pixels(self, points: Float[np.ndarray, "n 2"], panel: int) -> list[tuple[float, float]]:
+        """Return pixels of a panel; up is up."""
+        side = _PANEL * _FINER
+        at = (points - self._low) / self._size * (1 - 2 * _MARGIN) + _MARGIN
+        return [(panel * side + x * side, (1 - y) * side) for x, y in at]
+
+
+def _frame(
+    panels: Sequence[tuple[str, Sequence[np.ndarray], Sequence[np.ndarray]]], place: _Place
+) -> Image.Image:
+    side = _PANEL * _FINER
+    image = Image.new("RGB", (side * len(panels), side), _PAPER)
+    draw = ImageDraw.Draw(image)
+    font = ImageFont.load_default(13 * _FINER)
+    for k, (name, recorded, forecast) in enumerate(panels):
+        for shape in recorded:
+            draw.polygon(place.pixels(shape, k), fill=_FILL, outline=_EDGE)
+        for shape in forecast:
+            draw.polygon(place.pixels(shape, k), outline=COLOURS[name], width=2 * _FINER)
+        corner = (k * side + 8 * _FINER, 6 * _FINER)
+        draw.text(corner, MODELS[name], fill=COLOURS[name], font=font)
+        draw.text((corner[0], 22 * _FINER), "recorded", fill=_EDGE, font=font)
+    return image.resize((_PANEL * len(panels), _PANEL), Image.Resampling.LANCZOS)

@@ -1,0 +1,63 @@
+"""The animation of before and after: as many pictures as the piece needs, of what was recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from bo_sysid.mjcf import Model
+from bo_sysid.report.animation import write_animation
+
+ARM = Path(__file__).parents[1] / "studies" / "diagnosis" / "two_link_arm.xml"
+
+
+def traces(error: float) -> pd.DataFrame:
+    """Return one second of an arm that swings; the nominal model is off by `error` at the end."""
+    time = np.linspace(0, 1, 501)
+    parts = [
+        pd.DataFrame(
+            {
+                "recording": "holdout", "time": time, "window": 0, "channel": f"qpos.{joint}",
+                "recorded": np.sin(2 * time), "nominal": np.sin(2 * time) + error * time,
+                "repaired": np.sin(2 * time),
+            }
+        )
+        for joint in ("shoulder", "elbow")
+    ]  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+def test_one_second_is_shown_in_real_time(tmp_path: Path) -> None:
+    assert write_animation(tmp_path / "a.gif", Model.from_file(ARM), traces(0.8))
+    with Image.open(tmp_path / "a.gif") as moving:
+        assert 19 <= moving.n_frames <= 21
+        assert moving.info["duration"] == 50
+    assert (tmp_path / "a.gif").stat().st_size < 300_000
+
+
+def lines(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the left and the right panel of the last picture have coloured lines."""
+    with Image.open(path) as moving:
+        moving.seek(moving.n_frames - 1)
+        picture = np.asarray(moving.convert("RGB"), int)[40:]  # below the words
+    coloured = np.ptp(picture, axis=2) > 60
+    half = coloured.shape[1] // 2
+    return coloured[:, :half], coloured[:, half:]
+
+
+def test_the_panels_differ_where_the_nominal_model_is_wrong(tmp_path: Path) -> None:
+    alike = []
+    for error in (0.0, 0.8):
+        write_animation(tmp_path / "a.gif", Model.from_file(ARM), traces(error))
+        left, right = lines(tmp_path / "a.gif")
+        assert right.sum() > 100
+        alike.append((left & right).sum() / (left | right).sum())
+    assert alike[0] > 0.8
+    assert alike[1] < 0.5
+
+
+def test_traces_of_other_joints_show_nothing(tmp_path: Path) -> None:
+    other = traces(0.1).assign(channel="qpos.knee")
+    assert not write_animation(tmp_path / "a.gif", Model.from_file(ARM), other)
+    assert not (tmp_path / "a.gif").exists()
