@@ -84,6 +84,7 @@ def mcap(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_six_joint_arm_from_an_mcap_file(tmp_path: Path, mcap: Path) -> None:
     started = init(SIX, [mcap], tmp_path / "arm.yaml")
     study = Study.load(started.path)
@@ -98,6 +99,7 @@ def test_a_six_joint_arm_from_an_mcap_file(tmp_path: Path, mcap: Path) -> None:
     assert found.proposal == ""
 
 
+@pytest.mark.slow
 def test_signs_and_units_are_found_by_behaviour(tmp_path: Path) -> None:
     time, qpos, _, ctrl = moved(TWO, 1.0)
     frame = pd.DataFrame(
