@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
+from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
@@ -67,6 +69,8 @@ class Outcome:
         unexplained: what it says of the unknown.
         timestep: of the simulation in [s].
         sessions: the magnitudes recording by recording.
+        law_alone: the nominal model with nothing but a learned law, to compare with; None where
+            no law says anything.
     """
 
     fit: Fit
@@ -75,6 +79,7 @@ class Outcome:
     unexplained: Unexplained
     timestep: float
     sessions: Sessions
+    law_alone: Hypothesis | None = None
 
 
 def explain(located: Located) -> Outcome:
@@ -83,15 +88,25 @@ def explain(located: Located) -> Outcome:
     fit, timestep = decision.best, problem.windows.timestep
     unknown = examine(problem, decision)
     unexplained = _said(unknown)
+    alone = _law_alone(problem, decision)
     if unknown.joint is None:
         fit, sessions = _widened(located, fit)
-        return Outcome(fit, decision.nominal, fit.hypothesis, unexplained, timestep, sessions)
+        nominal, repaired = decision.nominal, fit.hypothesis
+        return Outcome(fit, nominal, repaired, unexplained, timestep, sessions, alone)
     kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
     if not all(kept):
         fit = _without(located, fit, kept)
     repaired = learn(problem, fit, unknown)[0]
     fit, sessions = _widened(located, fit)
-    return Outcome(fit, decision.nominal, repaired, unexplained, timestep, sessions)
+    return Outcome(fit, decision.nominal, repaired, unexplained, timestep, sessions, alone)
+
+
+def _law_alone(problem: Problem, decision: Decision) -> Hypothesis | None:
+    """Return the nominal model with a learned law at the joint where one explains most."""
+    nominal = decision.nominal
+    found = examine(problem, replace(decision, best=nominal))
+    found = replace(found, flagged=True)
+    return None if found.joint is None else learn(problem, nominal, found)[0]
 
 
 def _widened(located: Located, fit: Fit) -> tuple[Fit, Sessions]:

@@ -90,6 +90,8 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
         "refitted": outcome.nominal.hypothesis,
         "repaired": outcome.repaired,
     }
+    if outcome.law_alone is not None:
+        models["learned_residual"] = outcome.law_alone
     rows: list[dict[str, Any]] = []
     free_runs: dict[str, Mapping[str, float]] = {}
     traced = pd.DataFrame()
