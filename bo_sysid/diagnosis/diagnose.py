@@ -131,10 +131,7 @@ def _pictures(run: Run, result: Diagnosis) -> None:
     """Write what the pictures of a diagnosis show, and its words."""
     run.write_frame("traces.parquet", result.holdout.traces)
     run.write_frame("forces.parquet", missing_force(result.evidence, result.outcome))
-    decision = result.located.decision
-    own = float(decision.probability[decision.fits.index(decision.best)])
-    heard_of = min((f.probability / own for f in result.answer.findings), default=1.0)
-    run.write_frame("sets.parquet", sets(decision, heard_of))
+    run.write_frame("sets.parquet", sets(result.located.decision, result.answer))
     run.write_json("pose.json", bent_pose(result.evidence.recordings))
     said = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
     run.write_json("summary.json", said)

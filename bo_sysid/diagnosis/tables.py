@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.answer import Answer
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
@@ -131,44 +132,60 @@ def _forces(
     return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
 
 
-def sets(decision: Decision, heard_of: float = 1.0) -> pd.DataFrame:
+def sets(decision: Decision, answer: Answer) -> pd.DataFrame:
     """Return the sets between which was decided, most probable first, "nothing" among them.
 
-    Args:
-        decision: the posterior over sets.
-        heard_of: probability that it is one of them at all.
+    The last row is "none of these": its probability is what the answer keeps for effects that no
+    one has thought of, and the probabilities of the sets share the rest.
 
     Returns:
-        Columns set (in words), effects (their number), probability, rms [sensor sigma], best and
-        equivalent.
+        Columns set (in words), effects (their number), probability, rms [sensor sigma; missing for
+        "none of these"], best and equivalent.
     """
     order = list(zip(decision.fits, decision.probability, strict=True))
     shown = order[:_SETS]
     shown += [(f, p) for f, p in order[_SETS:] if not f.members]
     equivalents = {e.key for e in decision.equivalents}
+    unheard = _unheard_of(answer)
+    stranger = answer.unexplained.flagged and not answer.findings
     rows = [
         {
             "set": set_words(fit),
             "effects": fit.size,
-            "probability": heard_of * float(probability),
+            "probability": (1.0 - unheard) * float(probability),
             "rms": fit.rms,
-            "best": fit is decision.best,
+            "best": fit is decision.best and not stranger,
             "equivalent": fit.key in equivalents,
         }
         for fit, probability in shown
     ]
-    columns = ["set", "effects", "probability", "rms", "best", "equivalent"]
-    return pd.DataFrame(rows, columns=columns)
+    rows.append(
+        {
+            "set": "none of these", "effects": 1, "probability": unheard, "rms": np.nan,
+            "best": stranger, "equivalent": False,
+        }
+    )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _unheard_of(answer: Answer) -> float:
+    """Return the probability of an effect outside the catalogue."""
+    unknown = (
+        float(a["probability"])
+        for a in answer.alternatives
+        if any(f["effect"] == "unknown" for f in a["findings"])
+    )
+    return next(unknown, 0.0)
 
 
 def set_words(fit: Fit) -> str:
-    """Return a set in words: "dry friction of the elbow + payload of the forearm"."""
+    """Return a set in words: "dry friction at the elbow + payload at the forearm"."""
     if not fit.members:
         return "nothing is missing"
     words: list[str] = []
     for candidate, group in zip(fit.members, fit.groups, strict=True):
         noun = candidate.effect.noun
-        where = f" of all {candidate.site.kind}s" if group else f" of {spoken(candidate.site)}"
+        where = f" at all {candidate.site.kind}s" if group else f" at {spoken(candidate.site)}"
         words.append(noun if candidate.site.kind == "world" else noun + where)
     return " + ".join(dict.fromkeys(words))
 

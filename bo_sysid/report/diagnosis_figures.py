@@ -1,21 +1,22 @@
 """Figures of a diagnosis, as Matplotlib objects; they show what was stored and compute nothing."""
 
 import textwrap
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import FuncFormatter
 
 from bo_sysid.report.look import (
     COLOURS,
     GREY,
     MODELS,
     RECORDED,
-    chance,
     first_part,
+    left_words,
     set_colour,
     sure,
     top_sets,
@@ -34,12 +35,12 @@ _CHANNELS = 3
 _JOINTS = 3
 
 
-def held_out(traces: pd.DataFrame, unit: str = "rad") -> Figure:
+def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Figure:
     """Return recorded, nominal, refitted and repaired on recordings set aside, and the residuals.
 
     Args:
         traces: recording, time, window, channel, recorded, nominal, refitted, repaired.
-        unit: of the channels.
+        units: of the channels.
     """
     names = worst_channels(traces)[:_CHANNELS]
     shown = first_part(traces)
@@ -48,7 +49,8 @@ def held_out(traces: pd.DataFrame, unit: str = "rad") -> Figure:
         2 * len(names), 1, squeeze=False, sharex=True, height_ratios=[3, 2] * len(names)
     )[:, 0]
     for k, name in enumerate(names):
-        _one_channel(axes[2 * k], axes[2 * k + 1], shown[shown["channel"] == name], name, unit)
+        part, unit = shown[shown["channel"] == name], (units or {}).get(name, "")
+        _one_channel(axes[2 * k], axes[2 * k + 1], part, name, unit)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize="small", ncols=4, loc="outside lower center")
     axes[0].set_title(
@@ -137,7 +139,7 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.set_xscale("log")
     largest = max(float(shown["rms"].max()), 2.0)
     axis.set_xlim(left, left * (largest / left) ** 1.75)  # room for the words
-    axis.xaxis.set_major_formatter(ScalarFormatter())
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.axvline(1.0, color=RECORDED, linewidth=1.0, linestyle="--")
     axis.text(1.0, len(shown) - 0.45, " sensor noise", fontsize="small", va="bottom")
     axis.set_ylim(-0.6, len(shown) + 0.1)
@@ -145,8 +147,8 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.set_yticks(place, labels, fontsize="small")
     ends = zip(place, shown["rms"].astype(float), shown["probability"].astype(float), strict=True)
     for y, rms, probability in ends:
-        words = f" {rms:.3g}, probability {chance(probability)}"
-        axis.text(rms, y, words, va="center", fontsize="small")
+        words = f" {left_words(rms, probability)}"
+        axis.text(np.nan_to_num(rms, nan=left), y, words, va="center", fontsize="small")
     axis.set_xlabel("what the training recordings leave unexplained [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)
     return figure

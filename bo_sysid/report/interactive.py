@@ -18,7 +18,7 @@ from bo_sysid.report.look import (
     MODELS,
     NOMINAL,
     SECOND,
-    chance,
+    left_words,
     set_colour,
     sure,
     with_gaps,
@@ -105,11 +105,11 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
     place = np.arange(len(shown))
     figure = go.Figure()
     figure.add_bar(
-        x=_light(shown["rms"]),
+        x=_light(shown["rms"].fillna(1.0)),
         y=place,
         orientation="h",
         marker={"color": [set_colour(row) for row in shown.itertuples()]},
-        text=[f"{r:.3g}, p {chance(float(p))}" for r, p in
+        text=[left_words(float(r), float(p)) for r, p in
               zip(shown["rms"], shown["probability"], strict=True)],
         textposition="outside",
         cliponaxis=False,
@@ -121,9 +121,10 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
     figure.update_xaxes(
         type="log", range=[-0.15, 1.35 * largest + 0.2], title="unexplained [sensor sigma, rms]"
     )
-    labels = [_said(s) for s in shown["set"]]
+    labels = [_said(s).replace(" + ", "<br>+ ") for s in shown["set"]]
     figure.update_yaxes(automargin=True, tickvals=place, ticktext=labels)
-    return _dressed(figure, 130 + 34 * len(shown))
+    lines = sum(str(s).count(" + ") + 1 for s in shown["set"])
+    return _dressed(figure, 130 + 18 * len(shown) + 18 * lines)
 
 
 def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:

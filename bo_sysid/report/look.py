@@ -48,6 +48,13 @@ def sure(part: pd.DataFrame) -> pd.DataFrame:
     return kept if len(kept) else part
 
 
+def channel_units(pieces: pd.DataFrame) -> dict[str, str]:
+    """Return the unit of each position channel, from the joints' missing forces."""
+    first = pieces.drop_duplicates("joint")
+    hinges = zip(first["joint"], first["unit"], strict=True)
+    return {f"qpos.{joint}": "rad" if unit == "N m" else "m" for joint, unit in hinges}
+
+
 def first_part(traces: pd.DataFrame) -> pd.DataFrame:
     """Return the first seconds of the first recording."""
     first: pd.DataFrame = traces[traces["recording"] == traces["recording"].iloc[0]]
@@ -79,8 +86,8 @@ def set_colour(row: object) -> str:
     return NOMINAL if getattr(row, "effects", 1) == 0 else GREY
 
 
-def chance(p: float) -> str:
-    """Return a probability as it is said."""
-    if p < 0.001:
-        return "below 0.001"
-    return "above 0.999" if p > 0.999 else f"{p:.3f}"
+def left_words(rms: float, probability: float) -> str:
+    """Return what a set leaves, where that is known, with its probability."""
+    chance = "below 0.001" if probability < 0.001 else f"{probability:.3g}"
+    words = f"probability {'above 0.999' if probability > 0.999 else chance}"
+    return f"{rms:.3g}, {words}" if np.isfinite(rms) else words

@@ -16,7 +16,7 @@ from bo_sysid.report.diagnosis_text import (
     findings_table,
     set_text,
 )
-from bo_sysid.report.look import top_sets, worst_channels, worst_joints
+from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.runs import read_frame, read_json
@@ -108,9 +108,9 @@ def proof(found: Found) -> Section | None:
     if found.has("traces.parquet"):
         traces = read_frame(found.folder, "traces.parquet")
         if len(traces):
-            unit = holdout.get("free_run", {}).get("unit", "rad or m")
+            units = _units(found)
             chosen = worst_channels(traces)[:_CHANNELS]
-            figures = {c: interactive.held_out(traces, c, unit) for c in chosen}
+            figures = {c: interactive.held_out(traces, c, units.get(c, "")) for c in chosen}
             words = (
                 "Above: what was recorded (grey), and what the nominal, the refitted and the "
                 "repaired model forecast; each piece starts from the moment before it, nothing "
@@ -270,6 +270,14 @@ def _summary(found: Found) -> Mapping[str, Any]:
         return {}
     summary = read_json(found.folder, "summary.json")
     return summary if isinstance(summary, dict) else {}
+
+
+def _units(found: Found) -> dict[str, str]:
+    """Return the units of the position channels, as far as the run tells them."""
+    try:
+        return channel_units(read_frame(found.folder, "forces.parquet"))
+    except RunError:
+        return {}
 
 
 def _flat(column: pd.Series) -> bool:

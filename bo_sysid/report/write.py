@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from bo_sysid.mjcf import Model
 from bo_sysid.report import diagnosis_figures, figures
 from bo_sysid.report.animation import write_animation
+from bo_sysid.report.look import channel_units
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot_figure import robot
@@ -50,15 +51,15 @@ def write_diagnosis_figures(run: Run) -> list[Path]:
     diagnosis = run.read_json("diagnosis.json")
     model, pose = run.path(diagnosis["model"]), run.read_json("pose.json")
     posed, sites = marked_robot(model, pose, diagnosis)
+    pieces = run.read_frame("forces.parquet")
     drawn = {
         "robot": robot(posed, sites),
-        "forces": diagnosis_figures.forces(run.read_frame("forces.parquet")),
+        "forces": diagnosis_figures.forces(pieces),
         "evidence": diagnosis_figures.evidence(run.read_frame("sets.parquet")),
     }
     traces = run.read_frame("traces.parquet")
     if len(traces):
-        unit = diagnosis["holdout"]["free_run"].get("unit", "rad or m")
-        drawn["held_out"] = diagnosis_figures.held_out(traces, unit)
+        drawn["held_out"] = diagnosis_figures.held_out(traces, channel_units(pieces))
     paths = _written(run, drawn)
     paths += _animated(run, model, traces)
     points = [site.point.tolist() for site, _ in sites if site.point is not None]
