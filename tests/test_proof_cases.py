@@ -128,7 +128,7 @@ def catalogued(machine, concealed, nominal):
     scaled = survey(m, (recording,))
     truth = concealed.plain()
     if concealed.effect == "actuator_saturation":
-        truth["details"] = {"largest torque": concealed.details["of"] - concealed.value}
+        truth["value"] = concealed.details["of"] - concealed.value  # the limit itself
     x = np.array(_magnitudes(truth, scaled))
     site = Site(concealed.kind, concealed.site)
     effect = CATALOGUE[concealed.effect]

@@ -280,7 +280,7 @@ class _Attempt:
         lost = float(np.abs(drive_force(drive, train, a)).max()) - limit
         if lost <= 0:
             raise _Unreachable("the limit was never reached")
-        return replace(c, value=lost, details={"largest torque": limit})
+        return replace(c, value=limit, details={"torque lost": lost})
 
     def _recording(self, part: str, rolled: Rolled) -> Recording:
         """Return what the machine's log holds: rounded noisy positions and commands."""

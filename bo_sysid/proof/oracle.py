@@ -102,5 +102,5 @@ def _magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]:
         case "gravity_tilt":
             return details["about x"], details["about y"]
         case "actuator_saturation":
-            return (machine.actuators[e["site"]].force_max - details["largest torque"],)
+            return (machine.actuators[e["site"]].force_max - value,)
     return (value,)
