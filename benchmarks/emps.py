@@ -64,7 +64,7 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
     """Search with several seeds."""
     problem = make_problem(Study.load(STUDY))
     budget = 30 if quick else 80
-    seeds = range(1 if quick else 5)
+    seeds = range(1 if quick else 3)
     found = [
         cases.get(f"seed {s}, {budget}", lambda s=s: one_seed(problem, s, budget)) for s in seeds
     ]
