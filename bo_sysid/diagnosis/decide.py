@@ -69,9 +69,8 @@ def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
     D = fit.cv - best.cv
     spread = float(D.var(ddof=1)) * len(D)
     usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
-    return -0.5 * float(D.sum()) / max(1.0, kappa * np.sqrt(max(spread / usual, 1.0))) + prior.log(
-        fit
-    )
+    inflation = max(1.0, kappa * float(np.sqrt(max(spread / usual, 1.0))))
+    return -0.5 * float(D.sum()) / inflation + prior.log(fit)
 
 
 def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int) -> bool:

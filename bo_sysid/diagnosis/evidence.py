@@ -47,7 +47,8 @@ def _window(machine: Machine) -> float:
     """Return the length of a window: short where contact soon decides, else long."""
     if not touches(machine.model):
         return _WINDOW
-    return min(_WINDOW, _CONTACT_STEPS * max(machine.sampling, machine.model.opt.timestep))
+    step = max(machine.sampling, float(machine.model.opt.timestep))
+    return min(_WINDOW, _CONTACT_STEPS * step)
 
 
 def make_evidence(

@@ -92,7 +92,7 @@ class Linear:
     @property
     def macros(self) -> int:
         """Number M of macro steps."""
-        return self.ctrl.shape[1] // self.macro
+        return int(self.ctrl.shape[1] // self.macro)
 
     @cached_property
     def along(self) -> Along:
@@ -196,7 +196,7 @@ class Linear:
     def _simulated(self, hypothesis: Hypothesis) -> np.ndarray:
         """Return the change of the observations by simulation: the state has more coordinates."""
         before = self.problem.residual(self.hypothesis, self.start)
-        return before - self.problem.residual(hypothesis, self.start)
+        return np.asarray(before - self.problem.residual(hypothesis, self.start))
 
     def _by_force(self, joint: str, force: np.ndarray) -> np.ndarray:
         dof = self.problem.machine.joints[joint].dof

@@ -79,13 +79,13 @@ class Problem:
     @property
     def count(self) -> int:
         """Number R of observations in a window."""
-        return self.windows.observed.shape[1] * self.windows.observed.shape[2]
+        return int(self.windows.observed.shape[1] * self.windows.observed.shape[2])
 
     @property
     def dof(self) -> int:
         """Observations minus fitted starts."""
         nv = self.machine.model.nv
-        return max(int((self.weight > 0).sum()) - 2 * nv * len(self.windows), 1)
+        return max(int((self.weight > 0).sum() - 2 * nv * len(self.windows)), 1)
 
     def rows(self, keep: np.ndarray) -> "Problem":
         """Return the problem with some of its windows, blocks numbered anew."""
@@ -155,7 +155,7 @@ class Problem:
     def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
         """Return values in sigma, one row a window, 0 where nothing was observed."""
         scaled = np.nan_to_num(values * self.weight, nan=_FAR, posinf=_FAR, neginf=-_FAR)
-        return np.clip(scaled, -_FAR, _FAR).reshape(len(values), -1)
+        return np.asarray(np.clip(scaled, -_FAR, _FAR)).reshape(len(values), -1)
 
 
 def pose(
@@ -273,13 +273,14 @@ def _delayed(
     second = replace(now, step=np.ones_like(step), fraction=np.zeros_like(inside))
     slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
     late = late + np.minimum(at, 0.0) * slope[..., 0]
-    return late - predicted(layout, now, trajectory)[..., 0]
+    return np.asarray(late - predicted(layout, now, trajectory)[..., 0])
 
 
 def _elapsed(windows: Windows, recordings: Sequence[Recording]) -> Float[np.ndarray, "W S"]:
     """Return the time since the recording began at every simulation step, in [s]."""
     began = np.array([r.span[0] for r in recordings])[windows.recording]
-    return (windows.time - began)[:, None] + np.arange(windows.steps) * windows.timestep
+    steps = np.arange(windows.steps) * windows.timestep
+    return np.asarray((windows.time - began)[:, None] + steps)
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

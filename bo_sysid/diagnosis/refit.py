@@ -64,7 +64,7 @@ class _Space:
     def vector(self, x: Sequence[np.ndarray], guess: Hypothesis) -> Float[np.ndarray, " p"]:
         tail = np.array([guess.numerics] if self.numerics else [], float)
         nuisance = guess.nuisance_x or tuple(np.zeros(c.size) for c in self.nuisances)
-        return np.clip(np.concatenate([*x, *nuisance, tail]), self.low, self.high)
+        return np.asarray(np.clip(np.concatenate([*x, *nuisance, tail]), self.low, self.high))
 
     def hypothesis(self, theta: Float[np.ndarray, " p"]) -> Hypothesis:
         held = (*self.members, *self.nuisances)
@@ -215,7 +215,7 @@ def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, 
         theta[k] += h
         moved = frame.problem.residual(space.hypothesis(theta), point.start)
         columns.append((point.r - moved) / h)
-    return np.clip(np.stack(columns, axis=-1), -_CUT, _CUT)
+    return np.asarray(np.clip(np.stack(columns, axis=-1), -_CUT, _CUT))
 
 
 def _bounded_step(
