@@ -29,7 +29,8 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# the tests run in two processes: one thread each for linear algebra
+# the tests run in two processes, one thread each
+test: export BO_SYSID_THREADS = 1
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: lint

@@ -46,7 +46,12 @@ _threads: int | None = None
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use."""
+    """Return the number of cores that this process may use; $BO_SYSID_THREADS says otherwise."""
+    told = os.environ.get("BO_SYSID_THREADS", "")
+    if told:
+        if not told.isdecimal() or int(told) < 1:
+            raise StudyError(f"$BO_SYSID_THREADS is {told!r}; it must be a whole number from 1")
+        return int(told)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -158,3 +158,11 @@ def test_limits_linear_algebra_and_torch() -> None:
         assert blas_threads(None) == 1
         assert torch.get_num_threads() == 1
     assert torch.get_num_threads() == before
+
+
+def test_the_environment_says_how_many_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("BO_SYSID_THREADS", "3")
+    assert cores() == threads() == 3
+    monkeypatch.setenv("BO_SYSID_THREADS", "many")
+    with pytest.raises(StudyError, match="BO_SYSID_THREADS is 'many'"):
+        cores()
