@@ -105,6 +105,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     except RecordingError as error:
         return Holdout(_table([]), {}, traced, f"The hold-out is too short to judge: {error}.")
     if length > PAST + free:
+        models.pop("learned_residual", None)  # a law alone is a baseline of forecasts
         made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
         rows, traced = rows + made, traced if longer.empty else longer
     return Holdout(_table(rows), free_runs, traced)
