@@ -8,7 +8,8 @@ from diagnosis_helpers import candidate, posed, record
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.windowing import prepare, touches
+from bo_sysid.mjcf import Model
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +91,9 @@ def test_signatures_hold_at_a_hypothesis_that_is_not_nominal(prepared) -> None:
     exact = project(linear.Q, exact).ravel() / x[0]
     signature = linear.signatures([damping])[..., 0].ravel()
     assert signature @ exact / np.linalg.norm(signature) / np.linalg.norm(exact) > 0.99
+
+
+def test_contact_is_expected_where_it_can_happen_only() -> None:
+    assert touches(Model.from_dm_control("cheetah", "run").compile())
+    assert not touches(Model.from_dm_control("pendulum", "swingup").compile())  # disabled there
+    assert not touches(Model.from_dm_control("cartpole", "swingup").compile())

@@ -88,6 +88,8 @@ def nothing(problem: Problem) -> Hypothesis:
 
 def touches(model: mujoco.MjModel) -> bool:
     """Whether geoms of the model can come into contact."""
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
+        return False
     active = (model.geom_contype | model.geom_conaffinity) != 0
     return bool(active.sum() > 1 and (active & (model.geom_bodyid > 0)).any()) or model.npair > 0
 
