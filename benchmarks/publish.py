@@ -34,7 +34,7 @@ def section(name: str, stored: Mapping[str, Any]) -> Iterator[str]:
     yield f"## {name}\n"
     yield about + "\n"
     yield (
-        f"{stored['date']}, {stored['seconds']} s, {machine['cores']} cores "
+        f"{stored['date']}, {machine['cores']} cores "
         f"({machine['processor']}), "
         + ", ".join(f"{k} {v}" for k, v in versions.items())
         + (", quick" if stored["quick"] else "")
