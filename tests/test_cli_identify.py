@@ -104,3 +104,21 @@ def test_a_killed_run_goes_on_to_the_same_result(folder: Path) -> None:
     assert main(["identify", "pendulum.yaml", "--out", "killed"]) == 0
     assert contents(killed) == contents(whole)
     assert not list(killed.rglob(".tmp-*"))
+
+
+def test_without_velocities_starts_are_fitted_and_the_truth_is_found(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One step from an estimated velocity shows the encoder's noise and hardly the mass."""
+    for path in (folder / "made").glob("*.parquet"):
+        frame = pd.read_parquet(path)
+        frame.drop(columns="qvel.hinge").to_parquet(path)
+    study = STUDY.replace("deviation: {horizon: 5}\n", "").replace("budget: 14", "budget: 20")
+    (folder / "positions.yaml").write_text(study)
+    assert main(["identify", "positions.yaml"]) == 0
+    out = capsys.readouterr().out
+    assert "no velocity was recorded" in out
+    found = json.loads((folder / "runs" / "positions-identify" / "identification.json").read_text())
+    mass = found["parameters"][0]
+    assert mass["value"] == pytest.approx(0.62, abs=0.021)
+    assert mass["low95"] <= 0.62 <= mass["high95"]

@@ -111,6 +111,8 @@ def _jackknife(columns: np.ndarray, target: np.ndarray) -> tuple[float, float]:
         target: `n x ...`.
     """
     p = columns.shape[-1]
+    if not columns.any():  # nothing moved enough to tell
+        return 0.0, float("inf")
     size = np.sqrt((columns.reshape(-1, p) ** 2).mean(axis=0)) + 1e-300
     grams, rights = [], []
     for mask in blocks(len(columns), _BLOCKS):

@@ -44,7 +44,7 @@ def _by_kind(problem: Problem, recordings: Sequence[Recording], point: Point) ->
     if not deviation.fitted_starts:
         kinds = {"prediction": prediction_error(deviation, point)}
     else:
-        horizon = problem.study.deviation.horizon
+        horizon = problem.horizon
         past = max(horizon // PAST, 2)
         longer = problem.on(recordings, horizon + past)
         kinds = {

@@ -173,7 +173,11 @@ def _parameters(
 
 
 def _notes(problem: Problem) -> tuple[str, ...]:
-    notes = [n for r in problem.recordings for n in r.notes] + list(problem.deviation.windows.notes)
+    notes = (
+        list(problem.notes)
+        + [n for r in problem.recordings for n in r.notes]
+        + list(problem.deviation.windows.notes)
+    )
     whitening = problem.deviation.whitening.frame()
     notes += [
         f"{r.channel} is compared in units of {r.scale:.4g} ({r.source})"

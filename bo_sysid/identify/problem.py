@@ -17,6 +17,8 @@ from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set, nominal, require_known
 from bo_sysid.study.inputs import load_function, load_model, load_train
 
+_UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -29,6 +31,8 @@ class Problem:
         parameters: what is uncertain.
         candidates: the discrete set B.
         deviation: Δ on the recordings.
+        horizon: number of recorded instants in a window.
+        notes: what was chosen where the study did not fit the recordings.
     """
 
     study: Study
@@ -37,6 +41,8 @@ class Problem:
     parameters: tuple[Parameter, ...]
     candidates: CandidateSet
     deviation: Deviation
+    horizon: int
+    notes: tuple[str, ...] = ()
 
     @property
     def nominal(self) -> Point:
@@ -55,7 +61,7 @@ class Problem:
 
     def on(self, recordings: Sequence[Recording], horizon: int | None = None) -> Deviation:
         """Return the deviation on other recordings or over another horizon, on these scales."""
-        windows = _cut(self.study, self.model, recordings, horizon)
+        windows = _cut(self.study, self.model, recordings, horizon or self.horizon)
         return Deviation(
             self.deviation.simulator,
             windows,
@@ -92,18 +98,42 @@ def make_problem(
             ("parameters",), "identify needs at least one uncertain parameter; the study has none"
         )
     simulator = make_simulator(study, model, parameters, threads=threads)
-    windows = _cut(study, model, recordings)
+    fitted, horizon, notes = _framing(study, model, recordings)
+    windows = _cut(study, model, recordings, horizon)
     whiten = study.deviation.whiten
     noise = study.recordings.noise if whiten == "auto" else whiten
     deviation = Deviation(
         simulator,
         windows,
         Whitening.of(windows, noise),
-        fitted_starts=study.deviation.starts == "fitted",
+        fitted_starts=fitted,
     )
-    return Problem(
-        study, model, recordings, parameters, candidate_set(study, parameters), deviation
+    candidates = candidate_set(study, parameters)
+    return Problem(study, model, recordings, parameters, candidates, deviation, horizon, notes)
+
+
+def _framing(
+    study: Study, model: Model, recordings: Sequence[Recording]
+) -> tuple[bool, int, tuple[str, ...]]:
+    """Return whether starts are fitted, the horizon, and what was chosen for the study.
+
+    Where no velocity was recorded a start cannot be measured: one step from an estimated velocity
+    shows the noise of the estimate, and hardly the parameters. Starts are then fitted, in windows
+    of at least 0.15 s.
+    """
+    asked = study.deviation
+    rates = set(model.qvel_channels)
+    if asked.starts == "fitted" or not rates or any(rates & set(r.channels) for r in recordings):
+        return asked.starts == "fitted", asked.horizon, ()
+    name = model.qpos_channels[0]
+    interval = float(np.median([np.median(np.diff(r.channels[name].time)) for r in recordings]))
+    horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
+    note = (
+        f"no velocity was recorded, so that starts cannot be measured: they are fitted, in windows "
+        f"of {horizon} instants ({horizon * interval:.3g} s); deviation: {{starts: fitted, "
+        "horizon: N} says otherwise"
     )
+    return True, horizon, (note,)
 
 
 def make_simulator(
@@ -118,14 +148,12 @@ def make_simulator(
     return MujocoSimulator(model, tuple(parameters), Engine(threads), laws)
 
 
-def _cut(
-    study: Study, model: Model, recordings: Sequence[Recording], horizon: int | None = None
-) -> Windows:
+def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:
     signals = sorted({channel for a in study.actuators.values() for channel in a.uses})
     return cut(
         model,
         recordings,
-        horizon=horizon or study.deviation.horizon,
+        horizon=horizon,
         signals=signals,
         controlled=tuple(study.actuators),
     )
