@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
@@ -92,8 +93,8 @@ def test_a_killed_run_goes_on_to_the_same_result(folder: Path) -> None:
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)  # noqa: S603
     try:
         for _ in range(600):
-            path = killed / "evaluations.parquet"
-            if path.exists() and len(pd.read_parquet(path)) >= 11:
+            path = killed / "evaluations.parquet"  # replaced at any moment: read at once
+            if path.exists() and len(pd.read_parquet(BytesIO(path.read_bytes()))) >= 11:
                 break
             assert process.poll() is None
             time.sleep(0.05)
