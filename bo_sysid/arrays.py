@@ -8,7 +8,7 @@ The annotations are documentation at run time and are enforced in the tests (jax
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 # recordings
 Times: TypeAlias = Float[np.ndarray, " T"]
@@ -26,4 +26,3 @@ Qpos: TypeAlias = Float[np.ndarray, "W nq"]
 Qvel: TypeAlias = Float[np.ndarray, "W nv"]
 Act: TypeAlias = Float[np.ndarray, "W na"]
 Ctrl: TypeAlias = Float[np.ndarray, "W S nu"]
-WindowFlags: TypeAlias = Bool[np.ndarray, " W"]
