@@ -10,6 +10,7 @@ from bo_sysid.study.base import (
     FilePath,
     Name,
     NotNegative,
+    Paths,
     Positive,
     Real,
     Section,
@@ -77,7 +78,11 @@ class Policy(Section):
     batch: Count = 20_000
     """Simulated control steps per iteration."""
     steps: Count = 1_000_000
-    """Simulated control steps that each policy is learned with, rounded up to whole batches."""
+    """Simulated control steps that a policy is learned with, rounded up to whole batches."""
+    draft: Count | None = None
+    """Simulated control steps of policies that cannot be the last, because argmax P is farther than
+    epsilon from their candidate or the rule waits for the time out; as many as `steps` where left
+    out. The last policy always has `steps`."""
     start: Literal["fresh", "warm"] = "fresh"
     """fresh: every policy begins anew; warm: it goes on from the one before, on the new model."""
     kl: Positive = 0.02
@@ -86,6 +91,12 @@ class Policy(Section):
     """Discount of rewards per control step."""
     hidden: Annotated[tuple[Count, ...], Field(min_length=1)] = (64, 64)
     """Units of the hidden layers."""
+
+    @model_validator(mode="after")
+    def _shorter(self) -> "Policy":
+        if self.draft is not None and self.draft > self.steps:
+            raise ValueError(f"draft: {self.draft} must not be more than steps, {self.steps}")
+        return self
 
 
 class Learn(Section):
@@ -116,13 +127,15 @@ class Arm(Section):
     """One way of searching, in a comparison."""
 
     name: Name | None = None
-    """Name in tables and figures."""
+    """Name in tables and figures; what the arm is made of where left out."""
     acquisition: Name = "argmin-entropy"
     """Which candidate is tried next."""
     choose: Name = "sample"
     """How the model for the policy is chosen from P."""
     stop: Name = "seed"
     """Rule that ends the outer loop."""
+    seeds: Count | None = None
+    """So many of the paired seeds alone, for an arm that takes long; all where left out."""
 
 
 def _arm(value: Any) -> Any:
@@ -130,15 +143,28 @@ def _arm(value: Any) -> Any:
 
 
 class Compare(Section):
-    """Arms compared on this study with paired seeds."""
+    """Arms compared on this study, and on others, with paired seeds."""
 
     arms: tuple[
         Annotated[Arm, BeforeValidator(_arm, json_schema_input_type=str | Arm)],
         ...,
     ] = ()
-    """The arms; a text is the name of an acquisition."""
+    """The arms; a text is the name of an acquisition. The others are compared with the first."""
     seeds: Count = 30
     """Number of paired seeds."""
+    problems: Paths | None = None
+    """Further studies on which the same arms are compared, with their own search and plant."""
+    loop: Literal["inner", "outer"] = "inner"
+    """inner: searches on recordings; outer: learn, with the arm's choice of model and stop rule."""
+    truth: Literal["drawn", "stated"] = "drawn"
+    """drawn: every seed has a plant with parameters of its own within the bounds; stated: as the
+    study says."""
+    regrets: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (0.1, 0.01, 0.0)
+    """Levels of regret whose cost is told. inner: excess of Δ over its minimum on B, in shares of
+    the median excess; outer: shortfall of the return, in shares of the best."""
+    table: Count = 20_000
+    """Where B has at most so many candidates Δ is computed on all of B once for each seed, and
+    the searches look it up."""
 
 
 class Execution(Section):
@@ -147,7 +173,7 @@ class Execution(Section):
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: a Ray cluster."""
     address: Name | None = None
-    """Address of the Ray cluster; auto finds a running one."""
+    """Address of the Ray cluster; auto finds a running one, left out one is started here."""
 
     @model_validator(mode="after")
     def _ray(self) -> "Execution":

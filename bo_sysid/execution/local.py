@@ -1,10 +1,9 @@
-"""How many threads, which processes, and what is told about progress."""
+"""Jobs in processes of this machine."""
 
 import contextlib
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import traceback
 from collections import deque
@@ -12,120 +11,13 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from bo_sysid.errors import BoSysidError, StudyError
+from bo_sysid.errors import StudyError
+from bo_sysid.execution.jobs import Engine, Outcome, answer
+from bo_sysid.execution.threads import threads
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far a long computation is.
-
-    Attributes:
-        step: units done.
-        of: units in all.
-        message: what is being done or was found, one short sentence.
-    """
-
-    step: int
-    of: int
-    message: str = ""
-
-
-Report = Callable[[Progress], None]
-"""What a long computation calls with its progress; only the command line prints."""
-
-
-def silent(_: Progress) -> None:
-    """Report nothing."""
-
-
-_threads: int | None = None
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use; $BO_SYSID_THREADS says otherwise."""
-    told = os.environ.get("BO_SYSID_THREADS", "")
-    if told:
-        if not told.isdecimal() or int(told) < 1:
-            raise StudyError(f"$BO_SYSID_THREADS is {told!r}; it must be a whole number from 1")
-        return int(told)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def threads() -> int:
-    """Return the number of threads that computations use: all cores, unless told otherwise."""
-    return _threads or cores()
-
-
-@contextlib.contextmanager
-def use_threads(number: int | None) -> Iterator[None]:
-    """Use `number` threads in the block (None: all cores), linear algebra included.
-
-    Results do not depend on it.
-
-    Raises:
-        StudyError: the number is below 1.
-    """
-    global _threads
-    if number is not None and number < 1:
-        raise StudyError(f"--threads {number}: at least 1 (this machine offers {cores()})")
-    before = _threads
-    _threads = number
-    try:
-        with limit_threads(threads()):
-            yield
-    finally:
-        _threads = before
-
-
-@contextlib.contextmanager
-def limit_threads(number: int) -> Iterator[None]:
-    """Let BLAS, OpenMP and torch use at most `number` threads in the block.
-
-    BLAS threads that spin while they wait halve the speed of a simulation on all cores: simulate
-    under ``limit_threads(1)``.
-    """
-    from threadpoolctl import threadpool_limits
-
-    torch: Any = sys.modules.get("torch")  # where it has not been imported, nothing is to be done
-    before = torch.get_num_threads() if torch else 0
-    with threadpool_limits(number):
-        if torch:
-            torch.set_num_threads(number)
-        try:
-            yield
-        finally:
-            if torch:
-                torch.set_num_threads(before)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What came of a job.
-
-    Attributes:
-        key: the job.
-        result: what the function returned; None where it failed.
-        error: why it failed; None where it did not.
-    """
-
-    key: str
-    result: Any = None
-    error: str | None = None
-
-
-@runtime_checkable
-class Engine(Protocol):
-    """Where jobs run: processes of this machine, or later a cluster."""
-
-    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
-        """Yield the outcome of ``function(job)`` for every job, in the order they end."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -216,28 +108,17 @@ def _work(connection: Connection) -> None:
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     while True:
         try:
-            answer = _answer(*connection.recv())
+            found = answer(*connection.recv())
         except (EOFError, OSError):
             return
         except Exception:  # the function cannot be imported here
-            answer = None, traceback.format_exc()
+            found = None, traceback.format_exc()
         try:
-            connection.send(answer)
+            connection.send(found)
         except BrokenPipeError:
             return
         except Exception:  # the result cannot be sent
             connection.send((None, traceback.format_exc()))
-
-
-def _answer(function: Callable[[Any], Any], job: Any) -> tuple[Any, str | None]:
-    """Return the result of a job, or why it failed."""
-    try:
-        with use_threads(1):
-            return function(job), None
-    except BoSysidError as error:
-        return None, str(error)
-    except Exception:  # the job is reported as failed, the others go on
-        return None, traceback.format_exc()
 
 
 def _end_with_parent() -> None:

@@ -1,0 +1,25 @@
+"""How many threads, which processes or cluster, and what is told about progress."""
+
+from bo_sysid.execution.cluster import RayEngine
+from bo_sysid.execution.jobs import Engine, Outcome
+from bo_sysid.execution.local import LocalEngine, map_jobs
+from bo_sysid.execution.progress import Progress, Report, silent
+from bo_sysid.execution.threads import cores, limit_threads, threads, use_threads
+from bo_sysid.execution.where import ENGINES, open_engine
+
+__all__ = [
+    "ENGINES",
+    "Engine",
+    "LocalEngine",
+    "Outcome",
+    "Progress",
+    "RayEngine",
+    "Report",
+    "cores",
+    "limit_threads",
+    "map_jobs",
+    "open_engine",
+    "silent",
+    "threads",
+    "use_threads",
+]

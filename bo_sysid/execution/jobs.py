@@ -1,0 +1,44 @@
+"""Jobs: what comes of them, and where they run."""
+
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from bo_sysid.errors import BoSysidError
+from bo_sysid.execution.threads import use_threads
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job.
+
+    Attributes:
+        key: the job.
+        result: what the function returned; None where it failed.
+        error: why it failed; None where it did not.
+    """
+
+    key: str
+    result: Any = None
+    error: str | None = None
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Where jobs run: processes of this machine, or a cluster."""
+
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+        """Yield the outcome of ``function(job)`` for every job, in the order they end."""
+        ...
+
+
+def answer(function: Callable[[Any], Any], job: Any) -> tuple[Any, str | None]:
+    """Return the result of a job, or why it failed."""
+    try:
+        with use_threads(1):
+            return function(job), None
+    except BoSysidError as error:
+        return None, str(error)
+    except Exception:  # the job is reported as failed, the others go on
+        return None, traceback.format_exc()

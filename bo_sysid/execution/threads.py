@@ -1,0 +1,70 @@
+"""How many threads computations use."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from bo_sysid.errors import StudyError
+
+_threads: int | None = None
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use; $BO_SYSID_THREADS says otherwise."""
+    told = os.environ.get("BO_SYSID_THREADS", "")
+    if told:
+        if not told.isdecimal() or int(told) < 1:
+            raise StudyError(f"$BO_SYSID_THREADS is {told!r}; it must be a whole number from 1")
+        return int(told)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def threads() -> int:
+    """Return the number of threads that computations use: all cores, unless told otherwise."""
+    return _threads or cores()
+
+
+@contextlib.contextmanager
+def use_threads(number: int | None) -> Iterator[None]:
+    """Use `number` threads in the block (None: all cores), linear algebra included.
+
+    Results do not depend on it.
+
+    Raises:
+        StudyError: the number is below 1.
+    """
+    global _threads
+    if number is not None and number < 1:
+        raise StudyError(f"--threads {number}: at least 1 (this machine offers {cores()})")
+    before = _threads
+    _threads = number
+    try:
+        with limit_threads(threads()):
+            yield
+    finally:
+        _threads = before
+
+
+@contextlib.contextmanager
+def limit_threads(number: int) -> Iterator[None]:
+    """Let BLAS, OpenMP and torch use at most `number` threads in the block.
+
+    BLAS threads that spin while they wait halve the speed of a simulation on all cores: simulate
+    under ``limit_threads(1)``.
+    """
+    from threadpoolctl import threadpool_limits
+
+    torch: Any = sys.modules.get("torch")  # where it has not been imported, nothing is to be done
+    before = torch.get_num_threads() if torch else 0
+    with threadpool_limits(number):
+        if torch:
+            torch.set_num_threads(number)
+        try:
+            yield
+        finally:
+            if torch:
+                torch.set_num_threads(before)
