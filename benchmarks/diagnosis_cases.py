@@ -64,13 +64,14 @@ RIGS = {
 
 @dataclass(frozen=True)
 class Planted:
-    """An effect that a plant has: id, site, magnitudes."""
+    """An effect that a plant has: id, site, magnitudes, size in sigma, value as it is reported."""
 
     effect: str
     kind: str
     site: str
     x: tuple[float, ...]
     size: float = 0.0
+    value: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,7 @@ class _View:
         self.time, self.timestep = np.array([time]), timestep
         self.qpos = {n: data.qpos[i : i + 1] for i, n in enumerate(model.joints)}
         self.qvel = {n: data.qvel[i : i + 1] for i, n in enumerate(model.joints)}
+        self.ctrl = {n: data.ctrl[i : i + 1] for i, n in enumerate(model.actuators)}
 
 
 STRANGE = ("magnet", "worn_spot", "warming", "cable")
@@ -353,7 +355,9 @@ def draw(
         target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
         x = sized(model, machine, nominal, sigma, c, target)
         if x is not None:
-            found.append(Planted(effect, c.site.kind, c.site.name, tuple(c.full(x)), target))
+            value = c.effect.reported(c.full(x), machine, c.site)
+            full = tuple(c.full(x))
+            found.append(Planted(effect, c.site.kind, c.site.name, full, target, value))
     train, holdout = (
         simulate(
             model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre
@@ -388,10 +392,8 @@ def draw_group(rng: np.random.Generator, rig: str, effect: str) -> Case:
     nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
     machine = survey(model.compile(), [nominal])
     chosen = [c for c in candidates([CATALOGUE[effect]], machine) if not c.secant]
-    truth = tuple(
-        Planted(effect, c.site.kind, c.site.name, tuple(2 * rng.uniform(0.7, 1.5) * c.probe), 0.0)
-        for c in chosen
-    )
+    drawn = [(c, tuple(2 * rng.uniform(0.7, 1.5) * c.probe)) for c in chosen]
+    truth = tuple(Planted(effect, c.site.kind, c.site.name, x, 0.0, x[0]) for c, x in drawn)
     train, holdout = (
         simulate(model, setting, machine, truth, seed=seed + k, duration=d, sigma=sigma)
         for k, d in ((1, 20.0), (2, 8.0))

@@ -93,7 +93,9 @@ class Coordinates:
             qpos[..., q] += share * trajectory.qpos[..., hidden_q]
             qvel[..., v] += share * trajectory.qvel[..., hidden_v]
         act = trajectory.act[..., self.act]
-        return Trajectory(qpos, qvel, act, trajectory.sensordata, trajectory.diverged)
+        return Trajectory(
+            qpos, qvel, act, trajectory.sensordata, trajectory.diverged, trajectory.ctrl
+        )
 
 
 def _speeds(model: mujoco.MjModel, joint: int) -> int:

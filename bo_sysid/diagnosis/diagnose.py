@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.repaired import MODEL, STUDY, beside, study_text, write_
 from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
+from bo_sysid.identify.problem import study_laws
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
@@ -150,6 +151,7 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
         noise=study.recordings.noise,
         most=study.diagnosis.most,
         threads=threads(),
+        laws=study_laws(study, model),
     )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from bo_sysid.diagnosis.driven import driven
 from bo_sysid.diagnosis.hypothesis import Candidate, candidates, parameter_candidates
 from bo_sysid.diagnosis.scales import channel_noise
 from bo_sysid.diagnosis.windowing import touches
@@ -10,7 +11,7 @@ from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Engine
+from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
 _CONTACT_STEPS = 8  # of the recording or the model, where geoms can touch
@@ -30,6 +31,7 @@ class Evidence:
         most: most effects at once.
         window: length of a window in [s].
         engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
     """
 
     model: Model
@@ -41,6 +43,7 @@ class Evidence:
     most: int
     window: float
     engine: Engine
+    laws: tuple[Controller | ForceLaw, ...] = ()
 
 
 def _window(machine: Machine) -> float:
@@ -60,6 +63,7 @@ def make_evidence(
     noise: Mapping[str, float] | None = None,
     most: int = 3,
     threads: int = 0,
+    laws: Sequence[Controller | ForceLaw] = (),
 ) -> Evidence:
     """Measure scales and noise, and list what may be missing.
 
@@ -71,11 +75,13 @@ def make_evidence(
         noise: σ by channel or by kind of channel, where known.
         most: most effects at once.
         threads: of the simulation, 0 for all cores.
+        laws: controllers and force laws that belong to the nominal model.
 
     Raises:
         RecordingError: no joint's position was recorded, or none moves.
     """
-    machine = survey(model.compile(), recordings)
+    compiled = model.compile()
+    machine = survey(compiled, driven(compiled, recordings, laws))
     wanted = [e for e in effects or CATALOGUE.values() if e.family != "learned"]
     return Evidence(
         model,
@@ -87,4 +93,5 @@ def make_evidence(
         most,
         _window(machine),
         Engine(threads),
+        tuple(laws),
     )

@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.problem import Problem, finer_step, pose
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Engine, State
+from bo_sysid.simulation import Controller, Engine, ForceLaw, State
 
 PAST = 0.2  # [s] before a window from which its start is estimated
 AHEAD = 0.08  # [s] forecast for the headline
@@ -57,6 +57,7 @@ def forecast_problem(
     ahead: float,
     timestep: float,
     engine: Engine,
+    laws: Sequence[Controller | ForceLaw] = (),
 ) -> tuple[Problem, int]:
     """Cut recordings into windows of past and future; return them and the instants of the past."""
     before = max(round(past / machine.sampling), 3)
@@ -70,6 +71,7 @@ def forecast_problem(
         horizon=before + after,
         timestep=timestep,
         engine=engine,
+        laws=laws,
     )
     return problem, before
 

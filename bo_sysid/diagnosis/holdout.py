@@ -143,7 +143,7 @@ def _fits(
     horizon = max(round(LONGER / evidence.machine.sampling), 4)
     problem = pose(
         evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
-        timestep=outcome.timestep, engine=evidence.engine,
+        timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,
     )  # fmt: skip
     rows = [_row("fit", LONGER, n, fitted(problem, h).ahead) for n, h in models.items()]
     return [*rows, _row("fit", LONGER, "noise_floor", 1.0)]
@@ -185,6 +185,7 @@ def _cut(
         ahead=ahead,
         timestep=outcome.timestep,
         engine=evidence.engine,
+        laws=evidence.laws,
     )
 
 

@@ -20,7 +20,14 @@ from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.problem import Problem, Simulated, force_laws, observe
 from bo_sysid.effects import Force, Part
-from bo_sysid.simulation import Engine, ForceLaw, State, Trajectory, tangent_difference
+from bo_sysid.simulation import (
+    Controller,
+    Engine,
+    ForceLaw,
+    State,
+    Trajectory,
+    tangent_difference,
+)
 
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
@@ -66,7 +73,7 @@ class Linear:
         A: `W x K x n x n` with n = 2 nv + na.
         B: `W x K x n x nv` per unit of force.
         E: `W x K x n x nu` per unit of control.
-        ctrl: `W x S x nu` controls of the hypothesis.
+        ctrl: `W x S x nu` controls of the hypothesis, before controllers write theirs.
         points: the states at which it was linearised.
         J: `W x R x 2 nv` response to the start, in sigma.
         Q: `W x R x 2 nv` orthonormal basis of the response to the start.
@@ -106,7 +113,9 @@ class Linear:
         }
         qvel = {j.name: self.trajectory.qvel[:, rows, j.dof] for j in joints}
         names = [c.removeprefix("ctrl.") for c in p.model.ctrl_channels]
-        ctrl = {n: self.ctrl[:, rows, i] for i, n in enumerate(names)}
+        written = self.ctrl if self.trajectory.ctrl is None else self.trajectory.ctrl
+        at = np.minimum(np.arange(self.macros) * self.macro, written.shape[1] - 1)
+        ctrl = {n: written[:, at, i] for i, n in enumerate(names)}
         signals = {n: s[:, rows] for n, s in p.windows.signals.items()}
         step = self.macro * p.windows.timestep
         time = np.broadcast_to(np.arange(self.macros) * step, (len(p.windows), self.macros))
@@ -261,7 +270,7 @@ class Points:
         model: of the hypothesis.
         coordinates: where it keeps the nominal coordinates.
         engine: steps it.
-        laws: of the hypothesis.
+        laws: of the nominal model and of the hypothesis.
         state: `P` states of that model.
         ctrl: controls during the macro step.
         signals: recorded inputs during it.
@@ -271,7 +280,7 @@ class Points:
     model: mujoco.MjModel
     coordinates: Coordinates
     engine: Engine
-    laws: tuple[ForceLaw, ...]
+    laws: tuple[Controller | ForceLaw, ...]
     state: State
     ctrl: Float[np.ndarray, "P macro nu"]
     signals: Mapping[str, Float[np.ndarray, "P macro"]]
@@ -357,7 +366,7 @@ def _points(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: 
         s.model,
         s.coordinates,
         Engine(problem.engine.threads),
-        force_laws(s.parts),
+        (*problem.laws, *force_laws(s.parts)),
         state,
         ctrl[:, inputs].reshape(-1, macro, ctrl.shape[-1]),
         signals,

@@ -115,6 +115,7 @@ def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = F
         stride=stride,
         timestep=step,
         engine=evidence.engine,
+        laws=evidence.laws,
     )
 
 

@@ -14,7 +14,7 @@ from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
-from bo_sysid.simulation import Engine, ForceLaw, State, Trajectory
+from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
 from bo_sysid.simulation.cutting import cut
 from bo_sysid.simulation.windows import Layout, Windows, predicted
 
@@ -35,7 +35,7 @@ class Simulated:
         windows: at the time step of the simulation.
         model: the edited model.
         coordinates: how the two trajectories belong together.
-        ctrl: `W x S x nu` controls after filters.
+        ctrl: `W x S x nu` controls after filters, as handed to the simulation.
     """
 
     trajectory: Trajectory
@@ -63,6 +63,7 @@ class Problem:
         nuisances: the study's parameters.
         correction: `W x R` projected difference that a finer time step makes, or None.
         engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
     """
 
     model: Model
@@ -75,6 +76,7 @@ class Problem:
     nuisances: tuple[Candidate, ...]
     correction: Float[np.ndarray, "W R"] | None
     engine: Engine
+    laws: tuple[Controller | ForceLaw, ...] = ()
 
     @property
     def count(self) -> int:
@@ -134,7 +136,7 @@ class Problem:
             model,
             coordinates.expand(start),
             ctrl,
-            laws=force_laws(parts),
+            laws=(*self.laws, *force_laws(parts)),
             signals=windows.signals,
         )
         return Simulated(
@@ -169,6 +171,7 @@ def pose(
     stride: int = 1,
     timestep: float | None = None,
     engine: Engine,
+    laws: Sequence[Controller | ForceLaw] = (),
 ) -> Problem:
     """Cut recordings into windows.
 
@@ -182,8 +185,16 @@ def pose(
         stride: every how many-th of the disjoint windows to keep.
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
     """
-    windows = cut(model, recordings, horizon=horizon, timestep=timestep, signals=machine.inputs)
+    windows = cut(
+        model,
+        recordings,
+        horizon=horizon,
+        timestep=timestep,
+        signals=machine.inputs,
+        controlled=[w.actuator for w in laws if isinstance(w, Controller)],
+    )
     windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
     windows = replace(windows, signals={**windows.signals, ELAPSED: _elapsed(windows, recordings)})
     scale = np.array([sigma[n] for n in windows.channels])
@@ -199,6 +210,7 @@ def pose(
         tuple(nuisances),
         None,
         engine,
+        tuple(laws),
     )
 
 

@@ -30,22 +30,42 @@ ELAPSED = "aux.elapsed"
 
 _POSITIONS, _SPEEDS, _TIMES, _OTHERS = 24, 10, 8, 6  # bumps over the range of each
 _FASTEST = 2.5  # of a joint's root-mean-square speed: the outermost bumps
+_NODES, _BEYOND = 4096, 0.5  # of the table that stands for many bumps; share of the range beyond
 _REVERSAL = 0.02  # of that speed: where a smooth sign turns
 
 
 @dataclass(frozen=True)
+class Variable:
+    """What a term is a function of, and over which range."""
+
+    name: str
+    read: Term
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Feature:
-    """One term of a learned force law.
+    """One term of a learned force law: shape(variable) · times(motion), about 1 at most.
 
     Attributes:
         depends_on: what it depends on.
         name: for tables.
-        value: of the term, about 1 at most, for many simulations at one instant.
+        of: the variable.
+        shape: function of the variable.
+        times: name and factor that goes with it, such as the direction of motion.
     """
 
     depends_on: Dependence
     name: str
-    value: Term
+    of: Variable
+    shape: Shape
+    times: tuple[str, Term] | None = None
+
+    def value(self, motion: Motion) -> Signal:
+        """Return the term for many simulations at one instant."""
+        value = self.shape(self.of.read(motion))
+        return value if self.times is None else value * self.times[1](motion)
 
 
 def features(joint: str, machine: Machine) -> tuple[Feature, ...]:
@@ -65,18 +85,41 @@ def features(joint: str, machine: Machine) -> tuple[Feature, ...]:
 
 
 def learned_force(terms: Sequence[Feature], weights: Magnitudes, scale: float) -> Term:
-    """Return the law scale·Σ wᵢ φᵢ(motion), in the unit of `scale`."""
+    """Return the law scale·Σ wᵢ φᵢ(motion), in the unit of `scale`.
+
+    Terms of one variable with one factor are summed once, in a table that is interpolated
+    linearly: a law is evaluated at every step of every simulation.
+    """
     if len(terms) != len(weights):
         raise ValueError(f"{len(terms)} terms have {len(weights)} weights")
-    used = [(t.value, float(w)) for t, w in zip(terms, weights, strict=True) if w]
+    together: dict[tuple[str, str], list[tuple[Feature, float]]] = {}
+    for t, w in zip(terms, weights, strict=True):
+        if w:
+            key = (t.of.name, "" if t.times is None else t.times[0])
+            together.setdefault(key, []).append((t, scale * float(w)))
+    summed = [_summed(group) for group in together.values()]
 
     def law(motion: Motion) -> Signal:
         force = np.zeros_like(next(iter(motion.qvel.values())))
-        for value, weight in used:
-            force = force + scale * weight * value(motion)
+        for value in summed:
+            force = force + value(motion)
         return force
 
     return law
+
+
+def _summed(group: Sequence[tuple[Feature, float]]) -> Term:
+    """Return the sum of weighted terms of one variable with one factor."""
+    of, times = group[0][0].of, group[0][0].times
+    beyond = _BEYOND * (of.high - of.low)
+    nodes = np.linspace(of.low - beyond, of.high + beyond, _NODES)
+    table = np.sum([w * t.shape(nodes) for t, w in group], axis=0)
+
+    def value(motion: Motion) -> Signal:
+        found = np.interp(of.read(motion), nodes, table)
+        return np.asarray(found if times is None else found * times[1](motion))
+
+    return value
 
 
 def _bumps(count: int, low: float, high: float) -> list[Shape]:
@@ -98,33 +141,32 @@ def _direction(joint: JointScale) -> Shape:
     return lambda v: np.tanh(v / (_REVERSAL * joint.speed))
 
 
-def _of_qpos(joint: str, shape: Shape) -> Term:
-    return lambda m: shape(m.qpos[joint])
+def _position(joint: JointScale) -> Variable:
+    half, name = 0.5 * joint.span, joint.name
+    low, high = joint.middle - half, joint.middle + half
+    return Variable(f"qpos.{name}", lambda m: m.qpos[name], low, high)
 
 
-def _of_qvel(joint: str, shape: Shape) -> Term:
-    return lambda m: shape(m.qvel[joint])
+def _velocity(joint: JointScale) -> Variable:
+    most, name = _FASTEST * joint.speed, joint.name
+    return Variable(f"qvel.{name}", lambda m: m.qvel[name], -most, most)
 
 
-def _of_elapsed(shape: Shape) -> Term:
-    return lambda m: shape(m.signals[ELAPSED])
-
-
-def _product(one: Term, other: Term) -> Term:
-    return lambda m: one(m) * other(m)
+def _turning(joint: JointScale) -> tuple[str, Term]:
+    sign = _direction(joint)
+    return "direction", lambda m: sign(m.qvel[joint.name])
 
 
 def _own(joint: JointScale) -> list[Feature]:
     """Bumps over position, over speed, and over position times the direction of motion."""
-    name, most = joint.name, _FASTEST * joint.speed
-    over = [_of_qpos(name, f) for f in _over_positions(joint, _POSITIONS)]
-    sign = _of_qvel(name, _direction(joint))
-    speeds = [_of_qvel(name, f) for f in _bumps(_SPEEDS, -most, most)]
+    at, speed, sign = _position(joint), _velocity(joint), _turning(joint)
+    over = _over_positions(joint, _POSITIONS)
+    speeds = _bumps(_SPEEDS, speed.low, speed.high)
     return [
-        *(Feature("position", f"position {k}", f) for k, f in enumerate(over)),
-        *(Feature("speed", f"speed {k}", f) for k, f in enumerate(speeds)),
+        *(Feature("position", f"position {k}", at, f) for k, f in enumerate(over)),
+        *(Feature("speed", f"speed {k}", speed, f) for k, f in enumerate(speeds)),
         *(
-            Feature("position", f"friction at position {k}", _product(f, sign))
+            Feature("position", f"friction at position {k}", at, f, sign)
             for k, f in enumerate(over)
         ),
     ]
@@ -132,48 +174,53 @@ def _own(joint: JointScale) -> list[Feature]:
 
 def _of_drive(joint: JointScale, machine: Machine) -> list[Feature]:
     """Powers of the control of each actuator; its torque against the motion."""
-    sign = _of_qvel(joint.name, _direction(joint))
     found = []
     for a in (machine.actuators[n] for n in joint.actuators):
         if a.ctrl_max > 0:
-            found += [Feature("control", f"{a.name}^{p}", _control(a, p)) for p in (1, 2, 3)]
+            ctrl = _control(a)
+            found += [Feature("control", f"{a.name}^{p}", ctrl, _power(a, p)) for p in (1, 2, 3)]
         if a.ctrl_max > 0 and a.plain:
-            load = _product(sign, _load(a, joint.name))
-            found.append(Feature("load", f"torque of {a.name} against motion", load))
+            name = f"torque of {a.name} against motion"
+            found.append(Feature("load", name, _load(a, joint), np.asarray, _turning(joint)))
     return found
 
 
-def _control(a: ActuatorScale, power: int) -> Term:
-    return lambda m: (m.ctrl[a.name] / a.ctrl_max) ** power
+def _control(a: ActuatorScale) -> Variable:
+    return Variable(f"ctrl.{a.name}", lambda m: m.ctrl[a.name], -a.ctrl_max, a.ctrl_max)
 
 
-def _load(a: ActuatorScale, joint: str) -> Term:
-    return lambda m: np.abs(a.force(m.ctrl[a.name], m.qpos[joint], m.qvel[joint])) / a.force_max
+def _power(a: ActuatorScale, power: int) -> Shape:
+    return lambda u: (u / a.ctrl_max) ** power
+
+
+def _load(a: ActuatorScale, joint: JointScale) -> Variable:
+    def read(m: Motion) -> Signal:
+        force = a.force(m.ctrl[a.name], m.qpos[joint.name], m.qvel[joint.name])
+        return np.asarray(np.abs(force) / a.force_max)
+
+    return Variable(f"load.{a.name}", read, 0.0, 2.0)
 
 
 def _of_time(joint: JointScale, machine: Machine) -> list[Feature]:
     """Bumps over time: of a force, of friction and of damping."""
-    most = _FASTEST * joint.speed
-    kinds: dict[str, Shape] = {
-        "force": np.ones_like,
-        "friction": _direction(joint),
-        "damping": lambda v: v / most,
+    most, end = _FASTEST * joint.speed, max(machine.duration, 1e-6)
+    elapsed = Variable(ELAPSED, lambda m: m.signals[ELAPSED], 0.0, end)
+    kinds: dict[str, tuple[str, Term] | None] = {
+        "force": None,
+        "friction": _turning(joint),
+        "damping": ("speed", lambda m: m.qvel[joint.name] / most),
     }
     return [
-        Feature(
-            "time",
-            f"{kind} at time {k}",
-            _product(_of_elapsed(bump), _of_qvel(joint.name, shape)),
-        )
-        for kind, shape in kinds.items()
-        for k, bump in enumerate(_bumps(_TIMES, 0.0, max(machine.duration, 1e-6)))
+        Feature("time", f"{kind} at time {k}", elapsed, bump, times)
+        for kind, times in kinds.items()
+        for k, bump in enumerate(_bumps(_TIMES, 0.0, end))
     ]
 
 
 def _of_others(joint: JointScale, machine: Machine) -> list[Feature]:
     """Bumps over the positions of the other joints."""
     return [
-        Feature("other_joint", f"{other.name} {k}", _of_qpos(other.name, f))
+        Feature("other_joint", f"{other.name} {k}", _position(other), f)
         for other in machine.joints.values()
         if other.name != joint.name
         for k, f in enumerate(_over_positions(other, _OTHERS))

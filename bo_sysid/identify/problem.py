@@ -12,7 +12,7 @@ from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Controller, Engine, MujocoSimulator, Windows, cut
+from bo_sysid.simulation import Controller, Engine, ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set, nominal, require_known
 from bo_sysid.study.inputs import load_function, load_model, load_train
@@ -140,12 +140,20 @@ def make_simulator(
     study: Study, model: Model, parameters: Sequence[Parameter], *, threads: int = 0
 ) -> MujocoSimulator:
     """Return the simulator of a study: its model, its parameters and its actuators' laws."""
+    return MujocoSimulator(model, tuple(parameters), Engine(threads), study_laws(study, model))
+
+
+def study_laws(study: Study, model: Model) -> tuple[Controller | ForceLaw, ...]:
+    """Return what is stepped with the model: the laws of actuators.
+
+    Raises:
+        StudyError: the model has no such actuator, or the file no such function.
+    """
     for name in study.actuators:
         if name not in model.actuators:
             near = nearest(name, model.actuators)
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
-    laws = tuple(Controller(n, load_function(study, a.law)) for n, a in study.actuators.items())
-    return MujocoSimulator(model, tuple(parameters), Engine(threads), laws)
+    return tuple(Controller(n, load_function(study, a.law)) for n, a in study.actuators.items())
 
 
 def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:

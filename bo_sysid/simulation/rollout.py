@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -69,13 +70,14 @@ class Engine:
         batch = self._prepare(models, start)
         before = batch.warning[:, :, 1].sum(axis=1)
         with quietly():
+            written = np.array(ctrl) if any(isinstance(w, Controller) for w in laws) else None
             if laws:
-                recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors)
+                recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors, written)
             else:
                 recorded = self._open_loop(batch, ctrl, force, sensors)
         states, sensordata, failed = recorded
         diverged = failed | (batch.warning[:, :, 1].sum(axis=1) > before)
-        return _trajectory(batch.model, start, states, sensordata, diverged)
+        return replace(_trajectory(batch.model, start, states, sensordata, diverged), ctrl=written)
 
     def final(
         self,
@@ -177,7 +179,9 @@ class Engine:
         laws: Sequence[Controller | ForceLaw],
         signals: Mapping[str, Float[np.ndarray, "W S"]],
         sensors: bool,
+        written: Ctrl | None,
     ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
+        """Step with laws; the controls that they write are kept in `written`."""
         steps, model = ctrl.shape[1], batch.model
         views = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qfrc_applied")}
         sensordata = batch.bind("sensordata") if sensors else None
@@ -192,6 +196,8 @@ class Engine:
             if model.nu:
                 views["ctrl"][:] = ctrl[:, k_input]
             lockstep.apply(k_input)
+            if written is not None and k < steps:
+                written[:, k] = views["ctrl"]
             try:
                 batch.step(ids=None if alive.all() else np.flatnonzero(alive))
             except SimulationError as error:

@@ -82,6 +82,7 @@ class Trajectory:
         qvel: `W x (S+1) x nv`.
         act: `W x (S+1) x na`.
         sensordata: `W x (S+1) x nsensordata` where sensors were asked for, else None.
+        ctrl: `W x S x nu` controls as controllers wrote them, None where none did.
         diverged: `W` flags: MuJoCo warned (bad position, velocity or acceleration, a full
             buffer) or raised; from there on the rows repeat the last good state.
     """
@@ -91,6 +92,7 @@ class Trajectory:
     act: Float[np.ndarray, "W S1 na"]
     sensordata: Float[np.ndarray, "W S1 ns"] | None
     diverged: Bool[np.ndarray, " W"]
+    ctrl: Float[np.ndarray, "W S nu"] | None = None
 
     def rows(self, index: np.ndarray | slice) -> "Trajectory":
         """Return the trajectories of some windows."""
@@ -102,6 +104,7 @@ class Trajectory:
             act=self.act[index],
             sensordata=sensors,
             diverged=self.diverged[index],
+            ctrl=None if self.ctrl is None else self.ctrl[index],
         )
 
 

@@ -1,0 +1,50 @@
+"""The controls that laws write, along what was recorded: they give the scales of the actuators."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation import Controller, ForceLaw, LawInputs
+
+
+def driven(
+    model: mujoco.MjModel, recordings: Sequence[Recording], laws: Sequence[Controller | ForceLaw]
+) -> tuple[Recording, ...]:
+    """Return the recordings with the control of every controller beside what was recorded.
+
+    A law with memory sees each instant as the first one; the result gives scales and enters no
+    prediction.
+
+    Args:
+        model: the compiled nominal model.
+        recordings: what was recorded.
+        laws: of the nominal model.
+    """
+    own = [w for w in laws if isinstance(w, Controller)]
+    return tuple(_one(model, r, own) for r in recordings) if own else tuple(recordings)
+
+
+def _one(model: mujoco.MjModel, recording: Recording, laws: Sequence[Controller]) -> Recording:
+    positions = recording.of_kind("qpos")
+    if not positions:
+        return recording
+    time = next(iter(positions.values())).time
+    qpos = {n: np.interp(time, c.time, c.values) for n, c in positions.items()}
+    qvel = {n: np.gradient(q, time) for n, q in qpos.items()}
+    held = {n: c.at(time) for n, c in recording.channels.items() if c.hold == "zero"}
+    ctrl = {model.actuator(a).name: np.zeros(time.size) for a in range(model.nu)}
+    ctrl |= {n.removeprefix("ctrl."): v for n, v in held.items() if n.startswith("ctrl.")}
+    step = float(np.median(np.diff(time)))
+    made: dict[str, Channel] = {}
+    for law in laws:
+        inputs = LawInputs(time - time[0], qpos, qvel, _known(ctrl), held, step)
+        ctrl[law.actuator] = np.broadcast_to(np.asarray(law.law(inputs), float), time.shape)
+        name = f"ctrl.{law.actuator}"
+        made[name] = Channel(time, ctrl[law.actuator], "", f"{recording.name}: {name}", "zero")
+    return Recording(recording.name, {**recording.channels, **made}, recording.notes)
+
+
+def _known(ctrl: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    return dict(ctrl)
