@@ -14,6 +14,7 @@ from typing import NoReturn
 from bo_sysid import __version__
 from bo_sysid.cli import (
     check,
+    compare,
     conceal,
     demo,
     diagnose,
@@ -38,6 +39,7 @@ VERBS = (
     diagnose,
     learn,
     play,
+    compare,
     record,
     report,
     conceal,

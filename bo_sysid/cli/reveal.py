@@ -34,12 +34,25 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     parser.add_argument(
         "--threads", type=int, metavar="N", help="number of processes; one a core otherwise"
     )
+    parser.add_argument(
+        "--engine",
+        default="local",
+        help="local, processes of this machine; or ray, a cluster whose machines all see RUN",
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=3600.0,
+        metavar="SECONDS",
+        help="longest time for one case, which then counts as unanswered (default: %(default)g)",
+    )
+    parser.add_argument("--address", help="of the Ray cluster; auto finds a running one")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> None:
     """Answer and reveal, and print the rates."""
-    from bo_sysid.execution import use_threads
+    from bo_sysid.execution import open_engine, use_threads
     from bo_sysid.proof.answer import answer, frozen_digest
     from bo_sysid.proof.conceal import concealed_run
     from bo_sysid.proof.proof import PAGE, prove
@@ -49,12 +62,20 @@ def run(args: argparse.Namespace) -> None:
         concealed_run(args.folder) as opened,
         shown("reveal") as progress,
     ):
+        engine = open_engine(args.engine, args.address)
         if args.answers_only:
-            answer(opened, progress=progress)
+            answer(opened, engine=engine, limit=args.limit, progress=progress)
             print(f"{args.folder}: every case has an answer, frozen; no seal was opened.")
             print(f"Publish: SHA-256 of the frozen answers is {frozen_digest(args.folder)}")
             return
-        scores = prove(opened, seals=args.seals, published=args.published, progress=progress)
+        scores = prove(
+            opened,
+            seals=args.seals,
+            published=args.published,
+            engine=engine,
+            limit=args.limit,
+            progress=progress,
+        )
     for what, count, of in scores.summary[["what", "count", "of"]].to_numpy():
         if of:
             print(f"{count:5d} of {of:<5d} {what}")

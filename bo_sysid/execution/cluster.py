@@ -36,7 +36,8 @@ class RayEngine:
         ray = _ray()
         with _connected(ray, self.address):
             remote = ray.remote(num_cpus=1, max_retries=RETRIES)(answer)
-            waiting, busy = deque(jobs.items()), {}
+            waiting: deque[tuple[str, Any]] = deque(jobs.items())
+            busy: dict[Any, str] = {}
             try:
                 while waiting or busy:
                     room = _AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1)

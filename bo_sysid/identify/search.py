@@ -23,6 +23,9 @@ from bo_sysid.parameters import CandidateSet
 Evaluate = Callable[[int], Evaluation]
 """Returns Δ of one row of B."""
 
+Believe = Callable[[CandidateSet, "History", "Rules"], tuple[Surrogate, ArgminBelief]]
+"""Returns surrogate and belief after a history."""
+
 
 @dataclass(frozen=True)
 class History:
@@ -100,6 +103,7 @@ def search(
     rules: Rules,
     history: History,
     on_step: Callable[[History], None] = lambda _: None,
+    believing: Believe | None = None,
 ) -> Outcome:
     """Search the candidate with the smallest Δ.
 
@@ -109,12 +113,14 @@ def search(
         rules: how to search.
         history: what was evaluated before, to go on from.
         on_step: called after every evaluation with the history so far.
+        believing: makes the belief; `believe` by default.
     """
+    believing = believing or believe
     for row in np.setdiff1d(initial_rows(candidates, rules), history.rows).tolist():
         history = history.told(row, evaluate(row))
         on_step(history)
     while True:
-        surrogate, belief = believe(candidates, history, rules)
+        surrogate, belief = believing(candidates, history, rules)
         if np.isnan(history.entropy[-1]):
             history = history.with_entropy(belief.entropy)
             on_step(history)

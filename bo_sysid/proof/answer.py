@@ -4,23 +4,32 @@ Each case is diagnosed in a process of its own, which is given the folder of the
 else. When it ends, a record with the hash of every file of the answer and of the commitments is
 written; from then on the answer counts, also where it is an error. An interrupted call goes on with
 the cases that have no record.
+
+A diagnosis that has not ended after its time limit is ended with its process, and the case counts
+as unanswered. The watchdog is Python's own (faulthandler): it needs no lock of the interpreter, so
+that it also ends what hangs in compiled code, and it leaves where every thread was.
 """
 
+import contextlib
+import faulthandler
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError
-from bo_sysid.execution import Progress, Report, map_jobs, silent
+from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.seal import digest, file_digest, write_json
 from bo_sysid.runs import Run, read_json, versions
 from bo_sysid.study import Study
 
 ANSWERS, OPENED = "answers", "opened.json"
+LIMIT = 3600.0
+"""Longest time that the diagnosis of one case may take, in [s]."""
+_HUNG = "hung.txt"  # where the threads were when the time was over
 _NOT_THE_ANSWER = {"run.json", ".lock"}
 
 
@@ -31,17 +40,28 @@ class Job:
     Attributes:
         folder: of the run.
         name: of the case.
+        limit: longest time that it may take, in [s].
     """
 
     folder: Path
     name: str
+    limit: float = LIMIT
 
 
-def answer(run: Run, *, progress: Report = silent) -> None:
+def answer(
+    run: Run,
+    *,
+    engine: Engine | None = None,
+    limit: float = LIMIT,
+    progress: Report = silent,
+) -> None:
     """Diagnose the cases of a run that have no answer yet.
 
     Args:
         run: with cases and commitments.
+        engine: where the cases are diagnosed; on a cluster the run folder must be one that all its
+            machines see. Processes of this machine by default.
+        limit: longest time that a case may take, in [s]; then it counts as unanswered.
         progress: told after every case.
 
     Raises:
@@ -56,11 +76,13 @@ def answer(run: Run, *, progress: Report = silent) -> None:
             f"{run.folder}: the seals were opened; {len(names) - len(done)} cases have no answer "
             "and an answer that is given now does not count"
         )
-    jobs = {n: Job(run.folder.resolve(), n) for n in names}
+    jobs = {n: Job(run.folder.resolve(), n, limit) for n in names}
     step = len(done)
-    for outcome in map_jobs(answer_case, jobs, done=done):
-        if outcome.error is not None:  # the process died, or the answer could not be written
-            freeze(run.folder, outcome.key, 0.0, outcome.error)
+    for outcome in map_jobs(answer_case, jobs, engine=engine, done=done):
+        job = jobs[outcome.key]
+        if outcome.error is not None and not _frozen_as_hung(job):
+            # the process died, or the answer could not be written
+            freeze(job.folder, job.name, 0.0, outcome.error)
         step += 1
         progress(Progress(step, len(names), outcome.key))
 
@@ -86,14 +108,40 @@ def answer_case(job: Job) -> None:
     """Diagnose one case and freeze the answer, an error included."""
     from bo_sysid.diagnosis import diagnose
 
+    if (job.folder / record_of(job.name)).is_file() or _frozen_as_hung(job):
+        return  # a cluster runs a job again whose machine was lost, or whose time was over
     place, began, error = job.folder / ANSWERS / job.name, time.monotonic(), None
     try:
         study = Study.load(job.folder / CASES / job.name / "study.yaml")
-        with Run.open(place, study.resolved(relative_to=place), "diagnose") as run:
+        with (
+            Run.open(place, study.resolved(relative_to=place), "diagnose") as run,
+            _ended_after(job.limit, place / _HUNG),
+        ):
             diagnose(study, run)
     except Exception as failure:  # whatever went wrong is the answer
         error = f"{type(failure).__name__}: {failure}"
     freeze(job.folder, job.name, time.monotonic() - began, error)
+
+
+@contextlib.contextmanager
+def _ended_after(seconds: float, trace: Path) -> Iterator[None]:
+    """End this process where the block takes longer, after writing where it was."""
+    with open(trace, "w", encoding="utf-8") as file:
+        faulthandler.dump_traceback_later(seconds, exit=True, file=file)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+    trace.unlink()
+
+
+def _frozen_as_hung(job: Job) -> bool:
+    """Freeze a case as unanswered where its time was over; return whether it was."""
+    trace = job.folder / ANSWERS / job.name / _HUNG
+    if not trace.is_file() or not trace.stat().st_size:
+        return False
+    freeze(job.folder, job.name, job.limit, f"no answer within {job.limit:g} s")
+    return True
 
 
 def answer_files(folder: Path, name: str) -> dict[str, str]:

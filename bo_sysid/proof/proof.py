@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bo_sysid.execution import Progress, Report, map_jobs, silent
-from bo_sysid.proof.answer import OPENED, answer
+from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
+from bo_sysid.proof.answer import LIMIT, OPENED, answer
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, reveal
@@ -39,6 +39,8 @@ def prove(
     *,
     seals: str | Path | None = None,
     published: str | None = None,
+    engine: Engine | None = None,
+    limit: float = LIMIT,
     progress: Report = silent,
 ) -> Scores:
     """Answer what is unanswered in a concealed run, open the seals, score, and write the scores.
@@ -50,27 +52,32 @@ def prove(
         run: made by `conceal`.
         seals: folder of the seals; beside the run where left out.
         published: SHA-256 of `commitments.json`, where it was published elsewhere.
+        engine: where the cases are diagnosed; processes of this machine by default.
+        limit: longest time that the diagnosis of a case may take, in [s].
         progress: told after every case.
 
     Raises:
         RunError: a hash differs, or an answer came after the seals were opened.
     """
-    answer(run, progress=progress)
+    answer(run, engine=engine, limit=limit, progress=progress)
     revealed = reveal(run, seals=seals, published=published)
-    scores = _with_oracle(score(revealed), _oracle(run, revealed, progress))
+    scores = _with_oracle(score(revealed), _oracle(run, revealed, engine, progress))
     run.write_frame(CASE_TABLE, scores.cases)
     run.write_frame(EFFECT_TABLE, scores.effects)
     run.write_text(PAGE, page(scores, _facts(run, revealed)))
     return scores
 
 
-def _oracle(run: Run, revealed: tuple[Revealed, ...], progress: Report) -> dict[str, float]:
+def _oracle(
+    run: Run, revealed: tuple[Revealed, ...], engine: Engine | None, progress: Report
+) -> dict[str, float]:
     """Return the oracle's error by case, computed once; NaN where there is none."""
     kept: dict[str, float | None] = run.read_json(_ORACLE) if run.has(_ORACLE) else {}
     folder = run.folder.resolve()
     jobs = {r.name: Job(folder / CASES / r.name, r.truth) for r in revealed}
     done = set(kept)
-    for step, outcome in enumerate(map_jobs(_oracle_of, jobs, done=done), len(done) + 1):
+    outcomes = map_jobs(_oracle_of, jobs, engine=engine, done=done)
+    for step, outcome in enumerate(outcomes, len(done) + 1):
         kept[outcome.key] = None if outcome.error else outcome.result
         run.write_json(_ORACLE, kept)
         progress(Progress(step, len(jobs), f"oracle {outcome.key}"))

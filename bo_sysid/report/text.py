@@ -29,6 +29,10 @@ def run_text(folder: str | Path) -> str:
         from bo_sysid.report.learning import learning_text
 
         return "\n".join([head, learning_text(read_json(folder, "learning.json"), folder)])
+    if (folder / "comparison.json").is_file():
+        from bo_sysid.report.comparison import comparison_text
+
+        return "\n".join([head, comparison_text(read_json(folder, "comparison.json"), folder)])
     if (folder / "diagnosis.json").is_file():
         from bo_sysid.report.diagnosis_text import diagnosis_text
 

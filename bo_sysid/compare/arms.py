@@ -1,0 +1,157 @@
+"""The arms of a comparison, and the problems that they are compared on."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bo_sysid.errors import StudyError
+from bo_sysid.mjcf import Model
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
+
+_INSIDE = (0.15, 0.85)  # of the bounds, where the parameters of a drawn plant lie
+_DRAW = 20_181  # keeps the draw of a plant apart from the seeds of the search
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One way of searching.
+
+    Attributes:
+        name: unique in the comparison.
+        acquisition: which candidate is tried next.
+        choose: how the model for the policy is chosen from P.
+        stop: rule that ends the outer loop.
+        seeds: number of the paired seeds that it runs with.
+    """
+
+    name: str
+    acquisition: str
+    choose: str
+    stop: str
+    seeds: int
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A problem of a comparison.
+
+    Attributes:
+        name: unique in the comparison; names files.
+        study: what is asked, on which recordings or which plant.
+    """
+
+    name: str
+    study: Study
+
+    @property
+    def fresh(self) -> bool:
+        """Whether every seed has recordings of its own."""
+        return self.study.plant is not None
+
+    def seeded(self, seed: int, truth: str = "drawn") -> dict[str, Any]:
+        """Return the resolved study of one seed.
+
+        Args:
+            seed: draws the plant's parameters, uniform in the inner 70 % of their bounds.
+            truth: "stated" leaves them as the study states them.
+        """
+        data = self.study.resolved()
+        if not self.fresh or truth == "stated":
+            return data
+        model = load_model(self.study)
+        return {**data, "plant": _drawn(self.study, model, data["plant"], seed)}
+
+
+def _drawn(study: Study, model: Model, plant: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    parameters = study.parameter_set(model)
+    share = np.random.default_rng((_DRAW, seed)).uniform(*_INSIDE, size=len(parameters))
+    values = {
+        p.name: float(p.low + u * (p.high - p.low)) for p, u in zip(parameters, share, strict=True)
+    }
+    return {**plant, "parameters": {**plant.get("parameters", {}), **values}}
+
+
+def arms_of(study: Study) -> tuple[Arm, ...]:
+    """Return the arms that a study compares.
+
+    Raises:
+        StudyError: there is none, or two have one name.
+    """
+    settings = study.compare
+    if not settings.arms:
+        raise study.error(
+            ("compare",),
+            "names no arms; for instance arms: [argmin-entropy, greedy, random]",
+        )
+    found: dict[str, Arm] = {}
+    for i, arm in enumerate(settings.arms):
+        made_of = [arm.acquisition]
+        if settings.loop == "outer":
+            made_of += [arm.choose, arm.stop]
+        name = arm.name or ", ".join(made_of)
+        if slug(name) in {slug(n) for n in found}:
+            raise study.error(
+                ("compare", "arms", i), f"there is another arm {name!r}; name one of them"
+            )
+        seeds = min(arm.seeds or settings.seeds, settings.seeds)
+        found[name] = Arm(name, arm.acquisition, arm.choose, arm.stop, seeds)
+    return tuple(found.values())
+
+
+def problems_of(study: Study, *, trust_code: bool = True) -> tuple[Posed, ...]:
+    """Return the problems of a comparison: the study itself, then those that it names.
+
+    Args:
+        study: with the key `compare`.
+        trust_code: allow the studies that it names to name Python files in turn.
+
+    Raises:
+        StudyError: a study is missing or wrong, or two have one name.
+    """
+    problems = [Posed(slug(study.name), study)]
+    for i, path in enumerate(study.compare.problems or ()):
+        file = study.file(path, ("compare", "problems", i))
+        other = Study.load(file, trust_code=trust_code)
+        if slug(other.name) in {p.name for p in problems}:
+            raise study.error(
+                ("compare", "problems", i),
+                f"{path} is called {other.name!r}, as another problem; give it another name",
+            )
+        problems.append(Posed(slug(other.name), other))
+    for problem in problems:
+        _require_uncertain(problem)
+    return tuple(problems)
+
+
+def _require_uncertain(problem: Posed) -> None:
+    if not problem.study.parameters:
+        raise problem.study.error(
+            ("parameters",), "compare needs at least one uncertain parameter; the study has none"
+        )
+
+
+def remade(data: Mapping[str, Any], folder: str) -> Study:
+    """Return the study of a job; its code was trusted when the job was made."""
+    return Study.from_dict(data, folder, trust_code=True)
+
+
+def slug(name: str) -> str:
+    """Return a name as it is used in the names of files.
+
+    Raises:
+        StudyError: nothing is left of it.
+    """
+    made = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.")
+    if not made:
+        raise StudyError(f"the name {name!r} has no letter or digit, and names files")
+    return made
+
+
+def absolute(study: Study) -> str:
+    """Return the folder of a study, as jobs elsewhere see it."""
+    return str(Path(study.folder).resolve())

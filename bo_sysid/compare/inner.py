@@ -1,0 +1,257 @@
+"""One search of an arm: the inner loop on the recordings of a seed, and what it saw on its way."""
+
+import hashlib
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bo_sysid.acquisition.registry import acquisition
+from bo_sysid.arrays import Points
+from bo_sysid.belief.argmin import ArgminBelief
+from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
+from bo_sysid.belief.stopping import StopRule, entropy_settled
+from bo_sysid.belief.surrogate import Surrogate
+from bo_sysid.compare.arms import Arm, remade
+from bo_sysid.compare.table import Table, recorded
+from bo_sysid.deviation import Evaluation
+from bo_sysid.deviation.measure import Blocks
+from bo_sysid.identify.search import History, Outcome, Rules, believe, search
+from bo_sysid.parameters import CandidateSet
+from bo_sysid.study import Study
+from bo_sysid.study.check import candidate_set
+from bo_sysid.study.inputs import load_model
+
+BLIND = ("full-grid", "random", "sobol")
+"""Acquisitions that do not look at the belief; it is computed at every fifth evaluation alone."""
+EVERY = 5
+_KEPT = 160  # beliefs that a process keeps: arms that pick alike share them
+
+
+@dataclass(frozen=True)
+class SearchJob:
+    """What a process needs for one search.
+
+    Attributes:
+        study: resolved, of one seed.
+        folder: that its paths are relative to.
+        arm: how to search.
+        seed: of the search.
+        data: seed of the recordings.
+        table: Δ on all of B; None where B is too large.
+    """
+
+    study: Mapping[str, Any]
+    folder: str
+    arm: Arm
+    seed: int
+    data: int
+    table: Table | None
+
+
+def run_search(job: SearchJob) -> dict[str, Any]:
+    """Search until the budget is used or all probability is on evaluated candidates.
+
+    Returns:
+        One value an evaluation: row, deviation, steps and seconds so far, entropy, max_p, and
+        right (whether the row of the largest P is an arg-min of Δ on B); these three None where
+        the belief was not computed or Δ is not known on B. And at the end: stopped; settled, after
+        how many evaluations the study's rule on the entropy would have stopped; lowest and median
+        Δ on B; truth, low95 and high95 of each parameter.
+    """
+    study = remade(job.study, job.folder)
+    acquisition(job.arm.acquisition)  # imports what it needs, which is no time of the search
+    scene = _scene(job, study)
+    budget = study.search.budget
+    watch = _Watch(scene, budget, blind=job.arm.acquisition in BLIND)
+    outcome = search(
+        scene.candidates,
+        watch.evaluate,
+        Rules(job.arm.acquisition, StopRule(budget, entropy=None), job.seed),
+        History.empty(len(scene.blocks.weight)),
+        believing=watch.believe,
+    )
+    deviation = None if job.table is None else job.table.evaluation.deviation
+    lowest = None if deviation is None else float(deviation.min())
+    seen = watch.told(len(outcome.history))
+    return {
+        "row": outcome.history.rows.tolist(),
+        "deviation": outcome.history.evaluation.deviation.tolist(),
+        "entropy": [s and s.entropy for s in seen],
+        "max_p": [s and s.max_p for s in seen],
+        "right": [
+            None if s is None or deviation is None else bool(deviation[s.best] == lowest)
+            for s in seen
+        ],
+        "steps": [steps for steps, _ in watch.costs],
+        "seconds": [seconds for _, seconds in watch.costs],
+        "stopped": outcome.reason.value,
+        "settled": _settled(watch, study),
+        "lowest": lowest,
+        "median": None if deviation is None else float(np.median(deviation)),
+        **_intervals(scene, outcome, study, job.seed),
+    }
+
+
+class _Scene(NamedTuple):
+    """What a search searches.
+
+    Attributes:
+        candidates: the set B.
+        evaluate: returns Δ of a row.
+        blocks: of the recordings.
+        cost: returns engine steps and seconds of all evaluations so far, from their number and
+            the seconds that they took here.
+    """
+
+    candidates: CandidateSet
+    evaluate: Callable[[int], Evaluation]
+    blocks: Blocks
+    cost: Callable[[int, float], tuple[float, float]]
+
+
+def _scene(job: SearchJob, study: Study) -> _Scene:
+    table = job.table
+    if table is None:
+        problem, counter = recorded(study, job.data)
+        points, counter.steps = problem.candidates.points, 0
+        return _Scene(
+            problem.candidates,
+            lambda row: problem.deviation(points[[row]]),
+            problem.deviation.blocks,
+            lambda _, seconds: (counter.steps, seconds),
+        )
+    blocks = Blocks(np.zeros(0, int), table.weight, table.session)
+    return _Scene(
+        candidate_set(study, study.parameter_set(load_model(study))),
+        table.row,
+        blocks,
+        lambda count, _: (count * table.steps, count * table.seconds),
+    )
+
+
+class _Saw(NamedTuple):
+    """A belief in three numbers."""
+
+    entropy: float
+    max_p: float
+    best: int
+
+
+class _Watch:
+    """Evaluates and believes for a search, and notes what both saw and took.
+
+    Args:
+        scene: what is searched.
+        budget: of the search.
+        blind: whether the acquisition does not look at the belief.
+    """
+
+    def __init__(self, scene: _Scene, budget: int, *, blind: bool) -> None:
+        self._scene, self._budget, self._blind = scene, budget, blind
+        self._simulated = self._thought = 0.0  # seconds
+        self._believed_at: float | None = None
+        self._surrogate: Surrogate | None = None
+        self.saw: dict[int, _Saw] = {}
+        self.costs: list[tuple[float, float]] = []  # engine steps and seconds so far
+
+    def evaluate(self, row: int) -> Evaluation:
+        """Return Δ of a row; the time since the belief was that of the acquisition."""
+        began = time.perf_counter()
+        if self._believed_at is not None:
+            self._thought += began - self._believed_at
+            self._believed_at = None
+        found = self._scene.evaluate(row)
+        self._simulated += time.perf_counter() - began
+        steps, seconds = self._scene.cost(len(self.costs) + 1, self._simulated)
+        self.costs.append((steps, seconds + self._thought))
+        return found
+
+    def believe(
+        self, candidates: CandidateSet, history: History, rules: Rules
+    ) -> tuple[Surrogate, ArgminBelief]:
+        """Return surrogate and belief; for a blind acquisition mostly the surrogate of before."""
+        count = len(history)
+        skipped = self._blind and count % EVERY and count < self._budget
+        if skipped and self._surrogate is not None:
+            self._believed_at = time.perf_counter()
+            return self._surrogate, _unknown(len(candidates))
+        surrogate, belief, seconds = _believed(candidates, history, rules)
+        if not self._blind:  # who does not look at the belief does not wait for it
+            self._thought += seconds
+        self._surrogate = surrogate
+        self.saw[count] = _Saw(belief.entropy, float(belief.probabilities.max()), belief.best)
+        self._believed_at = time.perf_counter()
+        return surrogate, belief
+
+    def told(self, count: int) -> list[_Saw | None]:
+        """Return what was seen after each of so many evaluations."""
+        return [self.saw.get(n) for n in range(1, count + 1)]
+
+
+def _unknown(size: int) -> ArgminBelief:
+    return ArgminBelief(np.full(size, 1.0 / size), "none", 1.0)
+
+
+_beliefs: OrderedDict[bytes, tuple[Surrogate, ArgminBelief, float]] = OrderedDict()
+
+
+def _believed(
+    candidates: CandidateSet, history: History, rules: Rules
+) -> tuple[Surrogate, ArgminBelief, float]:
+    """Return the belief and the seconds that it takes.
+
+    It follows from B, the history and the seed, not from the acquisition: arms that have picked
+    alike so far have one belief, which is computed once in a process.
+    """
+    parts = (candidates.points, history.rows, history.evaluation.deviation, np.array(rules.seed))
+    key = b"|".join(_digest(p) for p in parts)
+    if key not in _beliefs:
+        began = time.perf_counter()
+        found = believe(candidates, history, rules)
+        _beliefs[key] = (*found, time.perf_counter() - began)
+        if len(_beliefs) > _KEPT:
+            _beliefs.popitem(last=False)
+    _beliefs.move_to_end(key)
+    return _beliefs[key]
+
+
+def _digest(values: Points | np.ndarray) -> bytes:
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).digest()
+
+
+def _settled(watch: _Watch, study: Study) -> int | None:
+    """Return after how many evaluations the entropy was settled; None where it never was."""
+    rule = study.search.stop
+    counts = sorted(watch.saw)
+    entropies = [watch.saw[n].entropy for n in counts]
+    for k in range(len(counts)):
+        if entropy_settled(entropies[: k + 1], rule.entropy, rule.last):
+            return counts[k]
+    return None
+
+
+def _intervals(scene: _Scene, outcome: Outcome, study: Study, seed: int) -> dict[str, Any]:
+    """Return the plant's parameters, and the 95 % intervals that P_boot gives for them."""
+    candidates, blocks = scene.candidates, scene.blocks
+    bootstrap = bootstrap_argmin(
+        outcome.surrogate,
+        candidates.points,
+        outcome.history.rows,
+        outcome.history.evaluation.contributions,
+        blocks.weight,
+        groups=blocks.session,
+        seed=seed,
+    )
+    cell = 0.0 if candidates.spacing is None else candidates.spacing / 2
+    low, high = credible_interval(candidates.points, bootstrap.probabilities, 0.95)
+    plant = study.plant.parameters if study.plant else {}
+    return {
+        "parameters": [p.name for p in candidates.parameters],
+        "truth": [plant.get(p.name) for p in candidates.parameters],
+        "low95": (low - cell).tolist(),
+        "high95": (high + cell).tolist(),
+    }

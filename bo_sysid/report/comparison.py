@@ -1,0 +1,144 @@
+"""What a run of `compare` found, as figures and as text."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.report.text import table
+from bo_sysid.runs import Run, read_frame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WIDTH = 7.2  # inches
+_LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
+
+
+def comparison_text(told: Mapping[str, Any], folder: Path) -> str:
+    """Return `comparison.json` and its tables in words."""
+    unit = "trajectories" if told["loop"] == "outer" else "evaluations"
+    means = read_frame(folder, "summary.parquet")
+    shown = means.assign(
+        reached=[f"{n:.0%}" for n in means["reached"]],
+        cost=[
+            f"{m:.3g} [{low:.3g}, {high:.3g}]"
+            for m, low, high in means[[unit, f"{unit}_low", f"{unit}_high"]].to_numpy()
+        ],
+    )[["problem", "arm", "level", "runs", "reached", "cost"]]
+    parts = [
+        f"{told['name']}: {told['runs']} runs of {len(told['arms'])} arms.",
+        "",
+        f"Mean {unit} until the regret is at most a level, with 95 % intervals; a run that does "
+        "not reach it counts as a whole:",
+        table(shown.rename(columns={"cost": unit})),
+    ]
+    if len(told["arms"]) > 1:
+        versus = read_frame(folder, "paired.parquet")
+        versus = versus[versus["unit"] == unit].drop(columns="unit")
+        parts += ["", f"{unit.capitalize()} against {told['arms'][0]} on the same seeds:"]
+        parts += [table(versus)]
+        if told["loop"] == "inner":
+            columns = ["problem", "arm", "other", "pairs", "identical", "step", "overlap"]
+            parts += ["", "How alike the arms pick:"]
+            parts += [table(read_frame(folder, "agreement.parquet")[columns])]
+    parts += [f"- {name} was left out: {why}" for name, why in told["skipped"].items()]
+    return "\n".join(parts)
+
+
+def regret_curves(paths: pd.DataFrame, unit: str) -> "Figure":
+    """Return the median regret of each arm, with its quartiles, one panel a problem.
+
+    Args:
+        paths: as `bo_sysid.compare` writes them.
+        unit: column on the horizontal axis.
+    """
+    from matplotlib.figure import Figure
+
+    problems = list(paths["problem"].drop_duplicates())
+    figure = Figure(figsize=(_WIDTH, 2.6 * len(problems)), layout="constrained")
+    axes = figure.subplots(len(problems), 1, squeeze=False)[:, 0]
+    colours = _colours(paths)
+    for axis, problem in zip(axes, problems, strict=True):
+        part = paths[paths["problem"] == problem]
+        for arm, runs in part.groupby("arm", sort=False):
+            middle, low, high = _quartiles(runs, unit)
+            style = {"color": colours[str(arm)]}
+            axis.step(middle.index, middle, where="post", label=arm, linewidth=1.4, **style)
+            axis.fill_between(middle.index, low, high, step="post", alpha=0.1, **style)
+        axis.set_yscale("log")
+        axis.set_ylabel("regret")
+        axis.set_title(problem, fontsize="medium")
+    axes[-1].set_xlabel(unit)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="x-small", ncols=4, loc="outside upper center")
+    return figure
+
+
+def _quartiles(runs: pd.DataFrame, unit: str) -> tuple[pd.Series, pd.Series, pd.Series]:
+    """Return median and quartiles over seeds; a run that has ended keeps its regret."""
+    wide = runs.pivot_table(index=unit, columns="seed", values="regret").ffill()
+    wide = wide.clip(lower=_LEAST)
+    return tuple(wide.quantile(q, axis=1) for q in (0.5, 0.25, 0.75))  # type: ignore[return-value]
+
+
+def cost_bars(means: pd.DataFrame, unit: str) -> "Figure":
+    """Return the mean cost of each arm with its interval, one panel a problem, a colour a level.
+
+    Args:
+        means: the summary of a comparison.
+        unit: of the cost.
+    """
+    from matplotlib.figure import Figure
+
+    problems = list(means["problem"].drop_duplicates())
+    arms = list(means["arm"].drop_duplicates())
+    height = 0.24 * len(arms) + 0.7
+    figure = Figure(figsize=(_WIDTH, height * len(problems)), layout="constrained")
+    axes = figure.subplots(len(problems), 1, squeeze=False)[:, 0]
+    for axis, problem in zip(axes, problems, strict=True):
+        _bars(axis, means[means["problem"] == problem], arms, unit)
+        axis.set_title(problem, fontsize="medium")
+    axes[-1].set_xlabel(f"{unit} until the regret is reached (mean, 95 % interval)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize="x-small", ncols=4, loc="outside upper center")
+    return figure
+
+
+def _bars(axis: "Axes", part: pd.DataFrame, arms: list[str], unit: str) -> None:
+    levels = list(part["level"].drop_duplicates())
+    for k, level in enumerate(levels):
+        at = part[part["level"] == level].set_index("arm").reindex(arms)
+        place = np.arange(len(arms)) + 0.25 * (k - (len(levels) - 1) / 2)
+        mean = at[unit]
+        error = np.array([mean - at[f"{unit}_low"], at[f"{unit}_high"] - mean])
+        axis.errorbar(mean, place, xerr=error, fmt="o", markersize=4, label=f"regret {level:g}")
+    axis.set_yticks(np.arange(len(arms)), arms, fontsize="x-small")
+    axis.set_xlim(left=0)
+    axis.invert_yaxis()
+
+
+def _colours(paths: pd.DataFrame) -> dict[str, Any]:
+    from matplotlib import colormaps
+
+    arms = list(paths["arm"].drop_duplicates())
+    palette = colormaps["tab20" if len(arms) > 10 else "tab10"]
+    return {arm: palette(k) for k, arm in enumerate(arms)}
+
+
+def write_comparison_figures(run: Run) -> None:
+    """Write the figures of a comparison into its run folder."""
+    from bo_sysid.report.figures import save
+
+    outer = run.read_json("comparison.json")["loop"] == "outer"
+    unit = "trajectories" if outer else "evaluations"
+    drawn = {
+        "regret": regret_curves(run.read_frame("paths.parquet"), unit),
+        "costs": cost_bars(run.read_frame("summary.parquet"), unit),
+    }
+    for name, figure in drawn.items():
+        with run.writing(f"figures/{name}.png") as path:
+            save(figure, path)

@@ -1,0 +1,240 @@
+"""Comparisons: what a run of an arm records, that a killed one goes on, and what is refused."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from comparing import record_of, small
+from learning import pendulum
+
+from bo_sysid.belief.stopping import StopRule
+from bo_sysid.cli import main
+from bo_sysid.compare.arms import Posed, arms_of, problems_of
+from bo_sysid.compare.compare import Comparison, compare
+from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
+from bo_sysid.errors import RecordingError, RunError, StudyError
+from bo_sysid.identify.search import History, Rules, search
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Comparison]:
+    folder = tmp_path_factory.mktemp("compare")
+    study = Study.from_dict(small(), folder)
+    place = folder / "run"
+    with Run.open(place, study.resolved(relative_to=place), "compare") as run:
+        return place, compare(study, run)
+
+
+def seeded(folder: Path, seed: int) -> tuple[Study, Table]:
+    posed = Posed("small", Study.from_dict(small(), folder))
+    data = posed.seeded(seed)
+    return Study.from_dict(data, folder), tabulate(TableJob(data, str(folder), seed))
+
+
+def test_a_record_is_the_search_itself(compared: tuple[Path, Comparison], tmp_path: Path) -> None:
+    records = record_of(compared[0])
+    for seed in (0, 1):
+        study, table = seeded(tmp_path, seed)
+        problem, _ = recorded(study, seed)
+        for arm in ("argmin-entropy", "greedy"):
+            outcome = search(
+                problem.candidates,
+                lambda row, p=problem: p.deviation(p.candidates.points[[row]]),
+                Rules(arm, StopRule(10, entropy=None), seed),
+                History.empty(len(table.weight)),
+            )
+            record = records[f"records/small/{arm}/{seed:03d}.json"]
+            assert record["row"] == outcome.history.rows.tolist()
+            assert record["deviation"] == pytest.approx(outcome.history.evaluation.deviation)
+            assert record["max_p"][-1] == outcome.belief.probabilities.max()
+            assert record["entropy"][-1] == outcome.belief.entropy
+            least = table.evaluation.deviation.min()
+            best = table.evaluation.deviation[outcome.belief.best]
+            assert record["right"][-1] == (best == least)
+            assert record["lowest"] == least
+
+
+def test_the_table_is_delta_and_counts_its_steps(tmp_path: Path) -> None:
+    study, table = seeded(tmp_path, 3)
+    problem, counter = recorded(study, 3)
+    counter.steps = 0
+    points = problem.candidates.points
+    np.testing.assert_allclose(
+        table.evaluation.deviation[[0, 20, 48]], problem.deviation(points[[0, 20, 48]]).deviation
+    )
+    windows = problem.deviation.windows
+    assert counter.steps == 3 * len(windows) * windows.steps
+    assert table.steps == len(windows) * windows.steps
+    table.write(tmp_path / "table.npz")
+    again = Table.read(tmp_path / "table.npz")
+    assert again.steps == table.steps
+    np.testing.assert_array_equal(again.row(7).contributions, table.row(7).contributions)
+
+
+def test_arms_share_plant_and_initial_design_and_seeds_do_not(
+    compared: tuple[Path, Comparison],
+) -> None:
+    found = compared[1]
+    assert len(found.ends) == 6
+    design = found.paths[~found.paths["chosen"]]
+    for seed in (0, 1):
+        rows = {
+            tuple(part["row"])
+            for _, part in design[design["seed"] == seed].groupby("arm", sort=False)
+        }
+        assert len(rows) == 1
+    truths = {name: r["truth"] for name, r in record_of(compared[0]).items()}
+    assert truths["records/small/greedy/000.json"] == truths["records/small/random/000.json"]
+    assert truths["records/small/greedy/000.json"] != truths["records/small/greedy/001.json"]
+    for mass, damping in truths.values():
+        assert 0.65 <= mass <= 1.35
+        assert 0.045 <= damping <= 0.255
+
+
+def test_costs_follow_from_the_paths(compared: tuple[Path, Comparison]) -> None:
+    place, found = compared
+    runs = found.paths.set_index(["arm", "seed"])
+    assert found.costs["reached"].any()
+    for row in found.costs[found.costs["reached"]].itertuples():
+        one = runs.loc[(row.arm, row.seed)]
+        at = int(np.flatnonzero(one["regret"] <= row.level + 1e-12)[0])
+        assert row.evaluations == at + 1
+        assert row.steps == one["steps"].iloc[at]
+        assert one["seconds"].is_monotonic_increasing
+    pd.testing.assert_frame_equal(pd.read_parquet(place / "summary.parquet"), found.summary)
+    assert set(found.paired["problem"]) == {"small"}
+
+
+def test_a_killed_comparison_goes_on_to_the_same_result(
+    compared: tuple[Path, Comparison], tmp_path: Path
+) -> None:
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(small()))
+    command = [sys.executable, "-m", "bo_sysid.cli", "compare", "small.yaml", "--threads", "1"]
+    environment = {**os.environ, "MUJOCO_GL": "disable"}
+    process = subprocess.Popen(  # noqa: S603
+        [*command, "--out", "run"], cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL
+    )
+    place = tmp_path / "run"
+    for _ in range(1200):
+        if len(list(place.glob("records/*/*/*.json"))) >= 2 or process.poll() is not None:
+            break
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    before = {p: p.stat().st_mtime_ns for p in place.glob("records/*/*/*.json")}
+    assert 2 <= len(before) < 6
+    done = subprocess.run(  # noqa: S603
+        [*command, "--out", "run"], cwd=tmp_path, env=environment, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert record_of(place) == record_of(compared[0])
+    assert "small: 6 runs of 3 arms." in done.stdout
+    assert "evaluations against argmin-entropy on the same seeds" in done.stdout.lower()
+    assert (place / "figures" / "regret.png").stat().st_size > 5_000
+    assert main(["report", str(place), "--text"]) == 0
+
+
+def test_a_large_set_is_searched_without_a_table(
+    compared: tuple[Path, Comparison], tmp_path: Path
+) -> None:
+    settings = {**small()["compare"], "table": 48, "seeds": 1, "arms": ["greedy"]}
+    study = Study.from_dict(small(compare=settings), tmp_path)
+    place = tmp_path / "run"
+    with Run.open(place, study.resolved(relative_to=place), "compare") as run:
+        compare(study, run)
+    assert not (place / "tables").exists()
+    (own,) = record_of(place).values()
+    table = record_of(compared[0])["records/small/greedy/000.json"]
+    assert own["row"] == table["row"]
+    assert own["steps"] == table["steps"]
+    assert own["lowest"] is None
+
+
+def test_outer_loops_are_compared_by_real_trajectories(tmp_path: Path) -> None:
+    settings = {
+        "loop": "outer",
+        "seeds": 1,
+        "regrets": [1.0],
+        "arms": [{"choose": "argmax", "stop": "timeout"}, {"acquisition": "random"}],
+    }
+    study = Study.from_dict(pendulum(compare=settings), tmp_path)
+    found = compare(study)
+    assert list(found.paths["arm"].drop_duplicates()) == [
+        "argmin-entropy, argmax, timeout",
+        "random, sample, seed",
+    ]
+    first = found.paths[found.paths["arm"].str.startswith("argmin")]
+    assert first["trajectories"].tolist() == [1, 2]
+    assert first["steps"].tolist() == [800, 1600]
+    assert (found.paths["regret"] >= 0).all()
+    assert found.costs["trajectories"].tolist() == [1, 1]
+
+
+def test_what_is_wrong_is_told(tmp_path: Path) -> None:
+    def posed(**settings: object) -> Study:
+        return Study.from_dict(small(compare=settings), tmp_path)
+
+    with pytest.raises(StudyError, match=r"compare: names no arms; for instance arms: \["):
+        arms_of(posed())
+    with pytest.raises(StudyError, match=r"compare.arms.1: there is another arm 'greedy'; name o"):
+        arms_of(posed(arms=["greedy", "greedy"]))
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(small()))
+    with pytest.raises(StudyError, match=r"compare.problems.0: no file 'oter.yaml'.*'other.yaml'"):
+        problems_of(posed(arms=["greedy"], problems="oter.yaml"))
+    with pytest.raises(StudyError, match=r"compare.problems.0: other.yaml is called 'small', as a"):
+        problems_of(posed(arms=["greedy"], problems="other.yaml"))
+    with pytest.raises(StudyError, match=r"compare.lop: unknown key; did you mean 'loop'"):
+        posed(arms=["greedy"], lop="outer")
+
+
+def test_an_unknown_acquisition_has_its_nearest_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = small(compare={"arms": ["gredy"]})
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(study))
+    assert main(["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]) == 2
+    assert "unknown acquisition 'gredy'; did you mean 'greedy'" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_dataset_that_is_not_to_be_had_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        raise RecordingError(f"dataset {name} is not here")
+
+    monkeypatch.setattr("bo_sysid.compare.compare.load_dataset", missing)
+    real = {**small(), "name": "real", "recordings": {"dataset": "emps"}}
+    del real["plant"]
+    (tmp_path / "real.yaml").write_text(yaml.safe_dump(real))
+    settings = {"arms": ["greedy"], "seeds": 1, "problems": ["real.yaml"]}
+    found = compare(Study.from_dict(small(compare=settings), tmp_path))
+    assert found.skipped == {"real": "dataset emps is not here"}
+    assert set(found.paths["problem"]) == {"small"}
+
+
+def test_runs_that_fail_are_told_and_the_others_kept(tmp_path: Path) -> None:
+    plant = {**small()["plant"], "parameters": {"mess": 1.0}}
+    broken = {**small(plant=plant), "name": "broken"}
+    (tmp_path / "broken.yaml").write_text(yaml.safe_dump(broken))
+    settings = {"arms": ["greedy"], "seeds": 1, "problems": ["broken.yaml"], "truth": "stated"}
+    study = Study.from_dict(small(compare=settings), tmp_path)
+    place = tmp_path / "run"
+    with (
+        pytest.raises(RunError, match=r"1 of 2 runs failed.*no parameter 'mess'; did you mean"),
+        Run.open(place, study.resolved(relative_to=place), "compare") as run,
+    ):
+        compare(study, run)
+    assert json.loads((place / "run.json").read_text())["status"] == "failed"
+    assert len(list(place.glob("tables/*/*.npz"))) == 1

@@ -1,0 +1,139 @@
+"""The statistics of comparisons, against values worked out by hand and known properties."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import wilcoxon
+
+from bo_sysid.compare.gathered import Key, inner_paths, outer_paths
+from bo_sysid.compare.statistics import agreement, bootstrap, costs, paired, share, summary
+
+
+def path(arm: str, seed: int, regret: list[float], problem: str = "p") -> pd.DataFrame:
+    count = np.arange(1, len(regret) + 1)
+    return pd.DataFrame(
+        {
+            "problem": problem,
+            "arm": arm,
+            "seed": seed,
+            "regret": regret,
+            "evaluations": count,
+            "steps": 100.0 * count,
+        }
+    )
+
+
+def test_costs_are_those_of_the_first_step_at_the_level_or_of_the_whole_run() -> None:
+    paths = pd.concat([path("a", 0, [1, 0.5, 0.1, 0]), path("b", 0, [1, 0.4, 0.4])])
+    found = costs(paths, [0.5, 0.1], ["evaluations", "steps"])
+    assert found[["arm", "level", "reached", "evaluations", "steps"]].to_numpy().tolist() == [
+        ["a", 0.5, True, 2, 200.0],
+        ["a", 0.1, True, 3, 300.0],
+        ["b", 0.5, True, 2, 200.0],
+        ["b", 0.1, False, 3, 300.0],
+    ]
+
+
+def test_a_summary_has_shares_and_means() -> None:
+    paths = pd.concat([path("a", 0, [1, 0]), path("a", 1, [1, 1, 1, 0]), path("a", 2, [1, 1])])
+    (row,) = summary(costs(paths, [0], ["evaluations"]), ["evaluations"]).to_dict("records")
+    assert row["runs"] == 3
+    assert row["reached"] == pytest.approx(2 / 3)
+    assert row["evaluations"] == pytest.approx(8 / 3)
+    assert row["evaluations_low"] == 2
+    assert row["evaluations_high"] == 4
+
+
+def test_wilsons_interval_of_eight_in_ten() -> None:
+    # Wilson's closed form: (k + z²/2 ± z √(k (n - k)/n + z²/4)) / (n + z²), z = 1.959964
+    z = 1.959964
+    root = z * np.sqrt(8 * 2 / 10 + z**2 / 4)
+    expected = [(8 + z**2 / 2 - root) / (10 + z**2), (8 + z**2 / 2 + root) / (10 + z**2)]
+    assert share(8, 10) == pytest.approx((0.8, *expected), abs=1e-6)
+    assert np.isnan(share(0, 0)).all()
+
+
+def test_the_bootstrap_interval_covers_the_mean_about_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    covered = 0
+    for k in range(200):
+        _, low, high = bootstrap(rng.normal(1.0, 2.0, 30), seed=k)
+        covered += low <= 1.0 <= high
+    assert 178 <= covered <= 198  # percentile intervals of 30 values cover about 94 %
+    assert np.isnan(bootstrap(np.array([1.0]))[1:]).all()
+
+
+def test_ratios_are_geometric_means_of_pairs() -> None:
+    rng = np.random.default_rng(1)
+    rows = []
+    for problem in ("p", "q"):
+        for seed in range(12):
+            base = int(rng.integers(8, 30))
+            noise = int(rng.integers(-2, 3))
+            for arm, count in (("one", 2 * base), ("half", base + noise), ("same", 2 * base)):
+                rows.append(
+                    {
+                        "problem": problem,
+                        "arm": arm,
+                        "seed": seed,
+                        "level": 0.0,
+                        "evaluations": count,
+                    }
+                )
+    spent = pd.DataFrame(rows)
+    found = paired(spent, ["evaluations"], "one").set_index(["arm", "problem"])
+    wide = spent.pivot_table(index=["problem", "seed"], columns="arm", values="evaluations")
+    logs = np.log(wide["half"] / wide["one"])
+    both = found.loc[("half", "all")]
+    assert both["pairs"] == 24
+    assert both["ratio"] == pytest.approx(np.exp(logs.mean()))
+    assert both["low"] < both["ratio"] < both["high"] < 0.7
+    assert both["p"] == pytest.approx(wilcoxon(logs, zero_method="zsplit").pvalue)
+    assert found.loc[("half", "p"), "pairs"] == 12
+    same = found.loc[("same", "all")]
+    assert same[["ratio", "low", "high", "p"]].tolist() == [1, 1, 1, 1]
+
+
+def test_agreement_by_hand() -> None:
+    picks = {
+        ("a", 0): [9, 1, 2, 3], ("b", 0): [9, 1, 2, 3, 4], ("c", 0): [9, 1, 3, 2],
+        ("a", 1): [9, 5, 6, 7], ("b", 1): [9, 5, 8, 9],
+    }  # fmt: skip
+    paths = pd.concat(
+        pd.DataFrame(
+            {"problem": "p", "arm": a, "seed": s, "row": r, "chosen": np.arange(len(r)) > 0}
+        )
+        for (a, s), r in picks.items()
+    )
+    found = agreement(paths).set_index(["arm", "other"])
+    ab, ac = found.loc[("a", "b")], found.loc[("a", "c")]
+    assert (ab["pairs"], ab["identical"], ab["step"]) == (2, 0.5, 2)
+    assert ab["overlap"] == pytest.approx((1 + 1 / 3) / 2)
+    assert (ac["pairs"], ac["identical"], ac["step"], ac["overlap"]) == (1, 0, 2, 1)
+
+
+def test_regret_is_a_share_of_the_median_excess() -> None:
+    record = {
+        "row": [0, 1], "deviation": [3.0, 2.0], "lowest": 1.0, "median": 5.0, "entropy": [None, 1],
+        "max_p": [None, 0.5], "right": [None, True], "steps": [1, 2], "seconds": [1, 2],
+        "parameters": [],
+    }  # fmt: skip
+    found = inner_paths({Key("p", "a", 0): record})
+    assert found["regret"].tolist() == [0.5, 0.25]
+    unknown = {**record, "lowest": None, "median": None, "right": [None, None]}
+    better = {**unknown, "deviation": [3.0, 1.0]}
+    found = inner_paths({Key("p", "a", 0): unknown, Key("p", "b", 0): better})
+    assert found["regret"].tolist() == pytest.approx([4 / 3, 2 / 3, 4 / 3, 0])
+
+
+def test_the_regret_of_policies_is_measured_from_the_best_with_the_same_plant() -> None:
+    record = {
+        "trajectories": [1, 2], "evaluated": [9, 12], "steps": [100, 200], "plant_error": [1, 1],
+        "model_return": [0, 0],
+    }  # fmt: skip
+    records = {
+        Key("p", "a", 0): {**record, "plant_return": [50.0, 40.0]},
+        Key("p", "b", 0): {**record, "plant_return": [80.0, 100.0]},
+        Key("p", "a", 1): {**record, "plant_return": [5.0, 10.0]},
+    }
+    assert outer_paths(records)["regret"].tolist() == pytest.approx([0.5, 0.5, 0.2, 0, 0.5, 0])
