@@ -104,6 +104,23 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     assert "was changed since" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_a_diagnosis_that_hangs_is_ended_and_the_run_goes_on(concealed, tmp_path, capsys):
+    """Every diagnosis takes longer than a twentieth of a second."""
+    folder = tmp_path / "run"
+    shutil.copytree(concealed, folder)
+    shutil.copytree(seals_of(concealed), seals_of(folder))
+    assert main(["reveal", str(folder), "--limit", "0.05"]) == 0
+    assert "3 of 3     diagnoses that failed" in capsys.readouterr().out
+    for name in ("case-1", "case-2", "case-3"):
+        record = json.loads((folder / "answers" / f"{name}.json").read_text())
+        assert record["error"] == "no answer within 0.05 s"
+        assert "diagnose" in (folder / "answers" / name / "hung.txt").read_text()
+    cases = pd.read_parquet(folder / "cases.parquet")
+    assert not cases.answered.any()
+    assert not cases["right"].any()
+
+
 def test_development_cases_come_with_answers_and_the_proof_does_not(tmp_path):
     changes = {**SHORT, "cases": 3, "seed": 9}
     with pytest.raises(StudyError, match="has no seed; only development suites"):

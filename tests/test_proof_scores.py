@@ -250,7 +250,15 @@ def test_scores_of_a_run():
     assert scores.rate("repaired forecast within 1.15 of the noise floor") == 0.5
     assert scores.confusion.loc["dry_friction", "armature"] == 1
     assert scores.confusion.loc["magnet", "(unknown)"] == 1
-    assert list(scores.by_decade.index) == ["2 to 10", "below 2"]
+    assert scores.confusion.loc["(nothing)"].to_dict() == {
+        "(failed)": 1, "(nothing)": 1, "(unknown)": 0, "armature": 0, "dry_friction": 0,
+        "payload": 1,
+    }  # fmt: skip
+    assert scores.by_decade.index.tolist() == ["2 to 10", "below 2"]
+    assert scores.by_decade.loc["below 2", "detected"] == 0.0
+    assert scores.by_machine.loc["two_link_arm", "n"] == 4
+    assert scores.nothing.loc[(2, "two_link_arm"), "detected"] == 1.0
+    assert scores.nothing.loc[(3, "two_link_arm"), "upper_bound"] == pytest.approx(1 - 0.05**0.5)
     assert scores.by_effect.loc["dry_friction", "right"] == 0.5
     assert scores.magnitudes.loc["dry_friction", "n"] == 1
     assert scores.forecasts.loc["tier 2", "repaired"] == 1.1

@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.seal import digest, file_digest, write_json
@@ -66,7 +66,10 @@ def answer(
 
     Raises:
         RunError: a case is missing, or the seals were opened and a case has no answer.
+        StudyError: the limit is not positive.
     """
+    if not limit > 0:
+        raise StudyError(f"--limit {limit:g}: the time for a case must be positive")
     names = list(commitments(run.folder)["cases"])
     done = {n for n in names if run.has(record_of(n))}
     if len(done) == len(names):

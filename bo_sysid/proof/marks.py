@@ -21,6 +21,9 @@ CONFIDENT = 0.9
 MOST_IN_CLASS = 3
 """Members of a class of equivalent sets that counts as an answer."""
 
+NOTHING, UNKNOWN = "(nothing)", "(unknown)"
+"""What an answer without names calls an effect."""
+
 _NEUTRAL = {"timestep", "unknown"}
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
 
@@ -213,12 +216,12 @@ def _nearest_name(
     findings = [f for f in told if f["effect"] not in _NEUTRAL]
     flagged = answer["verdict"] == "unknown-physics"
     if not findings:
-        return "(unknown)" if flagged else "(nothing)"
+        return UNKNOWN if flagged else NOTHING
     likeness = [
         2 * (f["effect"] == effect["effect"]) + (f["site"] == effect["site"]) for f in findings
     ]
     best = findings[int(np.argmax(likeness))]
     if flagged and not effect["known"]:
-        return "(unknown)"
+        return UNKNOWN
     where = "" if best["site"] == effect["site"] else " elsewhere"
     return str(best["effect"]) + where

@@ -43,8 +43,12 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
         "<p>Counts with exact 95 % intervals (Clopper and Pearson); the last column is the "
         "one-sided 95 % upper bound.</p>",
         _table(scores.summary),
-        "<h2>By tier</h2>", _table(scores.by_tier.reset_index()),
+        "<h2>By tier</h2>", _INTERVALS, _table(scores.by_tier.reset_index()),
+        "<h2>By machine</h2>", _table(scores.by_machine.reset_index()),
         "<h2>By size, in sensor sigma</h2>", _table(scores.by_decade.reset_index()),
+        "<h2>Where nothing is missing</h2>",
+        "<p>Detected is a false alarm; its interval and its upper bound are beside it.</p>",
+        _table(scores.nothing.reset_index()),
         "<h2>By effect, from 2 sigma</h2>", _table(scores.by_effect.reset_index()),
         "<h2>What concealed effects were called</h2>", _table(scores.confusion.reset_index()),
         "<h2>Magnitudes</h2>", _table(scores.magnitudes.reset_index()),
@@ -66,8 +70,14 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
 
 _COLUMNS = [
     "tier", "machine", "concealed", "size", "verdict", "found", "probability", "class_size",
-    "right", "nominal", "refitted", "repaired", "noise_floor", "seconds", "failure",
+    "right", "nominal", "refitted", "repaired", "learned_residual", "oracle", "noise_floor",
+    "seconds", "failure",
 ]  # fmt: skip
+_INTERVALS = (
+    "<p>Cases with physics missing. Top 1: the set that was named; right: it or one that the "
+    "answer calls equivalent, with its interval; acceptable: right, or cannot tell below 2 sigma; "
+    "detected: anything was found or flagged.</p>"
+)
 
 
 def _facts(facts: Mapping[str, Any]) -> str:

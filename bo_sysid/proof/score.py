@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from bo_sysid.proof.marks import LEAST, mark, mark_effects
+from bo_sysid.proof.marks import LEAST, NOTHING, UNKNOWN, mark, mark_effects
 from bo_sysid.proof.reveal import Revealed
 from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability, upper_bound
 
@@ -13,7 +13,8 @@ FORECAST_GOAL = 1.15
 """Repaired forecast error over the noise floor that counts as repaired."""
 
 MODELS = ("nominal", "refitted", "repaired", "learned_residual", "oracle", "noise_floor")
-_SCORES = ("top1", "top2", "right", "acceptable", "confident_wrong")
+_SCORES = ("top1", "top2", "right", "detected", "acceptable", "confident_wrong")
+_NOTHING = ("detected", "flagged", "confident_wrong")
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,12 @@ class Scores:
         effects: one row for each concealed effect.
         summary: the headline rates, each with its count and 95 % interval.
         by_tier: rates of the cases with physics missing, by tier.
+        by_machine: the same by machine.
         by_effect: rates by effect, from 2 sigma up.
         by_decade: rates by size.
-        confusion: concealed effects (rows) and what they were called (columns), counts.
+        nothing: false alarms where nothing is missing, by tier and machine.
+        confusion: concealed effects (rows) and what they were called (columns), counts; the last
+            row is what was found where nothing is concealed.
         magnitudes: error of magnitudes and coverage of intervals, by effect.
         forecasts: medians of the held-out errors of each model, by tier.
         calibration: stated probabilities and how often they were right.
@@ -37,8 +41,10 @@ class Scores:
     effects: pd.DataFrame
     summary: pd.DataFrame
     by_tier: pd.DataFrame
+    by_machine: pd.DataFrame
     by_effect: pd.DataFrame
     by_decade: pd.DataFrame
+    nothing: pd.DataFrame
     confusion: pd.DataFrame
     magnitudes: pd.DataFrame
     forecasts: pd.DataFrame
@@ -53,7 +59,13 @@ def score(revealed: Sequence[Revealed]) -> Scores:
     """Score a revealed run."""
     cases = pd.DataFrame(
         [
-            {"case": r.name, **mark(r.truth, r.answer), "seconds": r.seconds, "failure": r.error}
+            {
+                "case": r.name,
+                **mark(r.truth, r.answer),
+                "oracle": float("nan"),
+                "seconds": r.seconds,
+                "failure": r.error,
+            }
             for r in revealed
         ]
     ).set_index("case")
@@ -67,9 +79,11 @@ def score(revealed: Sequence[Revealed]) -> Scores:
         effects,
         _summary(cases, effects),
         _rates(missing, "tier", _SCORES),
+        _rates(missing, "machine", _SCORES),
         _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
         _rates(missing[missing.known], "decade", _SCORES),
-        pd.crosstab(effects.effect, effects.named),
+        _rates(cases[~cases.missing], ["tier", "machine"], _NOTHING),
+        _confusion(cases, effects),
         _magnitudes(effects),
         forecasts(cases),
         reliability(answered.probability.to_numpy(float), answered["right"].to_numpy(bool)),
@@ -127,17 +141,46 @@ def _rate(what: str, happened: pd.Series) -> dict[str, object]:
     }
 
 
-def _rates(cases: pd.DataFrame, by: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Return count and rates of `columns` by the values of a column."""
+def _rates(cases: pd.DataFrame, by: str | list[str], columns: Sequence[str]) -> pd.DataFrame:
+    """Return count and rates of `columns` by the values of one or more columns.
+
+    The interval (low, high) and the one-sided upper bound are those of the rate `right`, or of the
+    first column where that is not asked for.
+    """
     grouped = cases.groupby(by, sort=True)
     table = grouped.size().rename("n").to_frame()
     for column in columns:
         table[column] = grouped[column].mean()
-    first = grouped[columns[0] if len(columns) == 1 else "right"]
-    counts = first.sum().astype(int)
-    bounds = [clopper_pearson(int(c), int(n)) for c, n in zip(counts, table.n, strict=True)]
+    counts = grouped["right" if "right" in columns else columns[0]].sum().astype(int)
+    pairs = [(int(c), int(n)) for c, n in zip(counts, table.n, strict=True)]
+    bounds = [clopper_pearson(*p) for p in pairs]
     table["low"], table["high"] = [b[0] for b in bounds], [b[1] for b in bounds]
+    table["upper_bound"] = [upper_bound(*p) for p in pairs]
     return table
+
+
+def _confusion(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
+    """Return what concealed effects, and nothing, were called; one count a name."""
+    nothing = cases[~cases.missing]
+    called = [
+        (NOTHING, name)
+        for found, flagged, answered in zip(
+            nothing.found, nothing.flagged, nothing.answered, strict=True
+        )
+        for name in _names(found, flagged, answered)
+    ]
+    pairs = [*zip(effects.effect, effects.named, strict=True), *called]
+    table = pd.DataFrame(pairs, columns=["effect", "named"])
+    counts = pd.crosstab(table.effect, table.named)
+    return counts.reindex(sorted(counts.index, key=lambda e: (e == NOTHING, e)))
+
+
+def _names(found: str, flagged: bool, answered: bool) -> list[str]:
+    """Return what an answer says of a case that conceals nothing."""
+    if not answered:
+        return ["(failed)"]
+    named = [part.split(" at ")[0] for part in found.split(", ") if part]
+    return named or [UNKNOWN if flagged else NOTHING]
 
 
 def _magnitudes(effects: pd.DataFrame) -> pd.DataFrame:
