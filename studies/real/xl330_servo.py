@@ -18,5 +18,14 @@ def voltage(now: LawInputs) -> np.ndarray:
     """Return the voltage across the windings in [V]."""
     error = now.signals["goal.motor"] - now.qpos["pendulum"]
     duty = np.clip(now.signals["aux.kp"] * error * TICKS / FULL_DUTY, -1.0, 1.0)
+    return _across_windings(now, duty)
+
+
+def voltage_of_measured_duty(now: LawInputs) -> np.ndarray:
+    """Return the same with the duty that the servo reported: the position loop stays open."""
+    return _across_windings(now, now.signals["aux.duty"])
+
+
+def _across_windings(now: LawInputs, duty: np.ndarray) -> np.ndarray:
     driven = duty * now.signals["aux.voltage"] - INDUCED * now.qvel["pendulum"]
     return np.where(now.signals["aux.torque_enable"] > 0.5, driven, 0.0)

@@ -12,8 +12,11 @@ Source: SimuRLacra (Muratore et al., TU Darmstadt; data from github.com/fdamken/
 
 The authors publish pickles; this adapter reads one ``.npz`` a run with the arrays ``time`` (N+1),
 ``states`` (N+1 × 4), ``u`` and ``u_applied`` (N × 1). Default split: the last chirp and the last
-swing-up are held out.
+swing-up are held out. The chirps are of April 2021, the swing-ups of June: two sessions.
+``quanser_qube_swing_ups`` trains on one of them alone and holds out the same two runs.
 """
+
+from collections.abc import Mapping
 
 from bo_sysid.recording.datasets.registry import Dataset, dataset
 from bo_sysid.recording.datasets.source import SourceFile, locate
@@ -22,10 +25,10 @@ from bo_sysid.recording.value import Recording
 
 _CHIRP = "qq_chrip_10to0Hz_+1.5V_250Hz_10s__rollout_real_2021-04-14_{}.npz"
 _SWING_UP = "qq-su_ectrl_500Hz_5s__rollout_real_2021-06-11_{}.npz"
-_RUNS = {
-    "chirp": (_CHIRP, ("18-52-33", "18-53-40", "18-54-23", "18-55-12", "18-55-54")),
-    "swing_up": (_SWING_UP, ("12-09-08", "12-10-11", "12-10-51", "12-11-36", "12-12-17")),
-}
+_CHIRPS = {"chirp": (_CHIRP, ("18-52-33", "18-53-40", "18-54-23", "18-55-12", "18-55-54"))}
+_SWING_UPS = {"swing_up": (_SWING_UP, ("12-09-08", "12-10-11", "12-10-51", "12-11-36", "12-12-17"))}
+_RUNS = {**_CHIRPS, **_SWING_UPS}
+_Runs = Mapping[str, tuple[str, tuple[str, ...]]]
 _HOW = (
     "Its source is pickles, which are not read here: from each pickle of Pyrado/data/perma/"
     "evaluation (github.com/fdamken/SimuRLacra) save time, states, u and u_applied with "
@@ -47,19 +50,29 @@ CITATION = (
 @dataset("quanser_qube")
 def load() -> Dataset:
     """Return the runs of the Qube, the last of each sort held out."""
+    return _load("quanser_qube", _RUNS)
+
+
+@dataset("quanser_qube_swing_ups")
+def load_swing_ups() -> Dataset:
+    """Return the swing-ups to train on; the last run of each sort is held out."""
+    return _load("quanser_qube_swing_ups", _SWING_UPS)
+
+
+def _load(name: str, trained: _Runs) -> Dataset:
     return Dataset(
-        name="quanser_qube",
-        read_train=lambda: _read(slice(None, -1)),
-        read_holdout=lambda: _read(slice(-1, None)),
+        name=name,
+        read_train=lambda: _read(trained, slice(None, -1)),
+        read_holdout=lambda: _read(_RUNS, slice(-1, None)),
         citation=CITATION,
         notes=("Held out: the last chirp and the last swing-up.",),
     )
 
 
-def _read(part: slice) -> tuple[Recording, ...]:
+def _read(runs: _Runs, part: slice) -> tuple[Recording, ...]:
     """Read a part of the runs of each sort."""
     recordings = []
-    for sort, (pattern, stamps) in _RUNS.items():
+    for sort, (pattern, stamps) in runs.items():
         for stamp in stamps[part]:
             path = locate("quanser_qube", SourceFile(pattern.format(stamp)), _HOW)
             read = read_recording(path, _COLUMNS)
