@@ -33,6 +33,8 @@ from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
 
+PROBLEMS = "problems.json"
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -78,6 +80,7 @@ def compare(study: Study, run: Run | None = None, *, progress: Report = silent) 
                 return compare(study, own, progress=progress)
     arms = arms_of(study)
     problems, skipped = _available(problems_of(study))
+    _require_unchanged(run, problems)
     records = _Plan(study, run, arms, problems, progress).carried_out()
     return _gathered(study, run, arms, records, skipped)
 
@@ -100,6 +103,23 @@ def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str
     if not kept:
         raise RecordingError("; ".join(skipped.values()))
     return tuple(kept), skipped
+
+
+def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
+    """Refuse to go on with a run whose further problems were others.
+
+    Raises:
+        RunError: the message names the problem that changed.
+    """
+    now = {problem.name: problem.study.sha256 for problem in problems}
+    there = run.read_json(PROBLEMS) if run.has(PROBLEMS) else {}
+    changed = [name for name in now if there.get(name, now[name]) != now[name]]
+    if changed:
+        raise RunError(
+            f"{run.folder}: the problem {changed[0]!r} changed since this run began; use another "
+            "--out, or remove the folder"
+        )
+    run.write_json(PROBLEMS, {**there, **now})
 
 
 @dataclass(frozen=True)
@@ -125,12 +145,20 @@ class _Plan:
         return {key: self.run.read_json(name) for name, key in keys.items()}
 
     def _keys(self) -> Iterator[Key]:
-        """Yield every run, seed by seed: what is finished of a killed comparison is paired."""
-        for seed in range(self.study.compare.seeds):
-            for problem in self.problems:
-                for arm in self.arms:
-                    if seed < arm.seeds:
-                        yield Key(problem.name, arm.name, seed)
+        """Yield every run, seed by seed: what is finished of a killed comparison is paired.
+
+        Arms with fewer seeds take long, and come last.
+        """
+        seeds = self.study.compare.seeds
+        for group in (
+            [a for a in self.arms if a.seeds == seeds],
+            [a for a in self.arms if a.seeds < seeds],
+        ):
+            for seed in range(seeds):
+                for problem in self.problems:
+                    for arm in group:
+                        if seed < arm.seeds:
+                            yield Key(problem.name, arm.name, seed)
 
     def _searches(self, keys: Mapping[str, Key], done: set[str]) -> dict[str, SearchJob]:
         todo = {name: key for name, key in keys.items() if name not in done}
