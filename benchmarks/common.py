@@ -22,15 +22,26 @@ RESULTS = Path(__file__).parent / "results"
 
 
 class Cases:
-    """The finished cases of a benchmark by key, one JSON object a line."""
+    """The finished cases of a benchmark by key, one JSON object a line.
 
-    def __init__(self, name: str, quick: bool) -> None:
+    Args:
+        name: of the benchmark.
+        quick: cases with fewer repeats are kept apart.
+        stored: none is to be computed; figures are made of those that are there.
+    """
+
+    def __init__(self, name: str, quick: bool, stored: bool = False) -> None:
+        self.stored = stored
         self._path = RESULTS / f"{name}{'-quick' if quick else ''}.cases.jsonl"
         self._done: dict[str, Any] = {}
         if self._path.is_file():
             for line in self._path.read_text().splitlines():
                 entry = json.loads(line)
                 self._done[entry["key"]] = entry["value"]
+
+    def __contains__(self, key: str) -> bool:
+        """Return whether a case is finished."""
+        return key in self._done
 
     def get(self, key: str, compute: Callable[[], Any]) -> Any:
         """Return the stored value of a case, computing and storing it where there is none."""
@@ -44,22 +55,30 @@ class Cases:
         return self._done[key]
 
 
-def benchmark(name: str, run: Callable[[bool, Cases], Mapping[str, Any]]) -> None:
+def benchmark(
+    name: str, run: Callable[[bool, Cases], Mapping[str, Any]], *, partial: bool = False
+) -> None:
     """Run a benchmark from the command line.
 
     Args:
         name: of the benchmark.
         run: from (quick, cases) to the figures.
+        partial: it can make figures of the cases that are finished (`Cases.stored`).
     """
     parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer repeats, same code")
     parser.add_argument("--fresh", action="store_true", help="forget cases that were finished")
+    if partial:
+        parser.add_argument(
+            "--stored", action="store_true", help="figures of the finished cases; compute none"
+        )
     arguments = parser.parse_args()
     cases_file = RESULTS / f"{name}{'-quick' if arguments.quick else ''}.cases.jsonl"
     if arguments.fresh:
         cases_file.unlink(missing_ok=True)
     started = time.perf_counter()
-    figures = plain(dict(run(arguments.quick, Cases(name, arguments.quick))))
+    cases = Cases(name, arguments.quick, getattr(arguments, "stored", False))
+    figures = plain(dict(run(arguments.quick, cases)))
     stored = {
         "benchmark": name,
         "quick": arguments.quick,

@@ -6,17 +6,23 @@ Arms, each with the same simulated steps a policy, on paired seeds:
   the plant, with every episode counted as a real trajectory.
 - worst: TRPO on the corner of B that predicts the plant worst.
 - method: `learn` as the study says: P sampled, the seed's stop rule.
-- zhu: argmax P, the search ended by values, the loop by time out.
+- zhu: argmax P, the search ended by values, the loop by time out: after as many real trajectories
+  as the method needed with the same seed, so that both have the same data to spend.
 - uniform: TRPO with a model drawn from all of B in every episode (domain randomisation).
 
 Every policy is evaluated on the plant from the same starts. Figures: interquartile means over
-seeds, and the paired ratio to the reference with its bootstrap interval.
+seeds, and the paired ratio to the reference with its bootstrap interval. Seeds are run in turn, so
+that after an interruption every task has about as many; `--stored` makes the figures of what is
+finished and says of how many seeds.
 
-    python benchmarks/learn.py [--quick]
+    python benchmarks/learn.py [--quick] [--stored]
 """
 
 import itertools
 import sys
+import time
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +32,7 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).parent))
 
 from common import Cases, benchmark
+from learn_figure import draw
 
 from bo_sysid.execution import limit_threads, threads
 from bo_sysid.identify.problem import make_problem
@@ -39,10 +46,11 @@ from bo_sysid.policy.train import Training, train
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
-ROOT = Path(__file__).parent.parent
-ARMS = ("true", "worst", "uniform", "method", "zhu")
-STUDIES = ("cheetah", "swimmer", "hopper")
-SEEDS, EPISODES, EVALUATION = 5, 50, 900_001
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+ARMS = ("true", "worst", "method", "zhu", "uniform")
+STUDIES = ("cheetah", "hopper", "swimmer")
+SEEDS, EPISODES, EVALUATION = 5, 100, 900_001
 
 QUICK = {
     "policy.batch": 2000,
@@ -105,24 +113,34 @@ def single(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[st
         centre = worst(scene)
     elif arm == "uniform":
         spread = np.full(len(scene.candidates), 1 / len(scene.candidates))
+    started = time.perf_counter()
     with limit_threads(1):
         training = trained(scene, scene.training(centre, spread, threads()), folder)
+        seconds = time.perf_counter() - started
         returns = on_plant(scene, training.policy)
     log: pd.DataFrame = training.log
     limit = scene.training(centre, None, 1).episode_steps
     return {
         "returns": returns,
         "point": centre.tolist(),
+        "seconds": seconds,
         "curve": [(log["steps"] / limit).tolist(), log["batch_return"].tolist()],
     }
 
 
-def looped(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[str, Any]:
-    """Return what the outer loop came to."""
+def looped(
+    task: str, arm: str, seed: int, quick: bool, folder: Path, most: int | None
+) -> dict[str, Any]:
+    """Return what the outer loop came to; `most` real trajectories where they are given."""
     zhu = {"learn.choose": "argmax", "learn.stop": "zhu", "learn.epsilon": 0.02}
-    study = study_of(task, seed, quick, zhu if arm == "zhu" else None)
+    changed = zhu if arm == "zhu" else {}
+    if most is not None:
+        changed["learn.trajectories"] = most
+    study = study_of(task, seed, quick, changed)
+    started = time.perf_counter()
     with Run.open(folder, study.resolved(relative_to=folder), "learn", seed=seed) as run:
         learning = learn(study, run)
+    seconds = time.perf_counter() - started
     assert learning.policy is not None
     scene = Scene.of(study)
     table = learning.iterations
@@ -132,15 +150,17 @@ def looped(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[st
         "trajectories": len(learning.trajectories),
         "curve": [table["trajectories"].tolist(), table["plant_return"].tolist()],
         "reason": learning.reason,
+        "seconds": seconds,
     }
 
 
-def case(task: str, arm: str, seed: int, quick: bool) -> dict[str, Any]:
+def case(task: str, arm: str, seed: int, quick: bool, most: int | None) -> dict[str, Any]:
     """Return one arm on one task with one seed."""
     kind = "quick" if quick else "full"
     folder = ROOT / "runs" / "benchmark-learn" / kind / f"{task}-{arm}-{seed}"
-    work = looped if arm in ("method", "zhu") else single
-    return work(task, arm, seed, quick, folder)
+    if arm in ("method", "zhu"):
+        return looped(task, arm, seed, quick, folder, most)
+    return single(task, arm, seed, quick, folder)
 
 
 def interquartile_mean(values: np.ndarray) -> np.ndarray:
@@ -178,25 +198,52 @@ def needed(cases: list[dict[str, Any]], share: float = 0.95) -> float:
     return float(np.median(found))
 
 
-def run(quick: bool, cases: Cases) -> dict[str, Any]:
-    """Run every arm on every task with every seed."""
-    tasks, seeds = (("pendulum", "cartpole"), 1) if quick else (STUDIES, SEEDS)
+def curves(cases: list[dict[str, Any]]) -> list[list[list[float]]]:
+    """Return each seed's real trajectories and returns, every fifth point of long ones."""
+    return [
+        [np.round(x, 2).tolist() for x in (np.array(c["curve"])[:, 4::5] if len(c["curve"][0]) > 20
+         else np.array(c["curve"], float))] for c in cases
+    ]  # fmt: skip
+
+
+def told(task: str, found: Mapping[str, list[dict[str, Any]]]) -> dict[str, Any]:
+    """Return the figures of one task from the finished cases of each arm, seeds in order."""
     figures: dict[str, Any] = {}
-    for task in tasks:
-        told = {
-            arm: [
-                cases.get(f"{task} {arm} {s}", lambda t=task, a=arm, s=s: case(t, a, s, quick))
-                for s in range(seeds)
-            ]
-            for arm in ARMS
-        }
-        mean = {arm: np.array([np.mean(c["returns"]) for c in told[arm]]) for arm in ARMS}
-        figures[task] = {arm: compared(mean[arm], mean["true"]) for arm in ARMS}
-        for arm in ("method", "zhu"):
-            figures[task][arm]["trajectories"] = [c["trajectories"] for c in told[arm]]
-        figures[task]["plant_trajectories"] = needed(told["true"])
+    reference = [np.mean(c["returns"]) for c in found["true"]]
+    for arm, cases in found.items():
+        seeds = min(len(cases), len(reference))  # paired
+        if not seeds:
+            continue
+        own = np.array([np.mean(c["returns"]) for c in cases[:seeds]])
+        figures[arm] = {"seeds": seeds, **compared(own, np.array(reference[:seeds]))}
+        figures[arm]["returns"] = own.round(1).tolist()
+        if "trajectories" in cases[0]:
+            figures[arm]["trajectories"] = [c["trajectories"] for c in cases[:seeds]]
+            figures[arm]["seconds"] = [round(c["seconds"]) for c in cases[:seeds]]
+    if found["true"]:
+        figures["plant_trajectories"] = needed(found["true"])
     return figures
 
 
+def run(quick: bool, cases: Cases) -> dict[str, Any]:
+    """Run every arm on every task with every seed, or take what is there."""
+    tasks, seeds = (("pendulum", "cartpole"), 1) if quick else (STUDIES, SEEDS)
+    found: dict[str, dict[str, list[dict[str, Any]]]] = {t: {a: [] for a in ARMS} for t in tasks}
+    # seed by seed, so that after any interruption every task has about as many
+    for arms, seed, task in itertools.product((ARMS[:3], ARMS[3:]), range(seeds), tasks):
+        for arm in arms:
+            key = f"{task} {arm} {seed}"
+            if cases.stored and key not in cases:
+                continue
+            most = found[task]["method"][seed]["trajectories"] if arm == "zhu" else None
+            one = cases.get(key, partial(case, task, arm, seed, quick, most))
+            found[task][arm].append(one)
+    figures = {task: told(task, found[task]) for task in tasks}
+    curve = {t: {a: curves(c) for a, c in found[t].items() if c} for t in tasks}
+    if not quick:
+        draw(figures, curve, HERE / "figures" / "learn.png")
+    return {**figures, "details": {"curves": curve}}
+
+
 if __name__ == "__main__":
-    benchmark("learn", run)
+    benchmark("learn", run, partial=True)

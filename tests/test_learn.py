@@ -140,6 +140,41 @@ def test_variants_run_and_resume(tmp_path: Path, changed: dict[str, object]) -> 
         assert log.groupby("learned")["steps"].max().tolist() == [400, 800]
 
 
+def test_policies_that_cannot_be_the_last_are_drafts(tmp_path: Path) -> None:
+    policy = {"batch": 400, "steps": 1200, "hidden": [8], "draft": 400}
+    rule = {"trajectories": 3, "episodes": 2, "stop": "timeout", "choose": "argmax"}
+    study = pendulum(policy=policy, learn=rule)
+    told = learned(tmp_path, study)
+    log = pd.read_parquet(tmp_path / "run" / "training.parquet")
+    assert log.groupby("learned")["steps"].max().tolist() == [400, 400, 1200]
+    # one that goes on from its draft is the one that was learned at once
+    summary = json.loads((tmp_path / "run" / "learning.json").read_text())
+    assert summary["iterations"][1]["row"] == summary["iterations"][2]["row"]
+    at_once = {**policy, "draft": 1200}
+    other = learned(tmp_path, pendulum(policy=at_once, learn=rule), "other")
+    assert told.policy is not None
+    assert other.policy is not None
+    assert other.chosen == told.chosen
+    np.testing.assert_array_equal(other.policy.theta, told.policy.theta)
+
+
+def test_the_seeds_rule_needs_no_draft_where_it_may_end(tmp_path: Path) -> None:
+    policy = {"batch": 400, "steps": 800, "hidden": [8], "draft": 400}
+    learned(tmp_path, pendulum(policy=policy, learn={"trajectories": 1, "episodes": 2}))
+    log = pd.read_parquet(tmp_path / "run" / "training.parquet")
+    assert log["steps"].max() == 800
+
+
+def test_a_trajectory_that_would_be_repeated_ends_the_loop(tmp_path: Path) -> None:
+    # no value is within r; without noise P settles soon
+    rule = {"trajectories": 9, "episodes": 2, "epsilon": 0.2, "r": 1e-9}
+    told = learned(
+        tmp_path, pendulum(learn=rule, plant={"parameters": {"mass": 1.2, "damping": 0.8}})
+    )
+    assert len(told.trajectories) < 9
+    assert "another one would tell no more" in told.reason
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_a_plant_that_breaks_off_keeps_what_was_recorded(tmp_path: Path) -> None:
     study = pendulum(learn={"trajectories": 1, "episodes": 2})

@@ -59,8 +59,8 @@ def test_distances_are_in_shares_of_the_bounds(grid: CandidateSet) -> None:
 def slope(grid: CandidateSet, gain: float):  # type: ignore[no-untyped-def]
     """Values that change by `gain` over the whole of x, with noise common to all models."""
 
-    def valued(rows: np.ndarray) -> Values:
-        common = np.random.default_rng(5).normal(0.0, 30.0, 8)
+    def valued(rows: np.ndarray, times: int) -> Values:
+        common = np.random.default_rng(5).normal(0.0, 30.0, 8 * times)
         return Values(100.0 + gain * grid.points[rows, :1] + common)
 
     return valued
@@ -82,10 +82,47 @@ def test_the_seeds_rule_needs_both_conditions(grid: CandidateSet) -> None:
     assert away.figures["distance"] == pytest.approx(0.2)
     assert "0.2 of the bounds away" in away.sentence
 
-    def worthless(rows: np.ndarray) -> Values:
+    def worthless(rows: np.ndarray, times: int) -> Values:
         return Values(np.zeros((len(rows), 4)))
 
     assert not near_enough(grid, here, here, 0.1, 0.05, worthless).stop
+
+
+def noisy(grid: CandidateSet, gain: float, spread: float, seed: int):  # type: ignore[no-untyped-def]
+    """Values that change by `gain` over the whole of x, with noise of each model's own."""
+
+    def valued(rows: np.ndarray, times: int) -> Values:
+        noise = np.random.default_rng((seed, times)).normal(0.0, spread, (len(rows), 20 * times))
+        return Values(100.0 + gain * grid.points[rows, :1] + noise)
+
+    return valued
+
+
+def test_noise_alone_does_not_keep_the_loop_going(grid: CandidateSet) -> None:
+    # equal values, known to ± 3: the largest of 8 differences is often beyond the allowed 5
+    here = row(grid, 0.5, 2.0)
+    told = [near_enough(grid, here, here, 0.1, 0.05, noisy(grid, 0.0, 13.0, s)) for s in range(40)]
+    assert np.mean([v.stop for v in told]) >= 0.9
+    # a step of x that changes the value by 20, four times what is allowed, does
+    told = [near_enough(grid, here, here, 0.1, 0.05, noisy(grid, 200, 13.0, s)) for s in range(40)]
+    assert np.mean([v.stop for v in told]) <= 0.05
+    # episodes that cannot tell are no reason to stop
+    blind = near_enough(grid, here, here, 0.1, 0.05, noisy(grid, 0.0, 300.0, 0))
+    assert not blind.stop
+    assert "too uncertain" in blind.sentence
+
+
+def test_neighbours_in_doubt_are_valued_again(grid: CandidateSet) -> None:
+    here, asked = row(grid, 0.5, 2.0), []
+    inner = noisy(grid, 0.0, 13.0, 3)
+
+    def valued(rows: np.ndarray, times: int) -> Values:
+        asked.append((len(rows), times))
+        return inner(rows, times)
+
+    verdict = near_enough(grid, here, here, 0.2, 0.05, valued)
+    assert asked == [(25, 1), (9, 4)]
+    assert verdict.figures["episodes"] == 80
 
 
 def test_the_value_guided_rule_is_the_expected_difference(grid: CandidateSet) -> None:

@@ -33,9 +33,9 @@ def identify(
 ) -> Identification:
     """Find the candidate that predicts the recordings best, and how sure one can be.
 
-    Ask, simulate, tell: a Gaussian process over log Δ gives the probability P of each candidate to
-    be the arg-min, the acquisition picks the next one to simulate, until a stop rule holds. The
-    hold-out is read once, after the answer is written.
+    Ask, simulate, tell: Gaussian processes over Δ, taken to a power, give the probability P of each
+    candidate to be the arg-min, the acquisition picks the next one to simulate, until a stop rule
+    holds. The hold-out is read once, after the answer is written.
 
     Args:
         study: what is asked.

@@ -86,7 +86,7 @@ class Outcome:
 
     Attributes:
         history: every evaluation.
-        surrogate: of log Δ, after the last one.
+        surrogate: of a power of Δ, after the last one.
         belief: P over B, after the last one.
         reason: why the search stopped.
     """
@@ -150,7 +150,7 @@ def initial_rows(candidates: CandidateSet, rules: Rules) -> Int[np.ndarray, " n"
 def believe(
     candidates: CandidateSet, history: History, rules: Rules
 ) -> tuple[Surrogate, ArgminBelief]:
-    """Return the surrogate of log Δ and the belief about its arg-min, after a history."""
+    """Return the surrogate of Δ and the belief about its arg-min, after a history."""
     seed = rules.seed * 100_003 + len(history)
     surrogate = fit_surrogate(
         candidates.points[history.rows],

@@ -11,7 +11,10 @@ Choice = Callable[
     [Probabilities, Float[np.ndarray, " N"], np.random.Generator],
     int,
 ]
-"""From P(β), the mean of log Δ(β) and a generator to the row of B."""
+"""From P(β), the mean of g(Δ(β)) and a generator to the row of B.
+
+g is the power of Δ that the surrogate models; see `bo_sysid.belief.warp`.
+"""
 
 
 def sample(
@@ -31,7 +34,7 @@ def argmax(
 def minimum_mean(
     probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
 ) -> int:
-    """Return the candidate whose expected log Δ is least."""
+    """Return the candidate whose expected g(Δ) is least."""
     return int(mean.argmin())
 
 

@@ -11,6 +11,7 @@ Both are measured through the simulator, in the units of Δ. A floor clearly abo
 squares, under a belief that has converged, means that no β will do: physics is missing.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -61,7 +62,13 @@ def lacks_physics(floor: Floor, reason: StopReason) -> bool:
     return reason is not StopReason.BUDGET and floor.ratio > ABOVE
 
 
-def floor_of(problem: Problem, best: Point, deviation: float, seed: int = 0) -> Floor:
+def floor_of(
+    problem: Problem,
+    best: Point,
+    deviation: float,
+    seed: int = 0,
+    known: Mapping[str, float] | None = None,
+) -> Floor:
     """Return the floor under Δ and its two expected parts.
 
     Args:
@@ -69,25 +76,31 @@ def floor_of(problem: Problem, best: Point, deviation: float, seed: int = 0) -> 
         best: the evaluated candidate with the least Δ.
         deviation: its Δ.
         seed: of the noise.
+        known: σ by kind or channel, where the machine's sensors are known; the study's come first.
     """
-    return Floor(deviation, _noise_part(problem, best, seed), _resolution_part(problem, best))
+    sigma = noise_by_channel(problem, known or {})
+    noise = _noise_part(problem, best, sigma, seed)
+    return Floor(deviation, noise, _resolution_part(problem, best))
 
 
-def noise_by_channel(problem: Problem) -> dict[str, float]:
-    """Return σ of every observed channel: the study's, else from third differences."""
-    given = problem.study.recordings.noise
+def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, float]:
+    """Return σ of every observed channel: the study's, else what is known, else estimated.
+
+    Third differences take motion that bends within three samples for noise: without a word about
+    the sensors the floor is expected too high, and missing physics may hide beneath it.
+    """
+    given = {**known, **problem.study.recordings.noise}
     found = [sensor_noise(r) for r in problem.recordings]
     sigma = {}
     for name in problem.deviation.windows.channels:
-        known = given.get(name, given.get(name.split(".", 1)[0]))
+        told = given.get(name, given.get(name.split(".", 1)[0]))
         estimated = float(np.median([f[name] for f in found if name in f] or [0.0]))
-        sigma[name] = estimated if known is None else float(known)
+        sigma[name] = estimated if told is None else float(told)
     return sigma
 
 
-def _noise_part(problem: Problem, best: Point, seed: int) -> float:
+def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: int) -> float:
     deviation, windows = problem.deviation, problem.deviation.windows
-    sigma = noise_by_channel(problem)
     rng = np.random.default_rng((seed, 3))
     scale = _start_noise(problem, sigma)
     moved = deviation.simulator.moved(

@@ -38,7 +38,7 @@ class Identified:
         entropy: `n` entropies of P; NaN for rows that earlier iterations had picked.
         probabilities: `N` P(β).
         bootstrap: `N` P_boot(β).
-        mean: `N` mean of log Δ(β).
+        mean: `N` mean of g(Δ(β)), the power of Δ that the surrogate models (`belief.warp`).
         fresh: how many of the rows are new.
         reason: why the search ended.
         floor: under Δ.
@@ -119,6 +119,7 @@ def identified(
     recordings: Sequence[Recording],
     known: Int[np.ndarray, " k"],
     settled: Settled | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Identified:
     """Search for the arg-min of Δ on all recordings, from what earlier iterations had evaluated.
 
@@ -131,6 +132,7 @@ def identified(
         recordings: all so far.
         known: rows of B that were evaluated before.
         settled: ends the search in place of the entropy.
+        noise: of the machine's sensors, see `floor_of`.
     """
     problem = make_problem(scene.study, recordings, threads=threads())
     deviation, points = problem.deviation, scene.candidates.points
@@ -157,7 +159,7 @@ def identified(
         outcome.surrogate.moments(points)[0],
         len(rows) - len(known),
         outcome.reason,
-        floor_of(problem, points[rows[best]], float(found.deviation[best]), scene.seed),
+        floor_of(problem, points[rows[best]], float(found.deviation[best]), scene.seed, noise),
         guided,
     )
 

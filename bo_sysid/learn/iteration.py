@@ -22,7 +22,7 @@ from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.repair import MOST, Repair, repaired
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.sources import Source
-from bo_sysid.learn.stops import STOP_RULES, Verdict, near_enough, value_guided
+from bo_sysid.learn.stops import STOP_RULES, Verdict, distances, near_enough, value_guided
 from bo_sysid.learn.values import Values, values
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.trainer import Iteration as Batch
@@ -30,6 +30,7 @@ from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
 PHASES = 4  # of an iteration, for its progress
+_SETTLED = 0.95  # probability of the chosen candidate from which on the belief is settled
 
 
 @dataclass(frozen=True)
@@ -102,9 +103,10 @@ def iterate(
             none = np.zeros(0, int)  # the repaired model has other candidates
             found = _believed(scene, source, none, before, run, f"{folder}/repaired")
     row = _chosen(scene, found, number)
-    policy = _learned(scene, found, row, before, run, number, tell)
+    steps = _steps(scene, source, found, row)
+    policy = _learned(scene, found, row, steps, before, run, number, tell)
     tell(number, 3, "judged")
-    verdict = _judged(scene, source, found, row, policy)
+    verdict = _judged(scene, source, found, row, policy, before)
     figures = _figures(scene, source, found, row, policy, verdict, repair)
     result = Iteration(number, scene, found, row, policy, verdict, repairs, figures)
     run.write_json(f"{folder}/iteration.json", figures)
@@ -158,7 +160,7 @@ def _believed(
         def settled(probabilities: np.ndarray) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
 
-    found = identified(scene, source.recordings, known, settled)
+    found = identified(scene, source.recordings, known, settled, source.noise)
     found.write(run, folder, scene.candidates)
     return found
 
@@ -209,6 +211,7 @@ def _learned(
     scene: Scene,
     found: Identified,
     row: int,
+    steps: int,
     before: Iteration | None,
     run: Run,
     number: int,
@@ -239,7 +242,7 @@ def _learned(
         start = Beginning(before.number, go_on=True)
     elif before and same and probabilities is None and before.row == row:
         start = Beginning(before.number)  # the same training: its result is taken over
-    policy = train_on(scene, environment, run, number, start, watch)
+    policy = train_on(scene, environment, run, number, start, steps, watch)
     about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
     about["share_beyond"] = share_beyond(scene, policy, point)
     policy = replace(policy, about=about)
@@ -247,25 +250,56 @@ def _learned(
     return policy
 
 
-def _valued(scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"]) -> Values:
+def _valued(scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"], times: int) -> Values:
     models = [scene.compiled(scene.candidates.points[row]) for row in rows]
-    return values(scene, models, policy.act, threads=threads())
+    return values(scene, models, policy.act, threads=threads(), times=times)
 
 
 def _judged(
-    scene: Scene, source: Source, found: Identified, row: int, policy: LearnedPolicy
+    scene: Scene,
+    source: Source,
+    found: Identified,
+    row: int,
+    policy: LearnedPolicy,
+    before: Iteration | None,
 ) -> Verdict:
-    """Return whether the loop ends: by its rule, or because no trajectory is left."""
+    """Return whether the loop ends: by its rule, or because more trajectories are of no use."""
     learn = scene.study.learn
     verdict = Verdict(False, "The loop goes on until its trajectories are spent.")
     if STOP_RULES[learn.stop].near:
         valued = partial(_valued, scene, policy)
         verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
-    spent = len(source.trajectories) >= learn.trajectories
-    if spent and not verdict.stop:
+        if not verdict.stop and _repeats(found, row, policy, before):
+            text = (
+                "The trajectory of this very policy left the belief where it was: another one "
+                "would tell no more."
+            )
+            return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
+    if _spent(scene, source) and not verdict.stop:
         text = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
         return Verdict(True, f"{text} {verdict.sentence}", verdict.figures)
     return verdict
+
+
+def _repeats(found: Identified, row: int, policy: LearnedPolicy, before: Iteration | None) -> bool:
+    """Return whether the next trajectory would repeat the last one, under a settled belief."""
+    if before is None or found.probabilities[row] < _SETTLED:
+        return False
+    same = before.row == row and before.found.probabilities[row] >= _SETTLED
+    return bool(same and np.array_equal(before.policy.theta, policy.theta))
+
+
+def _spent(scene: Scene, source: Source) -> bool:
+    return len(source.trajectories) >= scene.study.learn.trajectories
+
+
+def _steps(scene: Scene, source: Source, found: Identified, row: int) -> int:
+    """Return how long to learn: a policy that cannot be the last may be a draft."""
+    policy, learn = scene.study.policy, scene.study.learn
+    near = distances(scene.candidates, row)[found.best] <= learn.epsilon + 1e-12
+    if policy.draft is None or _spent(scene, source) or (near and STOP_RULES[learn.stop].near):
+        return policy.steps
+    return policy.draft
 
 
 def _named(scene: Scene, row: int) -> dict[str, float]:
@@ -282,7 +316,7 @@ def _figures(
     verdict: Verdict,
     repair: Repair | None,
 ) -> dict[str, Any]:
-    value = _valued(scene, policy, np.array([row])).value(0)
+    value = _valued(scene, policy, np.array([row]), 1).value(0)
     plant = source.evaluate(policy)
     return {
         "trajectories": len(source.trajectories),

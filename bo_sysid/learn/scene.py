@@ -1,7 +1,8 @@
 """What a study asks to be learned: the task, the model at any candidate, the settings."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -114,16 +115,28 @@ class Scene:
         Raises:
             StudyError: a task in Python cannot have a model for every episode.
         """
-        n, seed = self.environments, self.seed
+        n, seed, task = self.environments, self.seed, self._training_task
         if probabilities is None:
             model = self.compiled(point)
-            return self.environment(model, n, seed=seed, threads=threads, stagger=True)
-        if isinstance(self.task, PythonTask):
+            return make_environment(task, model, n, seed=seed, threads=threads, stagger=True)
+        if isinstance(task, PythonTask):
             raise self.study.error(
                 ("learn", "models"), "bootstrap needs a vectorised task; choose: chosen"
             )
         draw = self._draw(probabilities)
-        return BatchEnvironment(self.task, draw, n, seed=seed, threads=threads, stagger=True)
+        return BatchEnvironment(task, draw, n, seed=seed, threads=threads, stagger=True)
+
+    @property
+    def _training_task(self) -> Task:
+        """The task with the length that episodes have in training."""
+        seconds = self.study.policy.episode
+        if seconds is None or seconds >= self.task.time_limit:
+            return self.task
+        if isinstance(self.task, PythonTask):
+            return replace(self.task, time_limit=seconds)
+        shorter = copy(self.task)
+        shorter.time_limit = seconds
+        return shorter
 
     def _draw(self, probabilities: np.ndarray) -> Callable[[np.random.Generator], mujoco.MjModel]:
         """Return a function that draws a candidate's model; each is compiled once."""
@@ -151,6 +164,7 @@ class Scene:
         return TrpoSettings(
             batch=policy.batch,
             discount=policy.discount,
+            decay=policy.decay,
             hidden=policy.hidden,
             region=TrustRegion(kl=policy.kl),
         )

@@ -15,6 +15,7 @@ from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.values import VALUE_SEED, Estimate
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.excitation import smooth_random
+from bo_sysid.plants.measuring import KINDS
 from bo_sysid.plants.plant import PlantError, Trajectory
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import READERS, Recording, read_recording
@@ -52,6 +53,11 @@ class Source(Protocol):
     @property
     def training(self) -> Mapping[str, Any]:
         """The study's key `recordings` for what is there, paths relative to the run folder."""
+        ...
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """σ of the sensors by kind or channel, as far as it is known."""
         ...
 
     @property
@@ -124,7 +130,14 @@ class PlantSource:
     def training(self) -> Mapping[str, Any]:
         """The recordings in the run folder, in the package's own convention."""
         names = [_file(k + 1) for k in range(len(self._plant.trajectories))]
-        return {"train": names, "noise": dict(self._scene.study.recordings.noise)}
+        return {"train": names, "noise": {k: x for k, x in self.noise.items() if x > 0}}
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """What the study says of the plant's sensors; those it says nothing of are exact."""
+        study = self._scene.study
+        told = study.plant.noise if study.plant is not None else {}
+        return {**dict.fromkeys(KINDS, 0.0), **told, **study.recordings.noise}
 
     @property
     def trajectories(self) -> pd.DataFrame:
@@ -204,6 +217,11 @@ class MachineSource:
         told = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
         own = [str(f.relative_to(self._run.folder)) for f in self._files]
         return {**told, "train": [*told.get("train", ()), *own]}
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """What the study says."""
+        return self._scene.study.recordings.noise
 
     @property
     def trajectories(self) -> pd.DataFrame:

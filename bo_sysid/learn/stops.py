@@ -8,8 +8,9 @@
   Data-Efficient Policy Search. IJCAI 2018.
 - `timeout`: the entropy ends the search, time out the loop.
 
-Time out is `learn.trajectories`; it ends every loop. Distances are the largest over parameters, in
-shares of the bounds.
+`seed` also ends where P has settled on the chosen candidate and the trajectory of the very policy
+that was learned on it left it there: another one would repeat it. Time out is `learn.trajectories`;
+it ends every loop. Distances are the largest over parameters, in shares of the bounds.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,16 +19,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.stats import t as student_t
 
 from bo_sysid.arrays import Probabilities
-from bo_sysid.learn.values import Values
+from bo_sysid.learn.values import Estimate, Values
 from bo_sysid.parameters import CandidateSet
 
-Valued = Callable[[Int[np.ndarray, " K"]], Values]
-"""Values the present policy on rows of B."""
+Valued = Callable[[Int[np.ndarray, " K"], int], Values]
+"""Values the present policy on rows of B, over that many times `learn.episodes` episodes."""
 
-MOST_NEIGHBOURS = 64
+MOST_NEIGHBOURS = 32
 MOST_PROBABLE = 32
+DOUBTED, AGAIN = 8, 4  # neighbours that are valued again, over how many times the episodes
+_LEVEL = 0.05  # of the tests of all neighbours together
 _LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
 
 
@@ -79,13 +83,15 @@ def neighbours(
 ) -> Int[np.ndarray, " k"]:
     """Return the rows within `epsilon` of a row, itself left out.
 
-    Where there are more than `most`, the farthest: values differ most there.
+    Where there are more than `most`, those farthest in all parameters together (the corners): the
+    values of a smooth V differ most there.
     """
-    away = distances(candidates, row)
-    rows = np.flatnonzero(away <= epsilon + 1e-12)
+    rows = np.flatnonzero(distances(candidates, row) <= epsilon + 1e-12)
     rows = rows[rows != row]
-    order: np.ndarray = np.argsort(-away[rows], kind="stable")[:most]
-    return np.asarray(rows[order], int)
+    low, high = candidates.bounds
+    steps = (candidates.points[rows] - candidates.points[row]) / (high - low)
+    order: np.ndarray = np.argsort(-np.round(np.linalg.norm(steps, axis=1), 9), kind="stable")
+    return np.asarray(rows[order[:most]], int)
 
 
 def near_enough(
@@ -99,6 +105,12 @@ def near_enough(
     """Return whether both conditions of the seed method hold.
 
     |argmax P - β_t| ≤ ε, and |V(β_t) - V(β')| ≤ r |V(β_t)| for every β' within ε of β_t.
+
+    V is known with an error only, and the largest of many noisy differences lies beyond any bound.
+    The second condition fails where a difference is beyond the bound by a one-sided t-test of
+    paired episodes at 5 %, shared among the neighbours (Bonferroni). Where the test leaves it open,
+    the neighbours that differ most are valued again over more episodes; what is still open then
+    counts as within, if its standard error is no larger than the bound.
 
     Args:
         candidates: the set B.
@@ -114,26 +126,63 @@ def near_enough(
         text = f"argmax P is {away:.3g} of the bounds away from the chosen candidate"
         return Verdict(False, f"{text}, more than {epsilon:g}.", figures)
     around = neighbours(candidates, chosen, epsilon)
-    told = valued(np.concatenate([[chosen], around]))
+    told = valued(np.concatenate([[chosen], around]), 1)
     own = told.value(0)
     figures |= {"value": own._asdict(), "neighbours": len(around)}
     if not len(around):
         return Verdict(
             True, f"argmax P is the chosen candidate; none other is within {epsilon:g}.", figures
         )
-    apart = [told.difference(0, k) for k in range(1, len(around) + 1)]
-    worst = max(apart, key=lambda d: abs(d.mean))
-    allowed = r * abs(own.mean)
-    if not own.mean and not worst.mean:
+    apart = _apart(told)
+    if not own.mean and not any(d.mean for d in apart):
         text = "The policy is worth nothing on any candidate nearby, which says nothing of them."
         return Verdict(False, text, figures)
-    figures |= {"largest_difference": worst._asdict(), "allowed": allowed}
-    numbers = f"differs by {abs(worst.mean):.3g} ± {worst.error:.2g} within {epsilon:g}"
+    allowed, among = r * abs(own.mean), len(around)
+    if not any(_beyond(d, allowed, told.episodes, among) for d in apart):
+        most = np.argsort([-abs(d.mean) for d in apart], kind="stable")[:DOUBTED]
+        doubted = [int(k) for k in most if not _within(apart[k], allowed, told.episodes, among)]
+        if doubted:
+            told = valued(np.concatenate([[chosen], around[doubted]]), AGAIN)
+            apart = _apart(told)
+    worst = max(apart, key=lambda d: abs(d.mean))
+    figures |= {
+        "largest_difference": worst._asdict(),
+        "allowed": allowed,
+        "episodes": told.episodes,
+    }
+    numbers = (
+        f"The value differs by {abs(worst.mean):.3g} ± {worst.error:.2g} within {epsilon:g}, "
+        f"{told.episodes} paired episodes"
+    )
+    bound = f"{r:g} of {own.mean:.4g}"
+    if any(_beyond(d, allowed, told.episodes, among) for d in apart):
+        return Verdict(False, f"{numbers}: more than {bound}.", figures)
+    if max(d.error for d in apart) > allowed:
+        return Verdict(False, f"{numbers}: too uncertain to say that it is {bound}.", figures)
     if abs(worst.mean) <= allowed:
-        return Verdict(
-            True, f"The value {numbers}, which is within {r:g} of {own.mean:.4g}.", figures
-        )
-    return Verdict(False, f"The value {numbers}, more than {r:g} of {own.mean:.4g}.", figures)
+        return Verdict(True, f"{numbers}: within {bound}.", figures)
+    return Verdict(True, f"{numbers}: not significantly more than {bound}.", figures)
+
+
+def _apart(told: Values) -> list[Estimate]:
+    """Return how far the first model's value is from each other one's."""
+    return [told.difference(0, k) for k in range(1, len(told.returns))]
+
+
+def _beyond(d: Estimate, allowed: float, episodes: int, among: int) -> bool:
+    """Return whether a difference is significantly larger than what is allowed."""
+    return abs(d.mean) - _reach(d, episodes, among) > allowed
+
+
+def _within(d: Estimate, allowed: float, episodes: int, among: int) -> bool:
+    """Return whether a difference is significantly smaller than what is allowed."""
+    return abs(d.mean) + _reach(d, episodes, among) <= allowed
+
+
+def _reach(d: Estimate, episodes: int, among: int) -> float:
+    if episodes < 2:
+        return np.inf
+    return float(student_t.ppf(1 - _LEVEL / among, episodes - 1)) * d.error
 
 
 def value_guided(
@@ -150,7 +199,7 @@ def value_guided(
     if mass < _LEAST_MASS:
         text = f"candidates of at least {eta:g} hold {mass:.2g} of P"
         return Verdict(False, text, {"mass": mass})
-    told = valued(rows)
+    told = valued(rows, 1)
     apart = np.array([abs(told.difference(k, 0).mean) for k in range(len(rows))])
     errors = np.array([told.difference(k, 0).error for k in range(1, len(rows))])
     total = float(probabilities[rows] @ apart)

@@ -32,6 +32,7 @@ def train_on(
     run: Run,
     number: int,
     start: Beginning,
+    steps: int,
     watch: Watch,
 ) -> LearnedPolicy:
     """Return the policy learned in an environment, with checkpoints in the run folder.
@@ -42,6 +43,8 @@ def train_on(
         run: folder of the loop.
         number: of the iteration.
         start: where it begins.
+        steps: control steps in all, those of a checkpoint that it begins with included unless it
+            goes on on a new model.
         watch: told every batch.
     """
     folder = run.path(f"iterations/{number:02d}/training")
@@ -50,7 +53,7 @@ def train_on(
     return train(
         environment,
         scene.settings,
-        steps=scene.study.policy.steps + (before if start.go_on else 0),
+        steps=steps + (before if start.go_on else 0),
         seed=scene.seed,
         threads=threads(),
         folder=folder,

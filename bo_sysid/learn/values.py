@@ -45,6 +45,11 @@ class Values:
 
     returns: Float[np.ndarray, "K E"]
 
+    @property
+    def episodes(self) -> int:
+        """The number of paired episodes."""
+        return int(self.returns.shape[1])
+
     def value(self, model: int) -> Estimate:
         """Return V on one model."""
         return Estimate.of(self.returns[model])
@@ -54,9 +59,19 @@ class Values:
         return Estimate.of(self.returns[model] - self.returns[other])
 
 
-def values(scene: Scene, models: Sequence[mujoco.MjModel], act: Act, *, threads: int = 1) -> Values:
-    """Return the returns of a policy on models, `learn.episodes` episodes on each."""
-    episodes, seed = scene.study.learn.episodes, scene.seed + VALUE_SEED
+def values(
+    scene: Scene,
+    models: Sequence[mujoco.MjModel],
+    act: Act,
+    *,
+    threads: int = 1,
+    times: int = 1,
+) -> Values:
+    """Return the returns of a policy on models, `times learn.episodes` episodes on each.
+
+    The episodes of fewer times are the first of those of more.
+    """
+    episodes, seed = times * scene.study.learn.episodes, scene.seed + VALUE_SEED
     if isinstance(scene.task, PythonTask):
         each = [episode_returns(scene.environment(m, episodes, seed=seed), act) for m in models]
         return Values(np.array(each))

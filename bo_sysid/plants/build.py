@@ -12,6 +12,7 @@ from bo_sysid.plants.limits import limit_edits, limited
 from bo_sysid.plants.load import Task, load_task
 from bo_sysid.plants.plant import Plant
 from bo_sysid.plants.python_task import PythonTask, class_task
+from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.recording import Recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_function, load_model
@@ -45,7 +46,13 @@ def _unlimited_task(study: Study, model: Model) -> Task | None:
         cls = load_function(study, f"{study.task.file}:{study.task.class_name}")
         return class_task(cls, model.compile())
     named = study.task if study.task is not None else study.model
-    return load_task(named.dm_control.domain, named.dm_control.task) if named.dm_control else None
+    if not named.dm_control:
+        return None
+    task = load_task(named.dm_control.domain, named.dm_control.task)
+    repeat = 1 if study.task is None else study.task.repeat
+    if repeat > 1 and isinstance(task, PythonTask):
+        raise study.error(("task", "repeat"), "repeat needs a vectorised task")
+    return task if isinstance(task, PythonTask) or repeat == 1 else RepeatedTask(task, repeat)
 
 
 def build_plant(study: Study, *, budget: int | None = None, seed: int | None = None) -> Plant:

@@ -104,7 +104,7 @@ class BatchEnvironment:
         self._draw: ModelDraw | None = None
         self._models = self._first_models(model)
         first = self._models[0]
-        self.substeps = physics_steps(task.control_timestep, first)
+        self.substeps = physics_steps(task.control_timestep / task.repeat, first)
         self.episode_steps = episode_steps(task)
         self.action_size = int(first.nu)
         self.sims = Simulations(first, n, task.goal_size, threads)
@@ -173,8 +173,11 @@ class BatchEnvironment:
         """Apply `n x a` actions for one control step; episodes that end begin anew."""
         self.sims.ctrl[:] = self.controls(actions)
         self.sims.advance(self.substeps)
-        self._steps += 1
         reward = self.task.reward(self.sims)
+        for _ in range(self.task.repeat - 1):
+            self.sims.advance(self.substeps)
+            reward = reward + self.task.reward(self.sims)
+        self._steps += 1
         final = self.task.observe(self.sims)
         diverged = self.sims.diverged()
         terminated = self.task.terminated(self.sims) | diverged

@@ -94,6 +94,7 @@ class LimitedTask(VectorTask):
     def __init__(self, task: VectorTask, study: Study, model: Model) -> None:
         self.task = task
         self.control_timestep, self.time_limit = task.control_timestep, task.time_limit
+        self.repeat = task.repeat
         self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
         self.settle_time = task.settle_time  # type: ignore[misc]
         self.rewarded = task.rewarded  # type: ignore[misc]

@@ -98,11 +98,14 @@ class VectorMachine:
         """Hold controls for one control step."""
         environment, sims = self._environment, self._environment.sims
         sims.ctrl[:] = controls
-        rows = sims.trace(environment.substeps, TRACED)
+        parts, reward = [], 0.0
+        for _ in range(environment.task.repeat):
+            parts.append(sims.trace(environment.substeps, TRACED))
+            reward += float(environment.task.reward(sims)[0])
         return Applied(
-            {field: values[0] for field, values in rows.items()},
+            {field: np.concatenate([p[field][0] for p in parts]) for field in parts[0]},
             environment.task.observe(sims),
-            float(environment.task.reward(sims)[0]),
+            reward,
             bool(environment.task.terminated(sims)[0]),
             bool(sims.diverged()[0]),
         )

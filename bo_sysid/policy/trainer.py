@@ -24,7 +24,7 @@ class Iteration(NamedTuple):
     Attributes:
         iteration: number, from 1.
         steps: control steps so far.
-        batch_return: mean reward of the batch times the length of an episode.
+        batch_return: mean reward of the batch times the length of an episode in training.
         episodes: that ended in the batch after a whole episode.
         episode_return: their mean return; NaN where none ended.
         kl: mean KL divergence of the update.

@@ -60,6 +60,9 @@ class Task(Section):
     """Python file with a dm_control Task."""
     class_name: Annotated[Name | None, Field(alias="class")] = None
     """Name of the class in `file`."""
+    repeat: Count = 1
+    """Control steps of a dm_control task that an action is held for, their rewards added up; the
+    task is then controlled, and its steps are counted, at this slower rate."""
 
     @model_validator(mode="after")
     def _one(self) -> "Task":
@@ -67,6 +70,8 @@ class Task(Section):
             raise ValueError("needs either dm_control or file with class")
         if (self.file is None) != (self.class_name is None):
             raise ValueError("file and class go together")
+        if self.file is not None and self.repeat > 1:
+            raise ValueError("repeat goes with dm_control; a class says its control_timestep")
         return self
 
 
@@ -85,10 +90,15 @@ class Policy(Section):
     out. The last policy always has `steps`."""
     start: Literal["fresh", "warm"] = "fresh"
     """fresh: every policy begins anew; warm: it goes on from the one before, on the new model."""
+    episode: Positive | None = None
+    """Length of the episodes of training in s, where shorter ones give more starts to learn from;
+    their ends are bootstrapped like any time limit. The task's where left out."""
     kl: Positive = 0.02
     """Bound of the KL divergence of an update, averaged over action dimensions."""
     discount: Annotated[float, Field(gt=0, le=1)] = 0.99
     """Discount of rewards per control step."""
+    decay: Annotated[float, Field(ge=0, le=1)] = 0.95
+    """Decay (lambda) of generalised advantage estimation per control step."""
     hidden: Annotated[tuple[Count, ...], Field(min_length=1)] = (64, 64)
     """Units of the hidden layers."""
 

@@ -33,6 +33,8 @@ class VectorTask(ABC):
     Attributes:
         control_timestep: time between two actions in [s], a multiple of the model's time step.
         time_limit: length of an episode in [s]. Reaching it truncates, it does not terminate.
+        repeat: equal parts of `control_timestep` of which each earns a reward; see
+            `bo_sysid.plants.repeat`.
         goal_size: how many numbers `Start.goal` has.
         settle_time: time in [s] to simulate without control before an episode begins.
         rewarded: whether there is a reward to learn from.
@@ -40,6 +42,7 @@ class VectorTask(ABC):
 
     control_timestep: float
     time_limit: float
+    repeat: int = 1
     goal_size: ClassVar[int] = 0
     settle_time: ClassVar[float] = 0.0
     rewarded: ClassVar[bool] = True
