@@ -273,7 +273,7 @@ def _shown(model, time, position, parts) -> np.ndarray:
     grid = np.arange(len(position)) * (time[1] - time[0]) / FINER
     out = position[::FINER].copy()
     for r in parts:
-        if isinstance(r, Reading):
+        if isinstance(r, Reading) and r.channel.startswith("qpos."):
             i = model.joints.index(r.channel.removeprefix("qpos."))
             late = np.interp(time - r.delay, grid, position[:, i])
             out[:, i] = (1 + r.scale) * late + r.offset

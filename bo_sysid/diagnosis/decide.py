@@ -44,7 +44,7 @@ def decide(
     to the best set; κ grows with the variance of D between blocks where that is larger than the
     one of two nearly true models. Only sets whose every member is needed are admitted.
     """
-    held = [f for f in fits if np.isfinite(f.cv.sum()) and admissible(f, nominal)]
+    held = [f for f in fits if np.isfinite(f.cv.sum()) and admissible(f, nominal, fits)]
     kappa = inflation(fits)
     best = min(held, key=lambda f: criterion(f, kappa, prior))
     for _ in range(_ROUNDS):

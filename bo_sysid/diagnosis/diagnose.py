@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.repaired import MODEL, STUDY, beside, study_text, write_model
+from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
 from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
@@ -171,11 +171,13 @@ def _repair(
 ) -> tuple[str, ...]:
     if run is None:
         return ()
-    path = Path(run.path(MODEL))
-    parts = write_model(evidence.model, evidence.machine, outcome.repaired, path)
+    folder = Path(run.path(MODEL)).parent
+    said = write_model(evidence.model, evidence.machine, outcome.repaired, folder)
     run.write_text(STUDY, study_text(study, answer.findings, run.folder))
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
-    return tuple(f"{MODEL} cannot hold {what}" for what in beside(parts))
+    return tuple(
+        f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}" for what in said
+    )
 
 
 __all__ = ["Diagnosis", "diagnose", "gather"]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
@@ -89,15 +90,13 @@ def explain(located: Located) -> Outcome:
     unknown = examine(problem, decision)
     unexplained = _said(unknown)
     alone = _law_alone(problem, decision)
-    if unknown.joint is None:
-        fit, sessions = _widened(located, fit)
-        nominal, repaired = decision.nominal, fit.hypothesis
-        return Outcome(fit, nominal, repaired, unexplained, timestep, sessions, alone)
-    kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
-    if not all(kept):
+    if unknown.joint is not None:
+        kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
         fit = _without(located, fit, kept)
-    repaired = learn(problem, fit, unknown)[0]
-    fit, sessions = _widened(located, fit)
+    fit, sessions = _agreed(located, fit)
+    repaired = fit.hypothesis
+    if unknown.joint is not None:
+        repaired = learn(problem, fit, unknown)[0]
     return Outcome(fit, decision.nominal, repaired, unexplained, timestep, sessions, alone)
 
 
@@ -109,10 +108,32 @@ def _law_alone(problem: Problem, decision: Decision) -> Hypothesis | None:
     return None if found.joint is None else learn(problem, nominal, found)[0]
 
 
-def _widened(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
-    """Return the fit with intervals that hold the differences between recordings."""
+def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
+    """Return the fit without what the recordings disagree on, and the magnitudes by recording.
+
+    Its intervals hold the differences between recordings. An effect whose magnitude differs so
+    much between them that nothing remains of it on the whole is none of the machine's.
+    """
     sessions = by_recording(located.prepared.problem, fit)
+    while fit.members:
+        kept = tuple(_significant(fit, sessions))
+        if all(kept):
+            break
+        fit = _without(located, fit, kept)
+        sessions = by_recording(located.prepared.problem, fit)
     return replace(fit, covariance=sessions.covariance), sessions
+
+
+def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
+    """Return for each member whether the recordings agree that it is there."""
+    found, first = [], 0
+    for c, x in zip(fit.members, fit.x, strict=True):
+        own = slice(first, first + c.size)
+        first += c.size
+        widened = np.diag(sessions.covariance)[own] > np.diag(fit.covariance)[own]
+        distance = x @ np.linalg.pinv(sessions.covariance[own, own], hermitian=True) @ x
+        found.append(bool(not widened.any() or distance > chi2.ppf(0.95, c.size)))
+    return found
 
 
 def _said(unknown: Unknown) -> Unexplained:
@@ -124,6 +145,8 @@ def _said(unknown: Unknown) -> Unexplained:
 
 
 def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
+    if all(kept):
+        return fit
     keep = np.flatnonzero(kept)
     members, x = tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
     return located.search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)

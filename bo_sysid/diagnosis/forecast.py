@@ -27,6 +27,7 @@ _SHARES = (1.0, 0.3, 0.06)
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
 _TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
+_DIVERGING = 1e9  # response to the start above which a window's simulation diverges
 _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
 
 
@@ -139,6 +140,7 @@ def _estimated(
     for k in range(_ROUNDS):
         if k in (0, 2, 4):
             J = linearise(problem, hypothesis, start).J[:, known]
+            J = np.where((np.abs(J) < _DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
             N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / spread**2)
             gain = np.linalg.inv(N)
         assert gain is not None  # noqa: S101

@@ -225,11 +225,12 @@ class Linear:
         s = np.zeros((W, n, given.shape[-1])) if s0 is None else s0
         out = np.empty((W, self.macros + 1, n, given.shape[-1]))
         out[:, 0] = s
-        for k in range(self.macros):
-            s = self.A[:, k // self.hold] @ s
-            if w is not None:
-                s += w[:, k]
-            out[:, k + 1] = s
+        with np.errstate(over="ignore", invalid="ignore"):  # windows that diverge
+            for k in range(self.macros):
+                s = self.A[:, k // self.hold] @ s
+                if w is not None:
+                    s += w[:, k]
+                out[:, k + 1] = s
         return out
 
     def _shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:

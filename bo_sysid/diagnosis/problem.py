@@ -192,11 +192,10 @@ def pose(
         recordings,
         horizon=horizon,
         timestep=timestep,
-        signals=machine.inputs,
+        signals=(*machine.inputs, ELAPSED),
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
     windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
-    windows = replace(windows, signals={**windows.signals, ELAPSED: _elapsed(windows, recordings)})
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
@@ -286,13 +285,6 @@ def _delayed(
     slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
     late = late + np.minimum(at, 0.0) * slope[..., 0]
     return np.asarray(late - predicted(layout, now, trajectory)[..., 0])
-
-
-def _elapsed(windows: Windows, recordings: Sequence[Recording]) -> Float[np.ndarray, "W S"]:
-    """Return the time since the recording began at every simulation step, in [s]."""
-    began = np.array([r.span[0] for r in recordings])[windows.recording]
-    steps = np.arange(windows.steps) * windows.timestep
-    return np.asarray((windows.time - began)[:, None] + steps)
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

@@ -19,6 +19,7 @@ from bo_sysid.simulation import State
 
 _NUMERICS = (-0.5, 2.0)
 _SHRINK = 0.35
+_DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _CUT = 1e9
 
 
@@ -186,6 +187,9 @@ def _descend(
         SP = project(frame.Q, J)
         step = _bounded_step(SP, point.y, point, space)
         tried = _line_search(frame, space, point, J, step, 4 if exact or not iteration else 2)
+        if tried is None and exact:
+            step = _bounded_step(SP, point.y, point, space, _DAMPED)
+            tried = _line_search(frame, space, point, J, step, 4)
         if tried is None:
             hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
             if exact or hopeless or point.rss / dof > 1e4:
@@ -219,7 +223,11 @@ def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, 
 
 
 def _bounded_step(
-    S: Float[np.ndarray, "W R p"], y: Float[np.ndarray, "W R"], point: _Point, space: _Space
+    S: Float[np.ndarray, "W R p"],
+    y: Float[np.ndarray, "W R"],
+    point: _Point,
+    space: _Space,
+    ridge: float = 1e-8,
 ) -> Float[np.ndarray, " p"]:
     """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay."""
     A = S.reshape(-1, S.shape[-1])
@@ -232,7 +240,7 @@ def _bounded_step(
         step = np.zeros(len(scale))
         if not free.any():
             break
-        H = G[np.ix_(free, free)] + 1e-8 * np.eye(int(free.sum()))
+        H = G[np.ix_(free, free)] + ridge * np.eye(int(free.sum()))
         step[free] = np.linalg.solve(H, g[free]) / scale[free]
         down = (theta + step < space.low) & (theta <= space.low + 1e-12)
         up = (theta + step > space.high) & (theta >= space.high - 1e-12)

@@ -11,10 +11,12 @@ from bo_sysid.diagnosis.findings import Finding
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.problem import finer_step
 from bo_sysid.effects import Filter, Force, Machine, Part, Reading
+from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
 from bo_sysid.mjcf import Model
 from bo_sysid.study import Study
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
+BESIDE, MODULE = "model_repaired.json", "model_repaired.py"
 
 _ADDRESS = {
     "dry_friction": "joint[{site}].frictionloss",
@@ -28,19 +30,65 @@ _ADDRESS = {
 
 
 def write_model(
-    model: Model, machine: Machine, hypothesis: Hypothesis, path: Path
-) -> tuple[Part, ...]:
-    """Write the model with the findings in it; return what MJCF cannot express.
+    model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path
+) -> tuple[str, ...]:
+    """Write the model with the findings in it, and beside it what MJCF cannot express.
 
     Where the recordings show the finer step of a continuous machine, the time step is divided.
+
+    Returns:
+        What stands beside the model, in words.
     """
-    edits, parts = edits_and_parts(hypothesis, machine, written=True)
+    edits, _ = edits_and_parts(hypothesis, machine, written=True)
     division = finer_step(hypothesis.numerics)
     if division > 1:
         edits.append(lambda spec: _finer(spec, division))
-    model.export(path, edits)
-    mujoco.MjModel.from_xml_path(str(path))
-    return tuple(parts)
+    model.export(folder / MODEL, edits)
+    mujoco.MjModel.from_xml_path(str(folder / MODEL))
+    beside = _beside(model, machine, hypothesis)
+    words = _words(beside.parts(model))
+    if words:
+        beside.write(folder / BESIDE)
+        text = _MODULE.format(words="\n".join(f"- {w}" for w in words), model=MODEL, beside=BESIDE)
+        (folder / MODULE).write_text(text, encoding="utf-8")
+    return words
+
+
+_MODULE = '''"""What {model} lacks because MJCF cannot say it:
+
+{words}
+
+    from model_repaired import load
+
+    simulation = load()
+    simulation.data.ctrl[:] = ...
+    simulation.step()          # in the place of mujoco.mj_step(model, data)
+"""
+
+from pathlib import Path
+
+from bo_sysid.simulation.stepper import Stepper
+
+
+def load() -> Stepper:
+    folder = Path(__file__).parent
+    return Stepper(folder / "{model}", folder / "{beside}")
+'''
+
+
+def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
+    """Return the members of a hypothesis of which something remains beside a model file."""
+    effects, laws = [], []
+    for c, x in zip(hypothesis.members, hypothesis.x, strict=True):
+        if c.effect.id == "unknown":
+            names = (k.name for k in c.effect.components)
+            weights = {n: float(w) for n, w in zip(names, x, strict=True) if w}
+            laws.append(LearnedLaw(c.site.name, weights))
+            continue
+        remaining = c.effect.write(model.spec(), c.site, c.full(x), machine)
+        if any(isinstance(p, Force | Filter | Reading) for p in remaining):
+            effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
+    return Beside(machine, tuple(effects), tuple(laws))
 
 
 def _finer(spec: mujoco.MjSpec, division: int) -> None:
@@ -48,10 +96,16 @@ def _finer(spec: mujoco.MjSpec, division: int) -> None:
 
 
 def study_text(study: Study, found: Sequence[Finding], folder: Path) -> str:
-    """Return the study that goes on with the repaired model: findings become parameters."""
+    """Return the study that goes on with the repaired model: findings become parameters.
+
+    What was written beside the model is named, after what stood beside the model before.
+    """
     data: dict[str, Any] = study.resolved(relative_to=folder)
     data["name"] = f"{study.name}, repaired"
-    data["model"] = {"file": MODEL}
+    beside = list(data["model"].get("beside", ()))
+    if (folder / BESIDE).is_file():
+        beside.append(BESIDE)
+    data["model"] = {"file": MODEL, **({"beside": beside} if beside else {})}
     known = {a for p in data.get("parameters", ()) for a in _list(p["address"])}
     for f in found:
         address = _ADDRESS.get(f.effect, "").format(site=f.site)
@@ -76,8 +130,8 @@ def _list(value: Any) -> list[Any]:
     return list(value) if isinstance(value, list | tuple) else [value]
 
 
-def beside(parts: Sequence[Part]) -> tuple[str, ...]:
-    """Return in words what the repaired model lacks because MJCF cannot say it."""
+def _words(parts: Sequence[Part]) -> tuple[str, ...]:
+    """Return in words what stands beside the repaired model."""
     words = []
     for p in parts:
         if isinstance(p, Force):

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from math import comb, log, sqrt
 
-from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.fit import Fit, set_key
 
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
+ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 
 
@@ -61,10 +62,28 @@ def required(fit: Fit, nominal: Fit) -> float:
     return max(MARGIN, SHARE * sqrt(fit.excess), PART * sqrt(nominal.excess))
 
 
-def admissible(fit: Fit, nominal: Fit) -> bool:
+def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
+    """Return the unique size of each member, in sigma.
+
+    Close to the recordings that is the linear one. Far from them, where no linearisation reaches
+    from a set to the same set without a member, it is what the best fit without the member leaves
+    beyond this one, √(rms₀² - rms²), if that is more.
+    """
+    if fit.rms <= ROUGH:
+        return fit.unique
+    others = tuple(fits)
+    found = []
+    for member, unique in zip(fit.members, fit.unique, strict=True):
+        rest = set_key([c for c in fit.members if c is not member])
+        left = min((f.rms for f in others if f.key <= rest), default=0.0)
+        found.append(max(unique, sqrt(max(left**2 - fit.rms**2, 0.0))))
+    return tuple(found)
+
+
+def admissible(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> bool:
     """Whether every member is at least as large as what stays unexplained."""
     need = required(fit, nominal)
-    return all(u >= need for u in fit.unique)
+    return all(u >= need for u in sizes(fit, fits))
 
 
 def clean(fit: Fit) -> bool:

@@ -16,7 +16,17 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.refit import Effort, refit
-from bo_sysid.diagnosis.rules import CLEAN, MARGIN, SHARE, Prior, clean, ranked, required
+from bo_sysid.diagnosis.rules import (
+    CLEAN,
+    MARGIN,
+    ROUGH,
+    SHARE,
+    Prior,
+    clean,
+    ranked,
+    required,
+    sizes,
+)
 from bo_sysid.diagnosis.subsets import Gram, Scored, clashes, gram, groups, search
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.simulation import State
@@ -26,6 +36,8 @@ _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
 _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
 _SUBSTITUTES = 5
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
+_HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
+_AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this share
 
 
 @dataclass
@@ -109,11 +121,32 @@ class Search:
                 columns=self._first_jacobian(members) if not again else None,
                 effort=effort,
             )
+            made = self._afresh(made, labels, effort)
             if found is None or made.rss < found.rss:
                 found = made
         assert found is not None  # noqa: S101 - there is always a first start
         self.fits[key] = found
         return found
+
+    def _afresh(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+        """Fit on with the model linearised at the fit itself, where it is far from the data.
+
+        The response to the starts changes with the set there, and a set that is not fitted to its
+        end makes those that contain it look needed.
+        """
+        for _ in range(_AFRESH):
+            far = fit.rms > ROUGH and (not fit.members or fit.rms < _HOPEFUL * self.least)
+            if not far:
+                break
+            frame = linearise(self.prepared.problem, fit.hypothesis, fit.start)
+            made = refit(
+                frame, fit.members, fit.x, groups=labels, start=fit.start, guess=fit.hypothesis,
+                effort=effort,
+            )  # fmt: skip
+            better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
+            if not better:
+                break
+        return fit
 
     def round(self, base: Fit) -> None:
         """Linearise at a fit and try what could be added to it, exchanged or left out."""
@@ -381,7 +414,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
             need = required(f, search.nominal)
-            weak = [k for k, u in enumerate(f.unique) if u < need]
+            weak = [k for k, u in enumerate(sizes(f, search.fits.values())) if u < need]
             if not weak:
                 return
             before = len(search.fits)

@@ -1,6 +1,6 @@
 """The scales of a machine: how strong, fast and heavy it is at each site, from model and data."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -148,8 +148,7 @@ class Machine:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the recorded goals and auxiliary channels, which force laws may read."""
-        held = [n for n in self.scales if n.split(".", 1)[0] in ("goal", "aux")]
-        return tuple(n for n in held if not n.startswith("aux.qacc_warmstart"))
+        return inputs_of(self.scales)
 
     def names(self, kind: str) -> tuple[str, ...]:
         """Return the names of the sites of one kind."""
@@ -175,6 +174,18 @@ class Machine:
         elif kind != "joint":
             return None
         return self.joints.get(name)
+
+
+def inputs_of(channels: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of goals and auxiliary channels among channels."""
+    held = [n for n in channels if n.split(".", 1)[0] in ("goal", "aux")]
+    return tuple(n for n in held if not n.startswith("aux.qacc_warmstart"))
+
+
+def recorded_inputs(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return the goals and auxiliary channels that all recordings have."""
+    first, *rest = recordings
+    return inputs_of(n for n in first.channels if all(n in r.channels for r in rest))
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Ctrl
+from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
@@ -42,7 +43,8 @@ def cut(
         horizon: number H of instants after each start.
         stride: instants from one start to the next; by default `horizon` (disjoint windows).
         timestep: of the simulation in [s]; by default the model's.
-        signals: further held channels that laws read.
+        signals: further held channels that laws read; `ELAPSED` is the time since the recording
+            began.
         controlled: actuators whose control a law computes; they need no recorded control.
 
     Raises:
@@ -95,7 +97,7 @@ def _cut_one(
     return Windows(
         start,
         ctrl,
-        {n: control_steps(_channel(recording, n), time[first], steps, dt) for n in signals},
+        {n: _signal(recording, n, time[first], steps, dt) for n in signals},
         tuple(channels),
         table[first[:, None] + np.arange(1, horizon + 1)],
         step,
@@ -118,6 +120,14 @@ def _require(recording: Recording, missing: list[str], what: str) -> None:
 def _channel(recording: Recording, name: str) -> Channel:
     _require(recording, [name] if name not in recording.channels else [], "input")
     return recording.channels[name]
+
+
+def _signal(
+    recording: Recording, name: str, start: Float[np.ndarray, " W"], steps: int, dt: float
+) -> Float[np.ndarray, "W S"]:
+    if name == ELAPSED:
+        return np.asarray((start - recording.span[0])[:, None] + np.arange(steps) * dt)
+    return control_steps(_channel(recording, name), start, steps, dt)
 
 
 def _merged(

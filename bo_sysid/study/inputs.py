@@ -7,6 +7,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from bo_sysid.effects import Part, load_effects
+from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recordings
@@ -31,6 +33,21 @@ def load_model(study: Study) -> Model:
     return Model.from_file(file, base=source.base, hold=source.hold)
 
 
+def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
+    """Return what stands beside the model of a study: forces, filters and readings.
+
+    Raises:
+        ModelError: a file is none that a diagnosis wrote.
+    """
+    if not study.model.beside:
+        return ()
+    for file in study.diagnosis.effect_files:
+        load_effects(study.file(file, ("diagnosis", "effect_files")))
+    compiled = model.compile()
+    files = (study.file(f, ("model", "beside")) for f in study.model.beside)
+    return tuple(part for f in files for part in read_beside(f, compiled).parts(model))
+
+
 def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
     """Return the recordings that a study fits to.
 
@@ -46,11 +63,11 @@ def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
         StudyError: a pattern matches no file.
     """
     if study.recordings.dataset is not None:
-        return load_dataset(study.recordings.dataset).train
+        return _corrected(study, load_dataset(study.recordings.dataset).train)
     whole = read_files(study, study.train_files, strict)
-    if study.recordings.holdout is not None:
-        return whole
-    return tuple(_part(r, train=True) for r in whole)
+    if study.recordings.holdout is None:
+        whole = tuple(_part(r, train=True) for r in whole)
+    return _corrected(study, whole)
 
 
 def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
@@ -61,10 +78,11 @@ def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]
         StudyError: a pattern matches no file.
     """
     if study.recordings.dataset is not None:
-        return load_dataset(study.recordings.dataset).holdout
+        return _corrected(study, load_dataset(study.recordings.dataset).holdout)
     if study.recordings.holdout is not None:
-        return read_files(study, study.holdout_files, strict)
-    return tuple(_part(r, train=False) for r in read_files(study, study.train_files, strict))
+        return _corrected(study, read_files(study, study.holdout_files, strict))
+    whole = read_files(study, study.train_files, strict)
+    return _corrected(study, [_part(r, train=False) for r in whole])
 
 
 def load_function(study: Study, reference: str) -> Callable[..., Any]:
@@ -117,6 +135,15 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
     return tuple(r for f in files for r in read_recordings(f, columns, clocks, strict))
+
+
+def _corrected(study: Study, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return recordings after the filters and readings that stand beside the model."""
+    if not study.model.beside:
+        return tuple(recordings)
+    model = load_model(study)
+    parts, step = load_parts(study, model), float(model.compile().opt.timestep)
+    return tuple(as_commanded_and_measured(r, parts, step) for r in recordings)
 
 
 def _rule(section: Any) -> Mapping[str, Any]:

@@ -40,6 +40,8 @@ class ModelSource(Section):
     """Name of a robot in $BO_SYSID_MENAGERIE."""
     base: Literal["free", "fixed"] = "free"
     """fixed: a floating base is held where the file puts it."""
+    beside: tuple[FilePath, ...] = ()
+    """Files with forces, filters and readings that MJCF cannot express, as diagnose writes them."""
     hold: tuple[Name, ...] = ()
     """Joints held where the file puts them, as those that were not recorded."""
 

@@ -1,0 +1,188 @@
+"""What a repaired model has beside its MJCF file: forces, filters and readings, kept as data.
+
+The file names effects of the catalogue with their magnitudes, and learned laws with the weights of
+their terms; the scales that both refer to are in it. Nothing in it is code.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from bo_sysid.effects.contract import Filter, Force, Part, Reading, Site
+from bo_sysid.effects.learned import features, learned_force
+from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.effects.registry import CATALOGUE
+from bo_sysid.errors import ModelError, nearest
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel, Recording
+
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An effect of the catalogue at a site, with all its magnitudes."""
+
+    effect: str
+    site: Site
+    x: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """A learned force on a joint: the weight of each term by its name."""
+
+    joint: str
+    weights: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What stands beside a model file.
+
+    Attributes:
+        machine: the scales that the magnitudes refer to.
+        effects: of the catalogue.
+        laws: learned forces.
+    """
+
+    machine: Machine
+    effects: tuple[Placed, ...] = ()
+    laws: tuple[LearnedLaw, ...] = ()
+
+    def parts(self, model: Model) -> tuple[Part, ...]:
+        """Return what is stepped, filtered and read beside a model.
+
+        Raises:
+            ModelError: an effect or a term is not known.
+        """
+        made: list[Part] = []
+        spec = model.spec()  # edits are in the model's file already: this copy is thrown away
+        for e in self.effects:
+            if e.effect not in CATALOGUE:
+                raise ModelError(
+                    f"{model.source}: unknown effect {e.effect!r} beside it; "
+                    f"{nearest(e.effect, CATALOGUE)}"
+                )
+            made += CATALOGUE[e.effect].write(spec, e.site, np.array(e.x), self.machine)
+        for law in self.laws:
+            made.append(self._force(model, law))
+        return tuple(made)
+
+    def _force(self, model: Model, law: LearnedLaw) -> Force:
+        terms = {t.name: t for t in features(law.joint, self.machine)}
+        for name in law.weights:
+            if name not in terms:
+                raise ModelError(
+                    f"{model.source}: the learned law on {law.joint} has a term {name!r}; "
+                    f"{nearest(name, terms)}"
+                )
+        weights = np.array([law.weights.get(n, 0.0) for n in terms])
+        scale = self.machine.joints[law.joint].force
+        return Force(law.joint, learned_force(tuple(terms.values()), weights, scale))
+
+    def write(self, path: Path) -> None:
+        """Write the file that `read_beside` reads."""
+        m = self.machine
+        content = {
+            "version": _VERSION,
+            "effects": [
+                {"effect": e.effect, "kind": e.site.kind, "site": e.site.name, "x": list(e.x)}
+                for e in self.effects
+            ],
+            "laws": [{"joint": w.joint, "weights": dict(w.weights)} for w in self.laws],
+            "machine": {
+                **{name: {k: asdict(v) for k, v in getattr(m, name).items()} for name in _TABLES},
+                "channels": list(m.channels),
+                "sampling": m.sampling,
+                "duration": m.duration,
+            },
+        }
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+_TABLES: Mapping[str, type[Any]] = {
+    "joints": JointScale,
+    "actuators": ActuatorScale,
+    "bodies": BodyScale,
+    "scales": ChannelScale,
+}
+
+
+def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
+    """Read what stands beside a model.
+
+    Args:
+        path: a file that `Beside.write` wrote.
+        model: the compiled model.
+
+    Raises:
+        ModelError: the file is none of these.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["version"] != _VERSION:
+            raise ModelError(f"{path}: version {content['version']}; this one reads {_VERSION}")
+        told = content["machine"]
+        tables = {
+            name: MappingProxyType({k: _scale(made, v) for k, v in told[name].items()})
+            for name, made in _TABLES.items()
+        }
+        machine = Machine(
+            model=model, channels=tuple(told["channels"]), sampling=float(told["sampling"]),
+            duration=float(told["duration"]), **tables,
+        )  # fmt: skip
+        effects = tuple(
+            Placed(e["effect"], Site(e["kind"], e["site"]), tuple(map(float, e["x"])))
+            for e in content["effects"]
+        )
+        laws = tuple(
+            LearnedLaw(w["joint"], {n: float(v) for n, v in w["weights"].items()})
+            for w in content["laws"]
+        )
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(
+            f"{path}: is no file of what stands beside a model, as diagnose writes it "
+            f"({type(error).__name__}: {error})"
+        ) from None
+    return Beside(machine, effects, laws)
+
+
+def _scale(made: Callable[..., Any], told: Mapping[str, Any]) -> Any:
+    return made(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
+
+
+def as_commanded_and_measured(
+    recording: Recording, parts: Sequence[Part], timestep: float
+) -> Recording:
+    """Return a recording as the model is to see it: controls filtered, readings undone.
+
+    A reading shows (1 + scale)·p(t - delay) + offset of a quantity p; p itself is returned.
+
+    Args:
+        recording: as the machine told it.
+        parts: what stands beside the model; forces are left to the simulation.
+        timestep: of the simulation in [s], to which filters are exact.
+    """
+    channels = dict(recording.channels)
+    for p in parts:
+        if isinstance(p, Filter) and f"ctrl.{p.actuator}" in channels:
+            name = f"ctrl.{p.actuator}"
+            channels[name] = p.change(channels[name], timestep)
+    for p in parts:
+        if isinstance(p, Reading) and p.channel in recording.channels:
+            shown = recording.channels[p.channel]
+            channels[p.source or p.channel] = Channel(
+                shown.time - p.delay,
+                (shown.values - p.offset) / (1.0 + p.scale),
+                shown.unit,
+                shown.source,
+                shown.hold,
+            )
+    return Recording(recording.name, channels, recording.notes)

@@ -1,0 +1,78 @@
+"""Stepping one simulation in plain MuJoCo with what stands beside its model file."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bo_sysid.effects import Filter, Force
+from bo_sysid.effects.beside import read_beside
+from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel
+from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+
+_MEMORY = 2.0  # [s] of commands that filters look back on
+
+
+class Stepper:
+    """Steps an `MjData` as `mj_step` does, with forces on joints and filters on its controls.
+
+    Filters that look back see what was in `data.ctrl` at the last steps. Forces that read recorded
+    channels cannot be stepped here.
+
+    Args:
+        model: path of the model file.
+        beside: path of the file beside it.
+
+    Attributes:
+        model: the compiled model.
+        data: the simulation.
+    """
+
+    def __init__(self, model: str | Path, beside: str | Path) -> None:
+        source = Model.from_file(Path(model))
+        parts = read_beside(Path(beside), source.compile()).parts(source)
+        self.model: mujoco.MjModel = source.compile()
+        self.data = mujoco.MjData(self.model)
+        self._filters = [p for p in parts if isinstance(p, Filter)]
+        self._laws = tuple(ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force))
+        self._time: list[float] = []
+        self._past: list[np.ndarray] = []
+        self._lockstep: LockStep | None = None
+
+    def step(self) -> None:
+        """Advance the simulation by one time step."""
+        m, d = self.model, self.data
+        if self._lockstep is None or (self._time and d.time <= self._time[-1]):
+            self._restart()
+        commanded = d.ctrl.copy()
+        self._remember(commanded)
+        for f in self._filters:
+            i = m.actuator(f.actuator).id
+            values = np.array([c[i] for c in self._past])
+            times = np.array(self._time)
+            channel = Channel(times, values, "", "", "zero")
+            d.ctrl[i] = f.change(channel, m.opt.timestep).at(np.array([d.time]))[0]
+        assert self._lockstep is not None  # noqa: S101 - made above
+        self._signals[ELAPSED][0, 0] = d.time
+        self._lockstep.apply(0)
+        mujoco.mj_step(m, d)
+        d.ctrl[:] = commanded
+
+    def _restart(self) -> None:
+        """Forget the past: the simulation was reset."""
+        d = self.data
+        views = {n: getattr(d, n)[None] for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+        self._signals = {ELAPSED: np.zeros((1, 1))}
+        self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
+        self._time, self._past = [], []
+
+    def _remember(self, commanded: np.ndarray) -> None:
+        now = float(self.data.time)
+        if not self._time:  # the first command held before
+            self._time, self._past = [now - self.model.opt.timestep], [commanded]
+        self._time.append(now)
+        self._past.append(commanded)
+        while self._time[-1] - self._time[0] > _MEMORY:
+            del self._time[0], self._past[0]

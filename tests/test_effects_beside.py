@@ -1,0 +1,177 @@
+"""What stands beside a repaired model: forces, filters and readings, kept as data."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnosis_helpers import ARM, SIGMA, arm, record
+
+from bo_sysid.diagnosis import diagnose
+from bo_sysid.effects import CATALOGUE, Filter, Force, Site, survey
+from bo_sysid.effects.beside import (
+    Beside,
+    LearnedLaw,
+    Placed,
+    as_commanded_and_measured,
+    read_beside,
+)
+from bo_sysid.errors import ModelError
+from bo_sysid.identify.problem import make_problem, study_laws
+from bo_sysid.recording import Recording
+from bo_sysid.runs import Run
+from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
+from bo_sysid.simulation.stepper import Stepper
+from bo_sysid.study import Study
+
+ELBOW = Site("joint", "elbow")
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return survey(arm().compile(), [record(duration=2.0)])
+
+
+def motion(n: int = 7) -> LawInputs:
+    q = np.linspace(-0.5, 0.5, n)
+    both = {"shoulder": q, "elbow": q[::-1]}
+    return LawInputs(0 * q, both, both, both, {}, 0.002)
+
+
+def beside(machine) -> Beside:
+    return Beside(
+        machine,
+        (Placed("asymmetric_damping", ELBOW, (0.02,)),
+         Placed("actuator_deadzone", Site("actuator", "elbow"), (0.05,))),
+        (LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}),),
+    )  # fmt: skip
+
+
+def test_what_is_read_back_acts_as_what_was_written(machine, tmp_path) -> None:
+    model, made = arm(), beside(machine)
+    made.write(tmp_path / "model.json")
+    read = read_beside(tmp_path / "model.json", model.compile())
+    before, after = made.parts(model), read.parts(model)
+    assert [type(p) for p in after] == [Force, Filter, Force]
+    for p, q in zip(before, after, strict=True):
+        if isinstance(p, Force):
+            np.testing.assert_array_equal(p.law(motion()), q.law(motion()))
+            assert np.abs(q.law(motion())).max() > 1e-4
+
+
+def test_the_forces_are_those_of_the_catalogue(machine) -> None:
+    effect = CATALOGUE["asymmetric_damping"]
+    expected = effect.parts(arm().spec(), ELBOW, np.array([0.02]), machine)[0]
+    first = beside(machine).parts(arm())[0]
+    np.testing.assert_array_equal(first.law(motion()), expected.law(motion()))
+
+
+def test_stepping_in_plain_mujoco_is_the_lock_step_simulation(machine, tmp_path) -> None:
+    made = Beside(machine, beside(machine).effects[:1], beside(machine).laws)
+    made.write(tmp_path / "arm.json")
+    stepper = Stepper(ARM, tmp_path / "arm.json")
+    stepper.data.qpos[:] = start = np.array([0.3, -0.4])
+    for _ in range(200):
+        stepper.data.ctrl[:] = (0.2, -0.05)
+        stepper.step()
+    laws = [ForceLaw(p.joint, p.law) for p in made.parts(arm())]
+    ctrl = np.tile([0.2, -0.05], (1, 200, 1))
+    state = State(start[None], np.zeros((1, 2)), np.zeros((1, 0)))
+    compiled = arm().compile()
+    with_laws = Engine(1).rollout(compiled, state, ctrl, laws=laws)
+    np.testing.assert_allclose(stepper.data.qpos, with_laws.qpos[0, -1], atol=1e-9)
+    without = Engine(1).rollout(compiled, state, ctrl)
+    assert np.abs(without.qpos[0, -1] - stepper.data.qpos).max() > 1e-3
+
+
+def test_a_dead_zone_is_stepped_on_the_command(machine, tmp_path) -> None:
+    Beside(machine, beside(machine).effects[1:]).write(tmp_path / "arm.json")
+    stepper = Stepper(ARM, tmp_path / "arm.json")
+    plain = Stepper(ARM, tmp_path / "arm.json")
+    for _ in range(50):
+        stepper.data.ctrl[1] = 0.04  # within the dead zone
+        stepper.step()
+        plain.step()
+        assert stepper.data.ctrl[1] == 0.04
+    np.testing.assert_allclose(stepper.data.qpos, plain.data.qpos, atol=1e-12)
+
+
+def test_readings_are_undone(machine) -> None:
+    site = Site("channel", "qpos.elbow")
+    t = np.arange(0, 1, 0.01)
+    true = np.sin(3 * t)
+    made = Beside(
+        machine,
+        (Placed("sensor_scale", site, (0.1,)), Placed("sensor_delay", site, (0.02,))),
+    )
+    scale, delay = made.parts(arm())
+    shown = Recording.from_arrays(t, qpos={"elbow": 1.1 * np.sin(3 * t)})
+    own = as_commanded_and_measured(shown, [scale], 0.002).channels["qpos.elbow"]
+    np.testing.assert_allclose(own.values, true)
+    late = as_commanded_and_measured(shown, [delay], 0.002).channels["qpos.elbow"]
+    np.testing.assert_allclose(late.time, t - 0.02)
+
+
+def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:
+    (tmp_path / "other.json").write_text('{"version": 1}')
+    with pytest.raises(ModelError, match=r"other.json: is no file of what stands beside a model"):
+        read_beside(tmp_path / "other.json", arm().compile())
+    wrong = Beside(machine, (Placed("dry_fricton", ELBOW, (0.1,)),))
+    with pytest.raises(ModelError, match="dry_friction"):
+        wrong.parts(arm())
+    wrong = Beside(machine, (), (LearnedLaw("elbow", {"positon 3": 0.1}),))
+    with pytest.raises(ModelError, match="position 3"):
+        wrong.parts(arm())
+
+
+def magnet(q: np.ndarray) -> np.ndarray:
+    z = (q - 0.2) / 0.15
+    return -0.08 * z * np.exp(-(z**2))
+
+
+@pytest.fixture(scope="module")
+def repaired(tmp_path_factory) -> Path:
+    """The run of a diagnosis of an arm with a magnet near its elbow."""
+    folder = tmp_path_factory.mktemp("magnet")
+    for name, seed, duration in (("train", 1, 6.0), ("holdout", 2, 3.0)):
+        frame = record(seed=seed, duration=duration, force=("elbow", magnet)).to_frame()
+        frame.to_parquet(folder / f"{name}.parquet")
+    content = {
+        "version": 1,
+        "model": str(ARM),
+        "recordings": {"train": ["train.parquet"], "holdout": ["holdout.parquet"]},
+        "diagnosis": {"effects": ["viscous_damping", "armature"]},
+        "parameters": [
+            {"address": "joint[elbow].armature", "low": 0.0, "high": 0.02, "steps": 3},
+        ],
+        "deviation": {"horizon": 150, "starts": "fitted"},
+    }
+    (folder / "arm.yaml").write_text(yaml.safe_dump(content))
+    study = Study.load(folder / "arm.yaml")
+    with Run.open(folder / "run", study.resolved(folder / "run"), "diagnose") as run:
+        assert diagnose(study, run).verdict == "unknown-physics"
+    return folder / "run"
+
+
+def test_a_learned_law_goes_on_with_the_repaired_study(repaired) -> None:
+    study = Study.load(repaired / "study_repaired.yaml")
+    (law,) = study_laws(study, arm())
+    assert law.joint == "elbow"
+    with_law, without = (
+        make_problem(s, threads=1).deviation(np.array([[0.0]])).deviation[0]
+        for s in (study, Study.load(repaired / "study_repaired.yaml", {"model.beside": []}))
+    )
+    assert with_law < 0.5 * without
+
+
+def test_the_module_beside_the_model_steps_it(repaired) -> None:
+    spec = importlib.util.spec_from_file_location("model_repaired", repaired / "model_repaired.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    simulation = module.load()
+    simulation.data.qpos[:] = (0.0, 0.25)
+    simulation.step()
+    expected = magnet(np.array([0.25]))[0]
+    assert simulation.data.qfrc_applied[1] == pytest.approx(expected, abs=0.015)
+    assert abs(expected) > SIGMA
