@@ -5,32 +5,42 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 import yaml
 from learning import learned, pendulum
 
 import bo_sysid.diagnosis
-from bo_sysid.errors import UserError
+import bo_sysid.learn.scene
+from bo_sysid.effects import Site, survey
+from bo_sysid.effects.beside import Beside, Placed
+from bo_sysid.errors import StudyError, UserError
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.values import values
 from bo_sysid.mjcf import address_edit
+from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.load import make_environment
+from bo_sysid.plants.tasks import Start
 from bo_sysid.runs import Run
+from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
 
 
-def lacking(**learn: Any) -> dict[str, Any]:
+def lacking(noisy: bool = True, **learn: Any) -> dict[str, Any]:
     """Return a study whose plant has dry friction that its model lacks."""
     noise = {"qpos": 0.0005, "qvel": 0.005}
     effects = ["dry_friction", "viscous_damping", "joint_spring", "armature", "constant_force"]
     friction = {"effect": "dry_friction", "kind": "joint", "site": "hinge", "value": 0.25}
     return pendulum(
-        recordings={"train": ["none.parquet"], "noise": noise},
+        recordings={"train": ["none.parquet"]},
         diagnosis={"effects": effects, "most": 2},
         learn={"trajectories": 1, "episodes": 2, "epsilon": 0.1, **learn},
         plant={
             "parameters": {"mass": 1.2, "damping": 0.8},
             "effects": [friction],
-            "noise": noise,
+            "noise": noise if noisy else {},
         },
     )
 
@@ -76,6 +86,19 @@ def test_the_diagnosis_itself_repairs_the_model(tmp_path: Path) -> None:
     assert before["deviation"] > 1.5 * after["floor"]["deviation"]
 
 
+def test_a_plant_without_noise_is_diagnosed_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bo_sysid.diagnosis, "diagnose", knowing)
+    told = learned(tmp_path, lacking(noisy=False, trajectories=1, choose="argmax"))
+    assert told.iterations["diagnosed"].tolist() == [True]
+    nothing = pendulum(learn={"trajectories": 1, "episodes": 2})
+    nothing["recordings"] = {"train": ["none.parquet"]}
+    nothing["plant"] = {"parameters": {"mass": 1.23, "damping": 0.84}}  # off the grid of B
+    told = learned(tmp_path, nothing, "nothing")
+    assert told.iterations["diagnosed"].tolist() == [False]
+
+
 def test_without_diagnosis_the_loop_stays_with_the_model(tmp_path: Path) -> None:
     told = learned(tmp_path, lacking(diagnose="never"))
     assert told.iterations["diagnosed"].tolist() == [False]
@@ -100,3 +123,52 @@ def test_a_diagnosis_that_fails_is_said_once(
         "The diagnosis gave no study to go on with: nothing moves. The loop goes on as it was."
     )
     assert set(told.chosen) == {"mass", "damping"}
+
+
+def beside(folder: Path, effect: str, value: float) -> Study:
+    """Return a study with an effect of the catalogue beside its model's file."""
+    plain = Study.from_dict(pendulum(), folder)
+    model = load_model(plain)
+    model.export(folder / "model.xml", [])
+    motion = build_plant(plain).record(np.sin(np.arange(200)[:, None] * 0.1))
+    machine = survey(model.compile(), [motion])
+    placed = Placed(effect, Site("joint", "hinge"), (value,))
+    Beside(machine, (placed,)).write(folder / "model.json")
+    return Study.from_dict(pendulum(model={"file": "model.xml", "beside": ["model.json"]}), folder)
+
+
+def test_forces_beside_the_model_are_stepped_where_a_policy_is_learned(tmp_path: Path) -> None:
+    scene = Scene.of(beside(tmp_path, "asymmetric_damping", 0.2))
+    (law,) = scene.laws
+    assert law.joint == "hinge"
+    # the same effect, realised by a plant at the same parameters
+    force = {"effect": "asymmetric_damping", "kind": "joint", "site": "hinge", "value": 0.2}
+    plant = build_plant(Study.from_dict(pendulum(plant={"effects": [force]}), tmp_path))
+    controls = np.sin(np.arange(300)[:, None] * 0.05)
+    truth = plant.record(controls, start=Start(np.array([0.5])))
+    moved = {}
+    for name, laws in (("with", scene.laws), ("without", ())):
+        environment = make_environment(
+            scene.task, scene.compiled(np.array([1.0, 1.0])), 1, laws=laws
+        )
+        environment.begin([Start(np.array([0.5]))])
+        for action in controls:
+            environment.step(action[None])
+        moved[name] = float(environment.sims.qpos[0, 0])
+    assert moved["with"] == pytest.approx(truth.channels["qpos.hinge"].values[-1], abs=1e-9)
+    assert abs(moved["without"] - moved["with"]) > 1e-3
+
+    def push(observation: np.ndarray) -> np.ndarray:
+        return np.ones((len(observation), 1))
+
+    assert values(scene, [scene.compiled(np.array([1.0, 1.0]))], push).returns.shape == (1, 2)
+
+
+def test_a_law_that_reads_what_is_recorded_only_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = beside(tmp_path, "asymmetric_damping", 0.2)
+    law = ForceLaw("hinge", lambda m: m.signals["aux.voltage"])
+    monkeypatch.setattr(bo_sysid.learn.scene, "study_laws", lambda *_: (law,))
+    with pytest.raises(StudyError, match=r"beside.*depends on 'aux.voltage'"):
+        Scene.of(study)

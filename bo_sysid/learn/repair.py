@@ -50,10 +50,11 @@ def repaired(
     try:
         with Run.open(folder, data, "diagnose", seed=scene.seed) as own:
             found = diagnose(study, own, progress=progress)
-        if found.findings.empty:
-            return Repair(None, ("The diagnosis found nothing that it can name.", *found.sentences))
         path = folder / "study_repaired.yaml"
-        other = Scene.of(Study.load(path, trust_code=trusted), scene.task)
+        study = Study.load(path, trust_code=trusted)
+        if found.findings.empty and not study.model.beside:  # nor a law without a name
+            return Repair(None, ("The diagnosis found nothing that it can name.", *found.sentences))
+        other = Scene.of(study, scene.task)
         _require_same_coordinates(scene, other)
     except UserError as error:
         text = f"The diagnosis gave no study to go on with: {error}. The loop goes on as it was."

@@ -8,14 +8,17 @@ import mujoco
 import numpy as np
 
 from bo_sysid.arrays import Point
+from bo_sysid.identify.problem import study_laws
 from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
+from bo_sysid.plants.effects import recorded_input
 from bo_sysid.plants.environment import BatchEnvironment, Environment
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
+from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
@@ -34,6 +37,7 @@ class Scene:
         parameters: what is uncertain.
         candidates: the discrete set B.
         limits: edits that keep commands within the study's limits.
+        laws: forces beside the model, as a diagnosis may have put them there; stepped with it.
     """
 
     study: Study
@@ -42,6 +46,7 @@ class Scene:
     parameters: tuple[Parameter, ...]
     candidates: CandidateSet
     limits: tuple[Edit, ...]
+    laws: tuple[ForceLaw, ...] = ()
 
     @classmethod
     def of(cls, study: Study, task: Task | None = None) -> "Scene":
@@ -74,6 +79,7 @@ class Scene:
             parameters,
             candidate_set(study, parameters),
             limit_edits(study, model),
+            _forces(study, model),
         )
         scene.environment(scene.compiled(scene.candidates.points[0]), 1)  # the task must fit
         return scene
@@ -100,7 +106,14 @@ class Scene:
     ) -> Environment:
         """Return `n` simulations of the task; see `make_environment`."""
         return make_environment(
-            self.task, model, n, seed=seed, threads=threads, stagger=stagger, common=common
+            self.task,
+            model,
+            n,
+            seed=seed,
+            threads=threads,
+            stagger=stagger,
+            common=common,
+            laws=self.laws,
         )
 
     def training(self, point: Point, probabilities: np.ndarray | None, threads: int) -> Environment:
@@ -118,13 +131,17 @@ class Scene:
         n, seed, task = self.environments, self.seed, self._training_task
         if probabilities is None:
             model = self.compiled(point)
-            return make_environment(task, model, n, seed=seed, threads=threads, stagger=True)
+            return make_environment(
+                task, model, n, seed=seed, threads=threads, stagger=True, laws=self.laws
+            )
         if isinstance(task, PythonTask):
             raise self.study.error(
                 ("learn", "models"), "bootstrap needs a vectorised task; choose: chosen"
             )
         draw = self._draw(probabilities)
-        return BatchEnvironment(task, draw, n, seed=seed, threads=threads, stagger=True)
+        return BatchEnvironment(
+            task, draw, n, seed=seed, threads=threads, stagger=True, laws=self.laws
+        )
 
     @property
     def _training_task(self) -> Task:
@@ -168,3 +185,20 @@ class Scene:
             hidden=policy.hidden,
             region=TrustRegion(kl=policy.kl),
         )
+
+
+def _forces(study: Study, model: Model) -> tuple[ForceLaw, ...]:
+    """Return the forces beside the model.
+
+    Raises:
+        StudyError: one of them depends on what was recorded beside state and controls.
+    """
+    forces = tuple(law for law in study_laws(study, model) if isinstance(law, ForceLaw))
+    missing = recorded_input(model, forces)
+    if missing is not None:
+        raise study.error(
+            ("model", "beside"),
+            f"a force beside the model depends on {missing!r}, which is recorded and not "
+            "simulated: a policy cannot be learned under it",
+        )
+    return forces

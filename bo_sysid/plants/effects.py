@@ -147,6 +147,16 @@ def _laws(effect: Effect, parts: Sequence[Part]) -> list[ForceLaw]:
 
 
 def _require_no_inputs(effect: Effect, model: Model, laws: Sequence[ForceLaw]) -> None:
+    missing = recorded_input(model, laws)
+    if missing is not None:
+        raise UserError(
+            f"{effect.id} reads the recorded input {missing!r}, which a simulated plant does not "
+            "have"
+        )
+
+
+def recorded_input(model: Model, laws: Sequence[ForceLaw]) -> str | None:
+    """Return a recorded input that a law reads, which a simulation of its own does not have."""
     compiled = model.compile()
     sizes = {"qpos": compiled.nq, "qvel": compiled.nv, "ctrl": compiled.nu}
     views = {name: np.zeros((1, size)) for name, size in sizes.items()}
@@ -155,9 +165,8 @@ def _require_no_inputs(effect: Effect, model: Model, laws: Sequence[ForceLaw]) -
             compiled, tuple(laws), {}, {**views, "qfrc_applied": views["qvel"] * 0}, None
         ).apply(0)
     except KeyError as error:
-        raise UserError(
-            f"{effect.id} reads the recorded input {error}, which a simulated plant does not have"
-        ) from None
+        return str(error.args[0])
+    return None
 
 
 def _require_same_coordinates(effect: Effect, model: Model, edit: Edit) -> None:
