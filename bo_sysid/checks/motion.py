@@ -18,6 +18,10 @@ _STUCK = 0.25  # [s] of one and the same value while the channel otherwise chang
 _RUNS = 15.0  # so many times its typical run
 _THAW = 3.0  # times the usual step, that a frozen channel jumps at least
 _JITTER = 0.2  # of the interval
+_MOTION = [
+    "recording", "joint", "range", "speed", "fastest", "reversals", "low_hz", "high_hz", "noise",
+    "unit",
+]  # fmt: skip
 
 
 def excitation(recordings: Sequence[Recording], joints: Sequence[str]) -> pd.DataFrame:
@@ -32,7 +36,7 @@ def excitation(recordings: Sequence[Recording], joints: Sequence[str]) -> pd.Dat
             channel = r.channels.get(f"qpos.{joint}")
             if channel is not None:
                 rows.append({"recording": r.name, "joint": joint, **_moved(channel)})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=_MOTION)
 
 
 def _moved(channel: Channel) -> dict[str, object]:
