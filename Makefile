@@ -5,7 +5,7 @@ PYTHON ?= python3
 PIP_ARGS ?=
 BIN := .venv/bin
 READY := .venv/.ready
-BENCHMARKS := engine emps recovery check excite diagnosis concealed trpo learn
+BENCHMARKS := engine emps recovery check excite diagnosis concealed trpo learn learn_effect
 
 .PHONY: setup demo test lint bench
 

@@ -146,6 +146,10 @@ def test_a_plant_goes_on_after_an_interruption_as_if_there_had_been_none():
             },
             "no component 'weight'",
         ),
+        (
+            {"effect": "payload", "kind": "body", "site": "pole_1"},
+            "7 observations instead of 5",
+        ),
     ],
 )
 def test_what_a_plant_cannot_have_is_said(effect, message):

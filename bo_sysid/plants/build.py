@@ -9,7 +9,7 @@ from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
 from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import multisine, smooth_random
 from bo_sysid.plants.limits import limit_edits, limited
-from bo_sysid.plants.load import Task, load_task
+from bo_sysid.plants.load import Task, compiled, load_task, make_environment
 from bo_sysid.plants.plant import Plant
 from bo_sysid.plants.python_task import PythonTask, class_task
 from bo_sysid.plants.repeat import RepeatedTask
@@ -71,7 +71,8 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
     """
     model = load_model(study)
     plant = study.plant
-    effects = realised(study, model)
+    effects, task = realised(study, model), study_task(study, model)
+    _require_same_observation(study, model, task, effects.edits)
     return Plant(
         model,
         [
@@ -79,7 +80,7 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
             *effects.edits,
             *limit_edits(study, model),
         ],
-        task=study_task(study, model),
+        task=task,
         name="plant",
         timestep=None if plant is None else plant.timestep,
         noise={} if plant is None else dict(plant.noise),
@@ -87,6 +88,27 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
         seed=study.search.seed if seed is None else seed,
         laws=effects.laws,
     )
+
+
+def _require_same_observation(
+    study: Study, model: Model, task: Task | None, edits: Sequence[Edit]
+) -> None:
+    """Refuse effects that a policy would observe otherwise than as motion.
+
+    Raises:
+        StudyError: an effect adds a body, and the task observes all of them.
+    """
+    if task is None or not edits:
+        return
+    nominal, own = (
+        make_environment(task, compiled(model, task, e), 1).observation_size for e in ((), edits)
+    )
+    if nominal != own:
+        raise study.error(
+            ("plant", "effects"),
+            f"an effect adds a body, and this task observes every body: {own} observations "
+            f"instead of {nominal}; choose an effect that adds none, such as link_mass",
+        )
 
 
 def record(
