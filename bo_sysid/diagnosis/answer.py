@@ -9,6 +9,7 @@ from typing import Any, Literal
 import pandas as pd
 
 from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
@@ -40,7 +41,7 @@ class Answer:
     alternatives: tuple[Mapping[str, Any], ...]
     located: tuple[Mapping[str, Any], ...]
     unexplained: Unexplained
-    next_experiment: Mapping[str, Any] | None
+    next_experiment: Experiment | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as `diagnosis.json` has it, without the hold-out."""
@@ -55,7 +56,7 @@ class Answer:
                 "site": self.unexplained.site,
                 "depends_on": list(self.unexplained.depends_on),
             },
-            "next_experiment": None if self.next_experiment is None else dict(self.next_experiment),
+            "next_experiment": self.next_experiment and self.next_experiment.as_json(),
             "model": "model_repaired.xml",
             "study": "study_repaired.yaml",
         }
@@ -89,8 +90,10 @@ class Answer:
         return pd.DataFrame(rows, columns=[*columns, "group", "probability"])
 
 
-def make_answer(decision: Decision, outcome: Outcome, machine: Machine) -> Answer:
-    """Freeze a decision into an answer.
+def make_answer(
+    decision: Decision, outcome: Outcome, machine: Machine, experiment: Experiment | None = None
+) -> Answer:
+    """Freeze a decision into an answer, with what to record next.
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
@@ -114,7 +117,7 @@ def make_answer(decision: Decision, outcome: Outcome, machine: Machine) -> Answe
         tuple(alternatives[:_ALTERNATIVES]),
         _located(kept, outcome.unexplained),
         outcome.unexplained,
-        None,
+        experiment,
     )
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 
 from bo_sysid.diagnosis.answer import Answer, make_answer
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
@@ -74,7 +75,8 @@ class Diagnosis:
         said = [f.sentence for f in self.answer.findings] + list(self.answer.unexplained.sentences)
         if not said:
             said = ["Nothing that these recordings could show is missing from the model."]
-        return (*said, *self.holdout.sentences)
+        after = self.answer.next_experiment
+        return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
@@ -105,7 +107,8 @@ def diagnose(
     tell = _Teller(progress)
     located = locate(evidence, tell)
     outcome = explain(located)
-    answer = make_answer(located.decision, outcome, evidence.machine)
+    experiment = next_experiment(located, outcome, study.limits)
+    answer = make_answer(located.decision, outcome, evidence.machine, experiment)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
@@ -174,6 +177,9 @@ def _repair(
     folder = Path(run.path(MODEL)).parent
     said = write_model(evidence.model, evidence.machine, outcome.repaired, folder)
     run.write_text(STUDY, study_text(study, answer.findings, run.folder))
+    if answer.next_experiment is not None and answer.next_experiment.controls is not None:
+        text = answer.next_experiment.controls.to_csv(index=False)
+        run.write_text(EXPERIMENT, text)
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
     return tuple(
         f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}" for what in said
