@@ -9,13 +9,13 @@ from effect_machines import XML, case, cases, differ, edited, predict
 
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Force, Hidden, Reading, unit_at
 
-# DESIGN's table: every id and its kind of site
+# DESIGN's table, and contact_restitution: every id and its kind of site
 KINDS = {
     "joint": """dry_friction viscous_damping quadratic_damping stribeck_friction
         load_dependent_friction asymmetric_friction asymmetric_damping joint_spring constant_force
         cogging armature backlash joint_compliance encoder_offset encoder_scale unknown""",
     "body": "payload link_mass com_shift link_inertia gravity_compensation",
-    "world": "gravity_tilt fluid_drag wind contact_softness timestep",
+    "world": "gravity_tilt fluid_drag wind contact_softness contact_restitution timestep",
     "geom": "contact_friction",
     "actuator": """actuator_gain servo_kp servo_kd actuator_saturation actuator_lag actuator_delay
         actuator_deadzone command_rate back_emf voltage_sag""",

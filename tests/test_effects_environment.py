@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from effect_bench import Bench, G, pendulum, period
 
-from bo_sysid.effects import CATALOGUE, applicable
+from bo_sysid.effects import CATALOGUE, Site, applicable
 
 FALL = """<mujoco><option timestep="0.001" density="{density}" integrator="implicitfast"/>
 <worldbody><body name="ball"><joint name="z" type="slide" axis="0 0 1"/>
@@ -117,6 +117,27 @@ def test_a_softer_contact_sinks_in_by_the_square_of_its_time_constant() -> None:
         depths.append(-q[-1, 1])
     # stiffness per mass 1/T²: four times as deep with 0.04 s as with 0.02 s
     assert depths[1] / depths[0] == pytest.approx(4.0, rel=1e-3)
+
+
+BALL = """<mujoco><option timestep="0.0002" gravity="0 0 0"/><worldbody>
+  <geom name="floor" type="plane" size="1 1 1"/>
+  <body pos="0 0 0.12"><joint name="z" type="slide" axis="0 0 1"/>
+    <geom name="ball" size="0.1" mass="1"/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("change", [-0.9, -0.7, -0.4, 0.0, 0.8])
+def test_a_ball_rebounds_with_the_restitution_that_is_told(change: float) -> None:
+    ball = Bench(BALL)
+    effect = CATALOGUE["contact_restitution"]
+    model, _ = ball.edited("contact_restitution", "world", "world", [change])
+    data = mujoco.MjData(model)
+    data.qvel[0] = -1.0
+    while data.qpos[0] <= 0.0 and data.time < 1.0:
+        mujoco.mj_step(model, data)
+    assert effect.details is not None
+    told = effect.details(np.array([change]), ball.machine, Site("world", "world"))
+    assert data.qvel[0] == pytest.approx(told["restitution"][0], rel=0.03)
+    assert told["restitution in the model"][0] == pytest.approx(np.exp(-2.0))
 
 
 def test_time_step() -> None:
