@@ -5,6 +5,7 @@ start), S simulation steps, T samples of a recording, c channels, S_mc Monte Car
 The annotations are documentation at run time and are enforced in the tests (jaxtyping, beartype).
 """
 
+from collections.abc import Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -18,6 +19,7 @@ Samples: TypeAlias = Float[np.ndarray, " T"]
 Points: TypeAlias = Float[np.ndarray, "N d"]
 Point: TypeAlias = Float[np.ndarray, " d"]
 Rows: TypeAlias = Int[np.ndarray, " n"]
+Categories: TypeAlias = Mapping[int, Float[np.ndarray, " _"]]  # by column, where there is no order
 Deviations: TypeAlias = Float[np.ndarray, " n"]
 Probabilities: TypeAlias = Float[np.ndarray, " N"]
 

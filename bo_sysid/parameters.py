@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import qmc
 
-from bo_sysid.arrays import Point, Points
+from bo_sysid.arrays import Categories, Point, Points
 from bo_sysid.errors import StudyError
 
 Apply = Literal["set", "scale", "add"]
@@ -26,6 +26,8 @@ class Parameter:
         steps: number of grid values from `low` to `high`, both included.
         apply: "set" writes the value, "scale" multiplies the model's own, "add" adds to it.
         unit: unit of the value.
+        ordered: False where the grid values are categories: the surrogate then takes any two of
+            them for equally far apart.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Parameter:
     steps: int = 11
     apply: Apply = "set"
     unit: str = ""
+    ordered: bool = True
 
     def __post_init__(self) -> None:
         if not self.addresses:
@@ -97,17 +100,29 @@ class CandidateSet:
     def from_sobol(
         cls, parameters: Sequence[Parameter], size: int, seed: int = 0
     ) -> "CandidateSet":
-        """Return the first `size` points of a scrambled Sobol sequence within the bounds."""
+        """Return the first `size` points of a scrambled Sobol sequence within the bounds.
+
+        A parameter without an order takes its grid values, in equal shares.
+        """
         sampler = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed))
         unit = sampler.random_base2(int(np.ceil(np.log2(max(size, 2)))))[:size]
         low = np.array([p.low for p in parameters])
         high = np.array([p.high for p in parameters])
-        return cls(tuple(parameters), low + unit * (high - low))
+        points = low + unit * (high - low)
+        for k, p in enumerate(parameters):
+            if not p.ordered:
+                points[:, k] = p.grid[np.minimum((unit[:, k] * p.steps).astype(int), p.steps - 1)]
+        return cls(tuple(parameters), points)
 
     @property
     def bounds(self) -> Points:
         """`2 x d` lower and upper bounds."""
         return np.array([[p.low for p in self.parameters], [p.high for p in self.parameters]])
+
+    @property
+    def categories(self) -> Categories:
+        """The values of each parameter without an order, by its column."""
+        return {k: p.grid for k, p in enumerate(self.parameters) if not p.ordered}
 
     def __len__(self) -> int:
         return len(self.points)

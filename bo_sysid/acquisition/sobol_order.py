@@ -16,7 +16,8 @@ def build(context: SelectionContext) -> RowAcquisition:
     The sequence is one for the whole search; its k-th point is used when k candidates have been
     evaluated or are pending.
     """
-    x = context.surrogate.unit(context.candidates)
+    low, high = context.surrogate.bounds
+    x = (context.candidates - low) / (high - low)
 
     def nearness(used: int) -> Tensor:
         sequence = qmc.Sobol(x.shape[1], rng=np.random.default_rng(context.seed))

@@ -7,14 +7,15 @@ stationary process follows, while Δ itself is a cone.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.arrays import Deviations, Points
+from bo_sysid.arrays import Categories, Deviations, Points
+from bo_sysid.belief.encoding import encoded
 from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Evidence, Kernel
 from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
 from bo_sysid.belief.warp import Warp
@@ -50,6 +51,7 @@ class Surrogate:
         scale: standard deviation of `values`.
         members: the Gaussian processes, over the unit cube, of standardised values.
         weights: `M` probabilities of the members.
+        categories: values of each column of `points` that has no order, by column.
     """
 
     points: Float[np.ndarray, "n d"]
@@ -62,11 +64,11 @@ class Surrogate:
     scale: float
     members: tuple[Conditional, ...]
     weights: Float[np.ndarray, " M"]
+    categories: Categories = field(default_factory=dict)
 
-    def unit(self, points: Points) -> Points:
-        """Return `points` in the unit cube."""
-        low, high = self.bounds
-        return np.asarray((points - low) / (high - low))
+    def unit(self, points: Points) -> Float[np.ndarray, "N D"]:
+        """Return `points` in the unit cube of the members, categories as columns of their own."""
+        return encoded(points, self.bounds, self.categories)
 
     def standardise(self, values: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
         """Return values of y in the units of the members."""
@@ -141,6 +143,7 @@ def fit_surrogate(
     variance: Float[np.ndarray, "..."] | None = None,
     members: int = MEMBERS,
     powers: Sequence[float] = POWERS,
+    categories: Categories | None = None,
     seed: int = 0,
 ) -> Surrogate:
     """Fit Gaussian processes to Δ and average over their hyperparameters.
@@ -151,6 +154,7 @@ def fit_surrogate(
         bounds: lower and upper bounds of B.
         variance: of log Δ at each point, where Δ is an estimate; None where it is not noisy.
         members: size of the ensemble.
+        categories: values of each column of `points` that has no order, by column.
         powers: of Δ, of which the one with the largest evidence is taken; 0 is the logarithm.
         seed: of the sample of hyperparameters.
 
@@ -160,7 +164,8 @@ def fit_surrogate(
     points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
     deviations = np.asarray(deviations, dtype=float)
     _check(points, deviations, bounds, variance)
-    fits = [_fit(points, deviations, bounds, variance, members, p, seed) for p in powers]
+    apart = categories or {}
+    fits = [_fit(points, deviations, bounds, variance, members, p, apart, seed) for p in powers]
     return max(fits, key=lambda fit: fit[1])[0]
 
 
@@ -171,13 +176,14 @@ def _fit(
     variance: Deviations | None,
     members: int,
     power: float,
+    categories: Categories,
     seed: int,
 ) -> tuple[Surrogate, float]:
     """Return the surrogate on one power of Δ, and its log evidence."""
     warp = Warp.of(deviations, power)
     y = warp(deviations)
     shift, scale = _standard(y)
-    x = (points - bounds[0]) / (bounds[1] - bounds[0])
+    x = encoded(points, bounds, categories)
     raw = np.zeros_like(y) if variance is None else variance * warp.slope(deviations) ** 2
     noise = np.maximum(raw, NOISE * max(1.0, scale**2)) / scale**2
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
@@ -188,8 +194,9 @@ def _fit(
     rng = np.random.default_rng((seed, 1))
     ensemble = tuple(condition(evidences[draw.kernel], draw.theta, x, rng) for draw in draws)
     surrogate = Surrogate(
-        points, y, variance is not None, bounds, noise, warp, shift, scale, ensemble, weights
-    )
+        points, y, variance is not None, bounds, noise, warp, shift, scale, ensemble, weights,
+        categories,
+    )  # fmt: skip
     return surrogate, log_evidence - len(y) * float(np.log(scale))
 
 

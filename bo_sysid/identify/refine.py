@@ -31,7 +31,7 @@ def zoomed(
     if (high - low >= WORTHWHILE * sides).all():
         return None
     parameters = tuple(
-        replace(p, low=float(a), high=float(b))
+        replace(p, low=float(a), high=float(b)) if p.ordered else p
         for p, a, b in zip(candidates.parameters, low, high, strict=True)
     )
     fresh = _same_kind(candidates, parameters, seed)
@@ -54,6 +54,8 @@ def _box(
     spacing = sides / (len(candidates) ** (1 / len(sides)) - 1 + 1e-9)
     low = np.maximum(held.min(axis=0) - spacing, candidates.bounds[0])
     high = np.minimum(held.max(axis=0) + spacing, candidates.bounds[1])
+    whole = list(candidates.categories)  # categories have no neighbourhood to zoom into
+    low[whole], high[whole] = candidates.bounds[:, whole]
     return low, high
 
 

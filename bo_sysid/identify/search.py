@@ -156,6 +156,7 @@ def believe(
         candidates.points[history.rows],
         history.evaluation.deviation,
         candidates.bounds,
+        categories=candidates.categories,
         seed=seed,
     )
     return surrogate, argmin_probability(surrogate, candidates.points, seed=seed)

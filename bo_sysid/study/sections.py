@@ -148,6 +148,8 @@ class ParameterEntry(Section):
     """One parameter per match of the address; else the matches are tied."""
     steps: Count = 11
     """Number of grid values from low to high, at least 2."""
+    ordered: bool | None = None
+    """false: the grid values are categories without an order, such as numbers of variants."""
     unit: str = ""
     """Unit of the value."""
 

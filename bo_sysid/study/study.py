@@ -204,6 +204,7 @@ class Study(Section):
                     steps=entry.steps,
                     apply=entry.apply,
                     unit=entry.unit,
+                    ordered=entry.ordered is not False,
                 )
         return tuple(found.values())
 

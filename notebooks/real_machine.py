@@ -1,0 +1,105 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation: {extension: .py, format_name: percent}
+#   kernelspec: {display_name: Python 3, language: python, name: python3}
+# ---
+
+# %% [markdown]
+# # A real machine, from its raw file to a repaired model
+#
+# EMPS: a motor moves a load along a ball screw; the command of the drive and the load's
+# position were recorded. The model is a bare mass. The authors' files are read from `$BO_SYSID_DATA`, or
+# downloaded once and checked; without either the next cell says where to get them.
+
+# %%
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pandas as pd
+
+from bo_sysid import Study, diagnose
+from bo_sysid.checks.check import check
+from bo_sysid.recording.datasets import load_dataset
+from bo_sysid.report import diagnosis_figures, interactive
+from bo_sysid.runs import Run
+
+EFFECTS = "all"  # the whole catalogue takes some minutes
+
+ROOT = next(p for p in (Path.cwd(), *Path.cwd().parents) if (p / "studies" / "real").is_dir())
+data = load_dataset("emps")
+recording = data.train[0]
+frame = recording.to_frame()
+frame.describe().loc[["count", "mean", "std", "min", "max"]]
+
+# %% [markdown]
+# ## What was recorded
+
+# %%
+figure, axes = plt.subplots(2, 1, figsize=(8, 4), sharex=True)
+for axis, name in zip(axes, ("qpos.x", "ctrl.vir"), strict=True):
+    channel = recording.channels[name]
+    axis.plot(channel.time, channel.values, linewidth=0.8)
+    axis.set_ylabel(f"{name} [{channel.unit}]")
+axes[-1].set_xlabel("time [s]")
+
+# %% [markdown]
+# ## Before anything is fitted
+#
+# `check` looks at signs, units, clocks and excitation, and says what these recordings can tell
+# about each parameter at best.
+
+# %%
+study = Study.load(ROOT / "studies" / "real" / "emps_bare.yaml", {"diagnosis.effects": EFFECTS})
+checked = check(study)
+checked.parameters
+
+# %% [markdown]
+# ## What does a bare mass lack?
+#
+# The answer is made from the estimation file alone, written and hashed; then the other file, with
+# its force pulses, is read once.
+
+# %%
+run_folder = Path(tempfile.mkdtemp()) / "emps"
+with Run.open(run_folder, study.resolved(relative_to=run_folder), "diagnose") as run:
+    found = diagnose(study, run)
+for sentence in found.sentences:
+    print(sentence)
+
+# %%
+found.findings
+
+# %% [markdown]
+# The published values are 203.5 N s/m of viscous damping, 20.39 N of dry friction and a constant
+# force of 3.16 N.
+
+# %% [markdown]
+# ## What would have to be added to the model's forces
+#
+# Computed before any name is given: a step at zero speed, a slope, and an offset.
+
+# %%
+diagnosis_figures.forces(pd.read_parquet(run_folder / "forces.parquet"))
+
+# %% [markdown]
+# ## Does the repaired model predict what it has never seen?
+
+# %%
+found.errors
+
+# %%
+traces = pd.read_parquet(run_folder / "traces.parquet")
+interactive.held_out(traces, traces["channel"].iloc[0], "m")
+
+# %% [markdown]
+# `model_repaired.xml` is plain MJCF, and `study_repaired.yaml` has the findings' magnitudes as
+# parameters: `identify` and `learn` run on it.
+
+# %%
+print((run_folder / "model_repaired.xml").read_text())
+
+# %%
+names = set(found.findings["effect"])
+assert {"viscous_damping", "dry_friction"} <= names
