@@ -5,7 +5,8 @@ with 2, 4 and 8 unknown parameters, one with wrong physics, EMPS) and `outer.yam
 by real trajectories), and gathers what they say. Every seed has a plant of its own.
 
 - cost: mean evaluations until the excess of Δ over its minimum on B is at most a level (in shares
-  of the median excess), with bootstrap intervals; a run that does not get there counts whole.
+  of the median excess), with bootstrap intervals; a run that does not get there counts as the
+  longest one of the problem.
 - ratio: geometric mean of paired costs against the seed's rule, interval, Wilcoxon's p.
 - agreement: share of seeds on which two rules take one and the same path.
 - reliability: how often argmax P is the full grid's arg-min where max P >= .8, on the searches of

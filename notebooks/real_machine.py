@@ -8,11 +8,12 @@
 # %% [markdown]
 # # A real machine, from its raw file to a repaired model
 #
-# EMPS: a motor moves a load along a ball screw; the command of the drive and the load's
-# position were recorded. The model is a bare mass. The authors' files are read from `$BO_SYSID_DATA`, or
+# EMPS: a motor moves a load along a ball screw; the command of the drive and the load's position
+# were recorded. The model is a bare mass. The authors' files are read from `$BO_SYSID_DATA`, or
 # downloaded once and checked; without either the next cell says where to get them.
 
 # %%
+# %matplotlib inline
 import tempfile
 from pathlib import Path
 

@@ -13,6 +13,7 @@
 # reads. Where there is no such run yet, a small one is made first.
 
 # %%
+# %matplotlib inline
 import tempfile
 from pathlib import Path
 
@@ -63,14 +64,13 @@ print(
 # Lines are medians over seeds, bands quartiles.
 
 # %%
-figure = regret_curves(paths, "evaluations")
-figure
+regret_curves(paths, "evaluations")
 
 # %% [markdown]
 # ## What a rule needs
 #
 # Mean evaluations until the regret is at most a level, with 95 % bootstrap intervals. A search that
-# does not get there counts with all it spent.
+# does not get there counts as the longest one of the problem.
 
 # %%
 cost_bars(summary, "evaluations")

@@ -142,7 +142,12 @@ def test_a_killed_comparison_goes_on_to_the_same_result(
     assert "small: 6 runs of 3 arms." in done.stdout
     assert "evaluations against argmin-entropy on the same seeds" in done.stdout.lower()
     assert (place / "figures" / "regret.png").stat().st_size > 5_000
-    assert main(["report", str(place), "--text"]) == 0
+    pytest.importorskip("plotly", reason="the group report is not installed")
+    assert main(["report", str(place)]) == 0
+    page = (place / "report.html").read_text()
+    assert "Arms against each other" in page
+    assert "Regret against evaluations: medians and quartiles over seeds." in page
+    assert "Evaluations until a regret is reached: means and intervals." in page
 
 
 def test_a_large_set_is_searched_without_a_table(

@@ -8,6 +8,7 @@ References:
 
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -54,21 +55,24 @@ def costs(
         paths: one row a step of a run, in order: problem, arm, seed, regret (of what the run had
             found until then) and the units, cumulated.
         levels: of regret.
-        units: columns of `paths` that count cost.
+        units: columns of `paths` that count cost; the first one is limited alike for all runs.
         slack: regret above a level that still counts as reached (rounding).
 
     Returns:
-        One row a run and level: problem, arm, seed, level, reached, and each unit; where it was
-        not reached, what the whole run spent.
+        One row a run and level: problem, arm, seed, level, reached, and each unit. A run that did
+        not reach a level counts as if it had spent as much of the first unit as the longest run of
+        the problem did, and of the others in proportion: stopping early is no saving by itself.
     """
+    limits = paths.groupby("problem", sort=False)[units[0]].max()
     rows = []
     for key, run in paths.groupby(["problem", "arm", "seed"], sort=False):
+        row: dict[str, Any] = dict(zip(("problem", "arm", "seed"), key, strict=True))
         regret = run["regret"].to_numpy(float)
+        longer = float(limits.loc[row["problem"]] / run[units[0]].iloc[-1])
         for level in levels:
             there = np.flatnonzero(regret <= level + slack)
-            at = int(there[0]) if len(there) else len(run) - 1
-            spent = {unit: run[unit].iloc[at] for unit in units}
-            row = dict(zip(("problem", "arm", "seed"), key, strict=True))
+            at, factor = (int(there[0]), 1.0) if len(there) else (len(run) - 1, longer)
+            spent = {unit: factor * float(run[unit].iloc[at]) for unit in units}
             rows.append({**row, "level": level, "reached": bool(len(there)), **spent})
     return pd.DataFrame(rows)
 

@@ -1,6 +1,8 @@
 """What a run of `compare` found, as figures and as text."""
 
-from collections.abc import Mapping
+import itertools
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,11 +10,13 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.report.text import table
-from bo_sysid.runs import Run, read_frame
+from bo_sysid.runs import Run, read_frame, read_json
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from bo_sysid.report.parts import Found, Section
 
 _WIDTH = 7.2  # inches
 _LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
@@ -20,33 +24,79 @@ _LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
 
 def comparison_text(told: Mapping[str, Any], folder: Path) -> str:
     """Return `comparison.json` and its tables in words."""
-    unit = "trajectories" if told["loop"] == "outer" else "evaluations"
+    parts = [sentence(told)]
+    for caption, frame in tables_of(told, folder):
+        parts += ["", f"{caption}:", table(frame)]
+    parts += [f"- {name} was left out: {why}" for name, why in told["skipped"].items()]
+    return "\n".join(parts)
+
+
+def sentence(told: Mapping[str, Any]) -> str:
+    """Return what was run, in one sentence."""
+    several = "" if len(told["arms"]) == 1 else "s"
+    return f"{told['name']}: {told['runs']} runs of {len(told['arms'])} arm{several}."
+
+
+def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataFrame]]:
+    """Return the tables of a comparison that a person reads, with their captions."""
+    unit = _unit(told)
     means = read_frame(folder, "summary.parquet")
-    shown = means.assign(
-        reached=[f"{n:.0%}" for n in means["reached"]],
-        cost=[
-            f"{m:.3g} [{low:.3g}, {high:.3g}]"
-            for m, low, high in means[[unit, f"{unit}_low", f"{unit}_high"]].to_numpy()
-        ],
-    )[["problem", "arm", "level", "runs", "reached", "cost"]]
-    parts = [
-        f"{told['name']}: {told['runs']} runs of {len(told['arms'])} arms.",
-        "",
-        f"Mean {unit} until the regret is at most a level, with 95 % intervals; a run that does "
-        "not reach it counts as a whole:",
-        table(shown.rename(columns={"cost": unit})),
+    cost = [
+        f"{mean:.3g} [{low:.3g}, {high:.3g}]"
+        for mean, low, high in means[[unit, f"{unit}_low", f"{unit}_high"]].to_numpy()
+    ]
+    shown = means.assign(reached=[f"{n:.0%}" for n in means["reached"]], **{unit: cost})
+    found = [
+        (
+            f"Mean {unit} until the regret is at most a level, with 95 % intervals; a run that "
+            "does not reach it counts as the longest one",
+            shown[["problem", "arm", "level", "runs", "reached", unit]],
+        )
     ]
     if len(told["arms"]) > 1:
         versus = read_frame(folder, "paired.parquet")
         versus = versus[versus["unit"] == unit].drop(columns="unit")
-        parts += ["", f"{unit.capitalize()} against {told['arms'][0]} on the same seeds:"]
-        parts += [table(versus)]
+        first = told["arms"][0]
+        found.append((f"{unit.capitalize()} against {first} on the same seeds", versus))
         if told["loop"] == "inner":
             columns = ["problem", "arm", "other", "pairs", "identical", "step", "overlap"]
-            parts += ["", "How alike the arms pick:"]
-            parts += [table(read_frame(folder, "agreement.parquet")[columns])]
-    parts += [f"- {name} was left out: {why}" for name, why in told["skipped"].items()]
-    return "\n".join(parts)
+            alike = read_frame(folder, "agreement.parquet")
+            alike = alike.loc[alike["arm"] == first, columns]
+            found.append((f"How alike {first} and the others pick", alike))
+    return found
+
+
+def _unit(told: Mapping[str, Any]) -> str:
+    return "trajectories" if told["loop"] == "outer" else "evaluations"
+
+
+def comparison(found: "Found") -> "Section | None":
+    """The arms against each other."""
+    from bo_sysid.report.parts import Section, Table
+
+    if not found.has("comparison.json"):
+        return None
+    told = read_json(found.folder, "comparison.json")
+    pictures = {
+        "regret": f"Regret against {_unit(told)}: medians and quartiles over seeds.",
+        "costs": f"{_unit(told).capitalize()} until a regret is reached: means and intervals.",
+    }
+    images = [
+        (_data_uri(found.folder / f"figures/{name}.png"), words)
+        for name, words in pictures.items()
+        if found.has(f"figures/{name}.png")
+    ]
+    return Section(
+        "comparison",
+        "Arms against each other",
+        images=images,
+        tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(told, found.folder)],
+        items=[f"{name} was left out: {why}" for name, why in told["skipped"].items()],
+    )
+
+
+def _data_uri(path: Path) -> str:
+    return f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}"
 
 
 def regret_curves(paths: pd.DataFrame, unit: str) -> "Figure":
@@ -64,18 +114,24 @@ def regret_curves(paths: pd.DataFrame, unit: str) -> "Figure":
     colours = _colours(paths)
     for axis, problem in zip(axes, problems, strict=True):
         part = paths[paths["problem"] == problem]
-        for arm, runs in part.groupby("arm", sort=False):
+        for (arm, runs), dash in zip(part.groupby("arm", sort=False), _dashes(), strict=False):
             middle, low, high = _quartiles(runs, unit)
-            style = {"color": colours[str(arm)]}
-            axis.step(middle.index, middle, where="post", label=arm, linewidth=1.4, **style)
+            style: dict[str, Any] = {"color": colours[str(arm)]}
             axis.fill_between(middle.index, low, high, step="post", alpha=0.1, **style)
+            style |= {"label": arm, "linestyle": dash, "linewidth": 1.4}
+            axis.step(middle.index, middle, where="post", **style)
         axis.set_yscale("log")
-        axis.set_ylabel("regret")
+        axis.set_ylabel(f"regret (0 at {_LEAST:g})", fontsize="small")
         axis.set_title(problem, fontsize="medium")
     axes[-1].set_xlabel(unit)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize="x-small", ncols=4, loc="outside upper center")
     return figure
+
+
+def _dashes() -> Iterator[str]:
+    """Yield line styles, so that of curves on top of each other all are seen."""
+    return itertools.cycle(("-", "--", ":", "-."))
 
 
 def _quartiles(runs: pd.DataFrame, unit: str) -> tuple[pd.Series, pd.Series, pd.Series]:

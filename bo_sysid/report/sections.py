@@ -9,6 +9,7 @@ import pandas as pd
 
 from bo_sysid.errors import BoSysidError, RunError
 from bo_sysid.report import interactive
+from bo_sysid.report.comparison import comparison, sentence
 from bo_sysid.report.diagnosis_text import (
     VERDICTS,
     alternatives_table,
@@ -32,6 +33,7 @@ _FILES = {
     "identification.json": "the identification, to be read by programs",
     "learning.json": "the learning, to be read by programs",
     "policy.npz": "the learned policy",
+    "paths.parquet": "every step of every run of the comparison",
     "study.yaml": "the study, with every default",
 }
 
@@ -66,6 +68,9 @@ def headline(found: Found) -> dict[str, Any]:
             said = made["waiting"] or made["stopped"]
             text = f"{made['trajectories']} real trajectories, {made['seconds_recorded']:.4g} s."
             return {"name": made["name"], "verdict": said, "sentences": [text]}
+        if found.has("comparison.json"):
+            made = read_json(found.folder, "comparison.json")
+            return {"name": made["name"], "verdict": sentence(made), "sentences": []}
     except (RunError, KeyError, TypeError, ValueError):
         pass  # the sections say what is damaged
     return {"name": found.folder.name, "verdict": "No result yet.", "sentences": []}
@@ -259,8 +264,8 @@ def again(found: Found) -> Section:
 
 
 MAKERS = (
-    robot, proof, missing_force, explanations, parameters, predictions, search, learned, data,
-    again,
+    robot, proof, missing_force, explanations, parameters, predictions, search, learned,
+    comparison, data, again,
 )  # fmt: skip
 """The sections in the order of the page."""
 
