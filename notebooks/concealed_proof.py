@@ -65,7 +65,7 @@ axis.errorbar(rates["right"], np.arange(len(rates)), xerr=error, fmt="o", capsiz
 labels = [f"{row.cases} (n = {row.n})" for row in rates.itertuples()]
 axis.set_yticks(np.arange(len(rates)), labels)
 axis.set(xlim=(-0.02, 1.02), xlabel="share that is right, 95 % interval")
-axis.invert_yaxis()
+axis.set_ylim(len(rates) - 0.5, -0.5)
 
 # %% [markdown]
 # ## Does the size decide?
