@@ -19,6 +19,7 @@ finished and says of how many seeds.
 """
 
 import itertools
+import json
 import sys
 import time
 from collections.abc import Mapping
@@ -43,13 +44,13 @@ from bo_sysid.plants.environment import Environment
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.train import Training, train
-from bo_sysid.runs import Run
+from bo_sysid.runs import Run, atomic
 from bo_sysid.study import Study
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 ARMS = ("true", "worst", "method", "zhu", "uniform")
-STUDIES = ("cheetah", "hopper", "swimmer")
+STUDIES = ("cheetah", "hopper", "swimmer", "cheetah-wide", "hopper-wide", "swimmer-wide")
 SEEDS, EPISODES, EVALUATION = 5, 100, 900_001
 
 QUICK = {
@@ -199,14 +200,18 @@ def needed(cases: list[dict[str, Any]], share: float = 0.95) -> float:
 
 
 def curves(cases: list[dict[str, Any]]) -> list[list[list[float]]]:
-    """Return each seed's real trajectories and returns, every fifth point of long ones."""
-    return [
-        [np.round(x, 2).tolist() for x in (np.array(c["curve"])[:, 4::5] if len(c["curve"][0]) > 20
-         else np.array(c["curve"], float))] for c in cases
-    ]  # fmt: skip
+    """Return each seed's real trajectories and returns; long ones as means of five points."""
+    told = []
+    for one in cases:
+        curve = np.array(one["curve"], float)
+        if curve.shape[1] > 20:
+            whole = curve.shape[1] // 5 * 5
+            curve = curve[:, :whole].reshape(2, -1, 5).mean(axis=2)
+        told.append(np.round(curve, 2).tolist())
+    return told
 
 
-def told(task: str, found: Mapping[str, list[dict[str, Any]]]) -> dict[str, Any]:
+def told(found: Mapping[str, list[dict[str, Any]]]) -> dict[str, Any]:
     """Return the figures of one task from the finished cases of each arm, seeds in order."""
     figures: dict[str, Any] = {}
     reference = [np.mean(c["returns"]) for c in found["true"]]
@@ -238,11 +243,13 @@ def run(quick: bool, cases: Cases) -> dict[str, Any]:
             most = found[task]["method"][seed]["trajectories"] if arm == "zhu" else None
             one = cases.get(key, partial(case, task, arm, seed, quick, most))
             found[task][arm].append(one)
-    figures = {task: told(task, found[task]) for task in tasks}
-    curve = {t: {a: curves(c) for a, c in found[t].items() if c} for t in tasks}
+    figures = {task: told(found[task]) for task in tasks if found[task]["true"]}
+    curve = {t: {a: curves(c) for a, c in found[t].items() if c} for t in figures}
     if not quick:
         draw(figures, curve, HERE / "figures" / "learn.png")
-    return {**figures, "details": {"curves": curve}}
+        with atomic(HERE / "figures" / "learn.json") as path:
+            path.write_text(json.dumps(curve) + "\n")
+    return figures
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def draw(figures: Mapping[str, Any], curves: Mapping[str, Any], path: Path) -> N
     for axes, task in zip(panels, curves, strict=True):
         _panel(axes, figures[task], curves[task])
         seeds = figures[task].get("true", {}).get("seeds", 0)
-        axes.set_title(f"{task}, {seeds} seeds")
+        axes.set_title(f"{task}, {seeds} seed{'s' * (seeds != 1)}")
         axes.set_xlabel("real trajectories")
     panels[0].set_ylabel("return on the plant")
     handles, labels = panels[0].get_legend_handles_labels()
@@ -48,7 +48,7 @@ def _panel(axes: Axes, figures: Mapping[str, Any], curves: Mapping[str, Any]) ->
         colour, label = LOOK[arm]
         axes.axhline(figures[arm]["return"], color=colour, linestyle="--", label=label)
     for k, (x, y) in enumerate(curves.get("true", ())):
-        label = "TRPO straight on the plant" if k == 0 else None
+        label = "TRPO straight on the plant, exploring" if k == 0 else None
         axes.plot(x, y, color=GREY, linewidth=1, label=label)
     for arm in (a for a in LOOPS if a in figures):
         colour, label = LOOK[arm]

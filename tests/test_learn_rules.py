@@ -5,6 +5,7 @@ import pytest
 from learning import pendulum
 
 from bo_sysid.belief.stopping import StopReason
+from bo_sysid.errors import StudyError
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
@@ -208,3 +209,29 @@ def test_the_expected_floor_is_that_of_a_plant_without_effects(
     assert lacks_physics(floor, StopReason.CONVERGED) is high
     if not high:
         assert 0.8 < floor.ratio < 1.1
+
+
+def test_training_may_have_shorter_episodes_and_held_actions() -> None:
+    suite = {"dm_control": {"domain": "pendulum", "task": "swingup"}, "repeat": 4}
+    policy = {"batch": 400, "steps": 800, "episode": 2.0, "discount": 0.9, "decay": 0.8}
+    scene = Scene.of(Study.from_dict(pendulum(task=suite, policy=policy)))
+    point = scene.candidates.points[0]
+    assert scene.training(point, None, 1).episode_steps == 25  # of 0.08 s
+    assert scene.environment(scene.compiled(point), 1).episode_steps == 250
+    assert (scene.settings.discount, scene.settings.decay) == (0.9, 0.8)
+    assert build_plant(scene.study).control_timestep == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"policy": {"steps": 400, "draft": 800}}, "draft: 800 must not be more than steps, 400"),
+        (
+            {"task": {"file": "reach.py", "class": "Reach", "repeat": 2}},
+            "repeat goes with dm_control",
+        ),
+    ],
+)
+def test_contradictions_in_a_study_are_said(changed: dict[str, object], message: str) -> None:
+    with pytest.raises(StudyError, match=message):
+        Study.from_dict(pendulum(**changed), trust_code=True)
