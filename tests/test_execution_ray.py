@@ -1,5 +1,6 @@
 """The Ray engine: results of the local one, and nothing lost or run twice when a node is killed."""
 
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -9,9 +10,11 @@ from typing import Any
 import pytest
 from comparing import record_of, small
 
+from bo_sysid.cli import main
 from bo_sysid.compare.compare import compare
 from bo_sysid.errors import StudyError
 from bo_sysid.execution import LocalEngine, Progress, RayEngine, map_jobs, open_engine
+from bo_sysid.proof.conceal import conceal, suite_record
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -82,6 +85,26 @@ def test_a_comparison_is_the_local_one_and_survives_a_killed_node(
         records[engine] = record_of(place)
         assert len(found.ends) == 6
     assert records["ray"] == records["local"]
+
+
+def test_concealed_cases_are_answered_on_a_cluster_as_they_are_here(
+    cluster: Any, tmp_path: Path
+) -> None:
+    suite = Path(__file__).parents[1] / "studies" / "concealed" / "quick.yaml"
+    few = {
+        "cases": 2,
+        "seconds": {"train": 4, "holdout": 1},
+        "machines": ["machines/cart_pole.yaml"],
+    }
+    local, there = tmp_path / "local", tmp_path / "there"
+    with Run.open(local, suite_record(suite, few), "conceal") as run:
+        conceal(run, suite, overrides=few, seals=tmp_path / "sealed")
+    shutil.copytree(local, there)
+    assert main(["reveal", str(local), "--answers-only"]) == 0
+    assert main(["reveal", str(there), "--answers-only", "--engine", "ray"]) == 0
+    for case in ("case-1", "case-2"):
+        name = f"answers/{case}/diagnosis.json"
+        assert (there / name).read_text() == (local / name).read_text()
 
 
 def test_without_a_cluster_the_message_says_how_to_start_one(
