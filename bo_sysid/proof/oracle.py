@@ -35,7 +35,7 @@ def oracle_error(case: Path, truth: Mapping[str, Any]) -> float | None:
     """
     study = Study.load(case / "study.yaml")
     evidence = gather(study, load_train(study))
-    hypothesis = _hypothesis(study, evidence, truth)
+    hypothesis = true_hypothesis(study, evidence, truth)
     if hypothesis is None:
         return None
     problem, past = forecast_problem(
@@ -51,8 +51,13 @@ def oracle_error(case: Path, truth: Mapping[str, Any]) -> float | None:
     return float(forecast(problem, past, hypothesis).ahead)
 
 
-def _hypothesis(study: Study, evidence: Evidence, truth: Mapping[str, Any]) -> Hypothesis | None:
-    """Return the truth as the diagnosis would write it, at the finer time step."""
+def true_hypothesis(
+    study: Study, evidence: Evidence, truth: Mapping[str, Any]
+) -> Hypothesis | None:
+    """Return the truth as the diagnosis would write it, at the finer time step.
+
+    None where the catalogue does not have what was concealed.
+    """
     members, values = [], []
     for e in truth["effects"]:
         candidate = _candidate(e, evidence.machine)
