@@ -20,6 +20,7 @@ finished and says of how many seeds.
 
 import itertools
 import json
+import shutil
 import sys
 import time
 from collections.abc import Mapping
@@ -44,7 +45,7 @@ from bo_sysid.plants.environment import Environment
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.train import Training, train
-from bo_sysid.runs import Run, atomic
+from bo_sysid.runs import Run, atomic, plain
 from bo_sysid.study import Study
 
 HERE = Path(__file__).parent
@@ -87,9 +88,20 @@ def worst(scene: Scene) -> np.ndarray:
     return corners[problem.deviation(corners).deviation.argmax()]
 
 
+def own_folder(folder: Path, study: Study) -> Path:
+    """Return a folder of a study, emptied where another study was trained in it."""
+    text = json.dumps(plain(study.resolved(relative_to=folder)), sort_keys=True)
+    told = folder / "study.json"
+    if folder.is_dir() and (not told.is_file() or told.read_text() != text):
+        shutil.rmtree(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    told.write_text(text)
+    return folder
+
+
 def trained(scene: Scene, environment: Environment, folder: Path) -> Training:
     """Return the training of one policy; one that was interrupted goes on."""
-    folder.mkdir(parents=True, exist_ok=True)
+    own_folder(folder, scene.study)
     return train(
         environment,
         scene.settings,

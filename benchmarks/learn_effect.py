@@ -26,7 +26,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 
 from common import Cases, benchmark
-from learn import compared, on_plant
+from learn import compared, on_plant, own_folder
 
 from bo_sysid.execution import limit_threads, threads
 from bo_sysid.learn.learn import learn
@@ -63,7 +63,7 @@ def single(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[st
     """Return what one policy learned without the loop is worth."""
     scene = Scene.of(study_of(task, seed, quick))
     ones = np.ones(len(scene.parameters))  # every parameter of these studies is a scale
-    folder.mkdir(parents=True, exist_ok=True)
+    own_folder(folder, scene.study)
     with limit_threads(1):
         made = true_environment(scene) if arm == "reference" else scene.training(ones, None, 1)
         steps = scene.study.policy.steps

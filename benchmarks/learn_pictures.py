@@ -35,7 +35,7 @@ def main() -> None:
             plant = build_plant(scene.study, seed=SEED)
             told = plant.evaluate(policy.act, EPISODES, seed=SEED).mean()
             recording = plant.record(policy.act)
-            axes.imshow(render(scene.model, recording.between(0.0, SECONDS)))
+            axes.imshow(render(scene.model, recording.between(0.0, SECONDS), goal=plant.goal))
             axes.set_axis_off()
             axes.set_title(f"{task}, {words}: return on the plant {told:.0f}", fontsize="medium")
         save(figure, HERE / "figures" / f"learn_effect_{task}.png")

@@ -129,6 +129,22 @@ def test_a_policy_is_recorded_and_its_rewards_are_counted():
     assert len(plant.trajectories) == 1
 
 
+def test_the_goal_of_the_last_trajectory_is_where_its_target_was():
+    plant = Plant(
+        Model.from_dm_control("reacher", "easy"), task=find_task("reacher", "easy"), seed=4
+    )
+    seen = []
+
+    def act(observation):
+        seen.append(observation[0, 2:4])  # from the finger to the target
+        return np.zeros((1, 2))
+
+    recording = plant.record(act, steps=5)
+    q0, q1 = (recording.channels[f"qpos.{j}"].values[0] for j in ("shoulder", "wrist"))
+    finger = 0.12 * np.array([np.cos(q0) + np.cos(q0 + q1), np.sin(q0) + np.sin(q0 + q1)])
+    np.testing.assert_allclose(plant.goal, finger + seen[0], atol=1e-9)
+
+
 def test_trajectories_differ_and_a_plant_with_the_same_seed_repeats_them():
     model = Model.from_dm_control("hopper", "stand")
     controls = np.zeros((5, 4))

@@ -95,17 +95,19 @@ def play(
         recording = error.recording
     place = out or folder / "play"
     path = write_recording(recording, place / "recording.parquet")
-    pictures, why = _pictures(scene.model, recording, place / "pictures.png")
+    pictures, why = _pictures(scene.model, recording, plant.goal, place / "pictures.png")
     return Played(returns, path, pictures, why)
 
 
-def _pictures(model: Model, recording: Recording, path: Path) -> tuple[Path | None, str]:
+def _pictures(
+    model: Model, recording: Recording, goal: np.ndarray, path: Path
+) -> tuple[Path | None, str]:
     """Draw a strip of pictures of a recording; return its path, or why there is none."""
     setting = os.environ.get("MUJOCO_GL", "")
     if setting in ("", "disable", "off", "0", "false"):
         return None, "No pictures: set MUJOCO_GL=egl (or osmesa, glfw) where rendering works."
     try:
-        strip = render(model, recording)
+        strip = render(model, recording, goal=goal)
     except Exception as error:  # whatever the graphics driver raises
         return None, f"No pictures: rendering with MUJOCO_GL={setting} failed ({error})."
     from matplotlib.image import imsave
@@ -115,15 +117,21 @@ def _pictures(model: Model, recording: Recording, path: Path) -> tuple[Path | No
     return path, ""
 
 
-def render(model: Model, recording: Recording, count: int = _PICTURES) -> np.ndarray:
+def render(
+    model: Model, recording: Recording, count: int = _PICTURES, goal: np.ndarray | None = None
+) -> np.ndarray:
     """Return `count` pictures of a recording side by side, `height x (count width) x 3`.
 
     Args:
         model: drawn at the recorded positions.
         recording: with every joint's position.
         count: pictures, evenly over time.
+        goal: where the geom named target was, its first coordinates; see `Plant.goal`.
     """
     compiled = model.compile(visuals=True)
+    target = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_GEOM, "target")
+    if goal is not None and target >= 0:
+        compiled.geom_pos[target, : len(goal)] = goal
     data = mujoco.MjData(compiled)
     start, stop = recording.span
     frames = []

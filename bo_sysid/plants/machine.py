@@ -37,6 +37,11 @@ class Machine(Protocol):
 
     episode_steps: int
 
+    @property
+    def goal(self) -> np.ndarray:
+        """`g` numbers of this episode's goal, such as where a target is; none where unknown."""
+        ...
+
     def skip(self, episodes: int) -> None:
         """Let the next episode be that after the first `episodes`."""
         ...
@@ -77,6 +82,11 @@ class VectorMachine:
     ) -> None:
         self._environment = BatchEnvironment(task, model, 1, seed=seed, laws=laws)
         self.episode_steps = self._environment.episode_steps
+
+    @property
+    def goal(self) -> np.ndarray:
+        """`g` numbers of this episode's goal."""
+        return np.array(self._environment.sims.goal[0])
 
     def skip(self, episodes: int) -> None:
         """Let the next episode be that after the first `episodes`."""

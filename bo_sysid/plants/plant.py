@@ -117,6 +117,11 @@ class Plant:
         """The number of evaluation episodes so far, which are not trajectories."""
         return self._evaluations
 
+    @property
+    def goal(self) -> np.ndarray:
+        """`g` numbers of the last trajectory's goal, such as where a target was."""
+        return self._machine.goal
+
     def resume(self, trajectories: Sequence[Trajectory]) -> None:
         """Go on after trajectories that were counted before an interruption.
 

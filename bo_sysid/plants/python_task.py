@@ -135,6 +135,11 @@ class PythonMachine:
         self._low = np.broadcast_to(spec.minimum, spec.shape).astype(float).ravel()
         self._high = np.broadcast_to(spec.maximum, spec.shape).astype(float).ravel()
 
+    @property
+    def goal(self) -> np.ndarray:
+        """Nothing: what a task in Python aims at is its own."""
+        return np.empty(0)
+
     def skip(self, episodes: int) -> None:
         """Let the next episode be that after the first `episodes`."""
         self.episodes = episodes
