@@ -254,7 +254,7 @@ def test_scores_of_a_run():
         "(failed)": 1, "(nothing)": 1, "(unknown)": 0, "armature": 0, "dry_friction": 0,
         "payload": 1,
     }  # fmt: skip
-    assert scores.by_decade.index.tolist() == ["2 to 10", "below 2"]
+    assert scores.by_decade.index.tolist() == ["below 2", "2 to 10"]
     assert scores.by_decade.loc["below 2", "detected"] == 0.0
     assert scores.by_machine.loc["two_link_arm", "n"] == 4
     assert scores.nothing.loc[(2, "two_link_arm"), "detected"] == 1.0

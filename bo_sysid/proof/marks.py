@@ -82,11 +82,13 @@ def words(names: Named) -> str:
     return ", ".join(f"{effect} at {site}" for effect, _, site in sorted(names))
 
 
+DECADES = (f"below {LEAST:g}", f"{LEAST:g} to 10", "10 and more")
+"""Classes of sizes, in order."""
+
+
 def decade(size: float) -> str:
     """Return the class of a size."""
-    return (
-        f"below {LEAST:g}" if size < LEAST else f"{LEAST:g} to 10" if size < 10 else "10 and more"
-    )
+    return DECADES[0] if size < LEAST else DECADES[1] if size < 10 else DECADES[2]
 
 
 def equivalents(findings: Sequence[Mapping[str, Any]], found: Named) -> tuple[Named, ...]:

@@ -14,14 +14,14 @@ _STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem }
 table { border-collapse: collapse; margin: .6rem 0 1.6rem; font-variant-numeric: tabular-nums }
 th, td { padding: .2rem .7rem; border-bottom: 1px solid #ddd; text-align: right }
-th:first-child, td:first-child { text-align: left }
+th:first-child, td:first-child { text-align: left; white-space: nowrap }
 td.text { text-align: left; max-width: 26rem }
 tr.wrong td { background: #fdecea }
 .wide { overflow-x: auto }
 code { font-size: .85em; overflow-wrap: anywhere }
 """
 _DIGITS = 3
-_PLOT = 260  # [px]
+_PLOT, _MARGIN = 260, 40  # [px]
 _TEXT_CELL = '<td class="text">{}</td>'
 _TEXT = {"concealed", "found", "verdict", "machine", "failure", "what", "named"}
 
@@ -126,19 +126,33 @@ def _diagram(r: Reliability) -> str:
         return ""
     marks = []
     for stated, right, lower, upper in r.bins[["stated", "right", "lower", "upper"]].to_numpy():
-        x, y = _at(stated), _PLOT - _at(right)
-        low, high = _PLOT - _at(lower), _PLOT - _at(upper)
+        x, y, low, high = _along(stated), _up(right), _up(lower), _up(upper)
         marks.append(
             f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{low:.1f}" y2="{high:.1f}" stroke="#888"/>'
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#1f5fa8"/>'
         )
+    ticks = "".join(
+        f'<text x="{_along(t):.0f}" y="{_up(0) + 16:.0f}" text-anchor="middle">{t:g}</text>'
+        f'<text x="{_along(0) - 6:.0f}" y="{_up(t) + 4:.0f}" text-anchor="end">{t:g}</text>'
+        for t in (0, 0.5, 1)
+    )
+    width, height = _PLOT + 2 * _MARGIN, _PLOT + 2 * _MARGIN
+    middle = _MARGIN + _PLOT / 2
     return (
-        f'<svg width="{_PLOT}" height="{_PLOT}" viewBox="0 0 {_PLOT} {_PLOT}" role="img" '
-        'aria-label="stated probability against share right">'
-        f'<rect width="{_PLOT}" height="{_PLOT}" fill="none" stroke="#bbb"/>'
-        f'<line x1="0" y1="{_PLOT}" x2="{_PLOT}" y2="0" stroke="#ccc"/>{"".join(marks)}</svg>'
+        f'<svg width="{width}" height="{height}" viewBox="0 0 {width} {height}" role="img" '
+        'font-size="12" aria-label="stated probability against share right">'
+        f'<rect x="{_MARGIN}" y="{_MARGIN}" width="{_PLOT}" height="{_PLOT}" fill="none" '
+        'stroke="#bbb"/>'
+        f'<line x1="{_along(0)}" y1="{_up(0)}" x2="{_along(1)}" y2="{_up(1)}" stroke="#ccc"/>'
+        f'{ticks}<text x="{middle}" y="{height - 6}" text-anchor="middle">stated probability</text>'
+        f'<text x="12" y="{middle}" text-anchor="middle" transform="rotate(-90 12 {middle})">'
+        f"share right</text>{''.join(marks)}</svg>"
     )
 
 
-def _at(share: float) -> float:
-    return float(share) * _PLOT
+def _along(share: float) -> float:
+    return _MARGIN + float(share) * _PLOT
+
+
+def _up(share: float) -> float:
+    return _MARGIN + (1.0 - float(share)) * _PLOT

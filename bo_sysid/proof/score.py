@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from bo_sysid.proof.marks import LEAST, NOTHING, UNKNOWN, mark, mark_effects
+from bo_sysid.proof.marks import DECADES, LEAST, NOTHING, UNKNOWN, mark, mark_effects
 from bo_sysid.proof.reveal import Revealed
 from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability, upper_bound
 
@@ -81,7 +81,7 @@ def score(revealed: Sequence[Revealed]) -> Scores:
         _rates(missing, "tier", _SCORES),
         _rates(missing, "machine", _SCORES),
         _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
-        _rates(missing[missing.known], "decade", _SCORES),
+        _in_order(_rates(missing[missing.known], "decade", _SCORES)),
         _rates(cases[~cases.missing], ["tier", "machine"], _NOTHING),
         _confusion(cases, effects),
         _magnitudes(effects),
@@ -157,6 +157,10 @@ def _rates(cases: pd.DataFrame, by: str | list[str], columns: Sequence[str]) -> 
     table["low"], table["high"] = [b[0] for b in bounds], [b[1] for b in bounds]
     table["upper_bound"] = [upper_bound(*p) for p in pairs]
     return table
+
+
+def _in_order(by_decade: pd.DataFrame) -> pd.DataFrame:
+    return by_decade.reindex([d for d in DECADES if d in by_decade.index])
 
 
 def _confusion(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
