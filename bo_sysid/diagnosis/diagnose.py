@@ -7,13 +7,14 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.diagnosis.answer import Answer, make_answer
+from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
-from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
+from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, sets
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
 from bo_sysid.identify.problem import study_laws
@@ -37,6 +38,7 @@ class Diagnosis:
         located: the decision behind the answer.
         outcome: the repaired hypothesis, with a learned law where names do not suffice.
         evidence: what it was made from.
+        searched: the same choice between sets as a search of the arg-min.
         notes: what was done to the data, and what the repaired model cannot say.
     """
 
@@ -47,6 +49,7 @@ class Diagnosis:
     located: Located
     outcome: Outcome
     evidence: Evidence
+    searched: ArgminSets
     notes: tuple[str, ...]
 
     @property
@@ -75,6 +78,7 @@ class Diagnosis:
         said = [f.sentence for f in self.answer.findings] + list(self.answer.unexplained.sentences)
         if not said:
             said = ["Nothing that these recordings could show is missing from the model."]
+        said += doubts(self.located.decision, self.searched)
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -107,6 +111,7 @@ def diagnose(
     tell = _Teller(progress)
     located = locate(evidence, tell)
     outcome = explain(located)
+    searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     answer = make_answer(located.decision, outcome, evidence.machine, experiment)
     frozen = answer.sha256  # before the hold-out is read
@@ -120,6 +125,7 @@ def diagnose(
         located,
         outcome,
         evidence,
+        searched,
         (*(n for r in evidence.recordings for n in r.notes), *notes),
     )
     if run is not None:
@@ -135,7 +141,8 @@ def _pictures(run: Run, result: Diagnosis) -> None:
     """Write what the pictures of a diagnosis show, and its words."""
     run.write_frame("traces.parquet", result.holdout.traces)
     run.write_frame("forces.parquet", missing_force(result.evidence, result.outcome))
-    run.write_frame("sets.parquet", sets(result.located.decision, result.answer))
+    found = sets(result.located.decision, result.answer, result.searched)
+    run.write_frame("sets.parquet", found)
     run.write_json("pose.json", bent_pose(result.evidence.recordings))
     said = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
     run.write_json("summary.json", said)

@@ -369,7 +369,7 @@ def _points(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: 
         Engine(problem.engine.threads),
         (*problem.laws, *force_laws(s.parts)),
         state,
-        ctrl[:, inputs].reshape(-1, macro, ctrl.shape[-1]),
+        ctrl[:, inputs].reshape(len(state), macro, ctrl.shape[-1]),
         signals,
         np.zeros((len(state), 2 * len(s.coordinates.qvel) + len(s.coordinates.act))),
     )

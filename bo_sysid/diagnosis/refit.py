@@ -156,13 +156,7 @@ def _better_start(problem: Problem, hypothesis: Hypothesis, start: State) -> Sta
     """
     other = problem.windows.start
     given, smooth = (problem.residual(hypothesis, s) for s in (start, other))
-    pick = ((smooth**2).sum(axis=1) < (given**2).sum(axis=1))[:, None]
-    return replace(
-        start,
-        qpos=np.where(pick, other.qpos, start.qpos),
-        qvel=np.where(pick, other.qvel, start.qvel),
-        warmstart=None,
-    )
+    return _better(start, given, other, smooth)[0]
 
 
 @dataclass(frozen=True)
@@ -254,13 +248,23 @@ def _bounded_step(
 def _line_search(
     frame: Linear, space: _Space, point: _Point, J: np.ndarray, step: np.ndarray, tries: int
 ) -> _Point | None:
-    share = 1.0
+    """Return the first point along a step that leaves less, None where none does.
+
+    Starts move along; where that does not help on the whole, window by window: a joint that sticks
+    does not follow its start.
+    """
+    problem, share = frame.problem, 1.0
     for _ in range(tries):
         theta = np.clip(point.theta + share * step, space.low, space.high)
+        hypothesis = space.hypothesis(theta)
         left = point.r - J @ (theta - point.theta)
         change = np.einsum("wki,wi->wk", frame.start_gain, left) * share
-        start = point.start.moved(frame.problem.machine.model, change)
-        r = frame.problem.residual(space.hypothesis(theta), start)
+        start = point.start.moved(problem.machine.model, change)
+        r = problem.residual(hypothesis, start)
+        if (r**2).sum() >= point.rss:
+            stay = problem.residual(hypothesis, point.start)
+            start, r, _ = _better(point.start, stay, start, r)
+            start, r, _ = _moved(problem, frame, hypothesis, start, r, r)
         if (r**2).sum() < point.rss:
             return _Point(theta, start, r, project(frame.Q, r))
         share *= _SHRINK
@@ -289,7 +293,13 @@ def _moved(
     """Return starts moved to explain `toward`, where that lowers the residual of a window."""
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
     moved = start.moved(problem.machine.model, change)
-    rn = problem.residual(hypothesis, moved)
+    return _better(start, r, moved, problem.residual(hypothesis, moved))
+
+
+def _better(
+    start: State, r: Float[np.ndarray, "W R"], moved: State, rn: Float[np.ndarray, "W R"]
+) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
+    """Return for each window the one of two starts that leaves less, and where it is the second."""
     better = (rn**2).sum(axis=1) < (r**2).sum(axis=1)
     pick = better[:, None]
     chosen = replace(

@@ -8,6 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.answer import Answer
+from bo_sysid.diagnosis.argmin import ArgminSets
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
@@ -132,15 +133,16 @@ def _forces(
     return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
 
 
-def sets(decision: Decision, answer: Answer) -> pd.DataFrame:
+def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFrame:
     """Return the sets between which was decided, most probable first, "nothing" among them.
 
     The last row is "none of these": its probability is what the answer keeps for effects that no
     one has thought of, and the probabilities of the sets share the rest.
 
     Returns:
-        Columns set (in words), effects (their number), probability, rms [sensor sigma; missing for
-        "none of these"], best and equivalent.
+        Columns set (in words), effects (their number), probability, p_boot (how often the arg-min
+        lies in it on other recordings; missing where it was not searched), rms [sensor sigma;
+        missing for "none of these"], best and equivalent.
     """
     order = list(zip(decision.fits, decision.probability, strict=True))
     shown = order[:_SETS]
@@ -153,6 +155,7 @@ def sets(decision: Decision, answer: Answer) -> pd.DataFrame:
             "set": set_words(fit),
             "effects": fit.size,
             "probability": (1.0 - unheard) * float(probability),
+            "p_boot": searched.of(fit),
             "rms": fit.rms,
             "best": fit is decision.best and not stranger,
             "equivalent": fit.key in equivalents,
@@ -161,11 +164,23 @@ def sets(decision: Decision, answer: Answer) -> pd.DataFrame:
     ]
     rows.append(
         {
-            "set": "none of these", "effects": 1, "probability": unheard, "rms": np.nan,
-            "best": stranger, "equivalent": False,
+            "set": "none of these", "effects": 1, "probability": unheard, "p_boot": None,
+            "rms": np.nan, "best": stranger, "equivalent": False,
         }
     )  # fmt: skip
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows).astype({"p_boot": float})
+
+
+def doubts(decision: Decision, searched: ArgminSets) -> list[str]:
+    """Return a sentence where the search of the arg-min and the posterior disagree."""
+    if not searched.disagrees(decision.best):
+        return []
+    other = searched.best
+    return [
+        f"Which set it is, is open: over bootstraps of the recordings the least deviation lies in "
+        f"{set_words(other)} ({searched.of(other):.2f}) more often than in "
+        f"{set_words(decision.best)} ({searched.of(decision.best) or 0.0:.2f})."
+    ]
 
 
 def _unheard_of(answer: Answer) -> float:

@@ -145,9 +145,9 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.set_ylim(-0.6, len(shown) + 0.1)
     labels = ["\n".join(textwrap.wrap(str(s), 40)) for s in shown["set"]]
     axis.set_yticks(place, labels, fontsize="small")
-    ends = zip(place, shown["rms"].astype(float), shown["probability"].astype(float), strict=True)
-    for y, rms, probability in ends:
-        words = f" {left_words(rms, probability)}"
+    for y, row in zip(place, shown.to_dict("records"), strict=True):
+        rms = float(row["rms"])
+        words = f" {left_words(rms, row['probability'], row.get('p_boot', np.nan))}"
         axis.text(np.nan_to_num(rms, nan=left), y, words, va="center", fontsize="small")
     axis.set_xlabel("what the training recordings leave unexplained [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)

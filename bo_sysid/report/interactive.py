@@ -109,8 +109,8 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
         y=place,
         orientation="h",
         marker={"color": [set_colour(row) for row in shown.itertuples()]},
-        text=[left_words(float(r), float(p)) for r, p in
-              zip(shown["rms"], shown["probability"], strict=True)],
+        text=[left_words(r["rms"], r["probability"], r.get("p_boot", np.nan))
+              for r in shown.to_dict("records")],
         textposition="outside",
         cliponaxis=False,
         name="",

@@ -86,8 +86,9 @@ def set_colour(row: object) -> str:
     return NOMINAL if getattr(row, "effects", 1) == 0 else GREY
 
 
-def left_words(rms: float, probability: float) -> str:
-    """Return what a set leaves, where that is known, with its probability."""
+def left_words(rms: float, probability: float, p_boot: float = np.nan) -> str:
+    """Return what a set leaves, where that is known, with its probability and P_boot."""
     chance = "below 0.001" if probability < 0.001 else f"{probability:.3g}"
     words = f"probability {'above 0.999' if probability > 0.999 else chance}"
+    words += f", P_boot {p_boot:.2f}" if np.isfinite(p_boot) else ""
     return f"{rms:.3g}, {words}" if np.isfinite(rms) else words

@@ -1,0 +1,92 @@
+"""The choice between sets: as a search of the arg-min, and by what to record next."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis_helpers import SIGMA, arm, record
+
+from bo_sysid.diagnosis.argmin import argmin_sets
+from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.experiment import next_experiment
+from bo_sysid.diagnosis.explain import explain
+from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.tables import doubts
+from bo_sysid.effects import CATALOGUE
+from bo_sysid.study.outer import Limit
+
+
+def located(recording, effects) -> Located:
+    noise = {"qpos": SIGMA}
+    chosen = [CATALOGUE[e] for e in effects]
+    return locate(make_evidence(arm(), [recording], effects=chosen, noise=noise, threads=1))
+
+
+@pytest.fixture(scope="module")
+def friction() -> Located:
+    missing = [("dry_friction", "joint", "elbow", [0.02])]
+    return located(record(missing, duration=6.0), ("dry_friction", "viscous_damping"))
+
+
+@pytest.fixture(scope="module")
+def rotor() -> Located:
+    """A rotor's inertia at a vertical base, which is the link's own about that axis."""
+    missing = [("armature", "joint", "shoulder", [0.01])]
+    return located(record(missing, duration=6.0), ("armature", "link_inertia"))
+
+
+def test_the_search_of_the_argmin_finds_the_set_that_is_there(friction) -> None:
+    problem, Q = friction.prepared.problem, friction.search.frame.Q
+    found = argmin_sets(problem, Q, friction.decision)
+    assert [c.effect.id for c in found.best.members] == ["dry_friction"]
+    assert found.of(found.best) > 0.95
+    assert found.bootstrap.sum() == pytest.approx(1.0)
+    assert doubts(friction.decision, found) == []
+
+
+def test_a_disagreement_is_said(friction) -> None:
+    problem, Q = friction.prepared.problem, friction.search.frame.Q
+    found = argmin_sets(problem, Q, friction.decision)
+    other = next(f for f in found.sets if f is not found.best)
+    assert found.disagrees(other)
+    assert not found.disagrees(found.best)
+
+
+def test_sets_that_predict_the_same_share_their_probability(rotor) -> None:
+    problem, Q = rotor.prepared.problem, rotor.search.frame.Q
+    found = argmin_sets(problem, Q, rotor.decision)
+    names = [tuple(c.effect.id for c in f.members) for f in found.sets]
+    two = [found.bootstrap[names.index((n,))] for n in ("armature", "link_inertia")]
+    np.testing.assert_allclose(two, two[0])
+    assert sum(two) > 0.95
+
+
+def test_nothing_is_to_be_recorded_where_nothing_is_open(friction) -> None:
+    assert next_experiment(friction, explain(friction), {}) is None
+
+
+def test_what_no_motion_separates_is_said_in_words(rotor) -> None:
+    found = next_experiment(rotor, explain(rotor), {})
+    assert found.controls is None
+    assert found.separation < 0.1
+    assert "rotor inertia at shoulder" in found.sentence
+    assert {e["effect"] for s in found.separates for e in s} == {"armature", "link_inertia"}
+
+
+def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
+    decision = friction.decision
+    rival = next(f for f in decision.fits if f.members and f is not decision.best)
+    open_ = replace(friction, decision=replace(decision, equivalents=(rival,)))
+    limits = {j: Limit(position=(-0.6, 0.6), velocity=6.0) for j in ("shoulder", "elbow")}
+    told = next_experiment(open_, explain(friction), limits)
+    assert told.controls is not None
+    assert told.separation > 0.5
+    assert "dry friction at elbow" in told.sentence
+    assert told.as_json()["file"] == "next_experiment.csv"
+    model = arm().compile([lambda spec: setattr(spec.joint("elbow"), "frictionloss", 0.02)])
+    data = mujoco.MjData(model)
+    for _, row in told.controls.iterrows():
+        data.ctrl[:] = row[["ctrl.shoulder", "ctrl.elbow"]]
+        mujoco.mj_step(model, data)
+        assert np.abs(data.qpos).max() < 0.62
