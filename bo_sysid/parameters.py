@@ -120,6 +120,17 @@ class CandidateSet:
         return np.array([[p.low for p in self.parameters], [p.high for p in self.parameters]])
 
     @property
+    def cell(self) -> Point:
+        """`d` sides of the box that a candidate stands for.
+
+        On a grid its spacing; in a design of N points the sides of N equal boxes.
+        """
+        if self.spacing is not None:
+            return self.spacing
+        low, high = self.bounds
+        return np.asarray((high - low) * len(self) ** (-1 / len(low)))
+
+    @property
     def categories(self) -> Categories:
         """The values of each parameter without an order, by its column."""
         return {k: p.grid for k, p in enumerate(self.parameters) if not p.ordered}

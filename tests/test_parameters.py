@@ -57,3 +57,11 @@ def test_a_grid_too_large_to_list_says_what_to_do() -> None:
     many = [Parameter(f"p{i}", ("x",), 0, 1, 100) for i in range(4)]
     with pytest.raises(StudyError, match=r"100000000 candidates.*sobol"):
         CandidateSet.from_grid(many)
+
+
+def test_a_candidate_stands_for_its_cell() -> None:
+    parameters = (Parameter("a", ("a",), 0.0, 1.0, 5), Parameter("b", ("b",), 0.0, 4.0, 3))
+    assert CandidateSet.from_grid(parameters).cell.tolist() == [0.25, 2.0]
+    design = CandidateSet.from_sobol(parameters, 64)
+    assert np.prod(design.cell) * 64 == pytest.approx(4.0)
+    assert design.cell[1] == pytest.approx(4 * design.cell[0])

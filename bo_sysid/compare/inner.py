@@ -246,7 +246,7 @@ def _intervals(scene: _Scene, outcome: Outcome, study: Study, seed: int) -> dict
         groups=blocks.session,
         seed=seed,
     )
-    cell = 0.0 if candidates.spacing is None else candidates.spacing / 2
+    cell = candidates.cell / 2
     low, high = credible_interval(candidates.points, bootstrap.probabilities, 0.95)
     plant = study.plant.parameters if study.plant else {}
     return {

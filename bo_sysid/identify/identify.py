@@ -158,9 +158,9 @@ def _parameters(
 ) -> pd.DataFrame:
     """Return one row a parameter: its value, its interval and whether it lies on a bound.
 
-    On a grid a candidate stands for its cell: the interval reaches half a step further.
+    A candidate stands for its cell: the interval reaches half a cell further.
     """
-    cell = 0.0 if candidates.spacing is None else candidates.spacing / 2
+    cell = candidates.cell / 2
     low95, high95 = credible_interval(candidates.points, bootstrap, 0.95)
     bounds = problem.candidates.bounds
     frame = described(problem.model, problem.parameters)
