@@ -3,7 +3,7 @@
 Arms, each with the same simulated steps a policy, on paired seeds:
 
 - true: TRPO on the plant's own parameters, the reference; its log is also that of TRPO straight on
-  the plant, with every episode counted as a real trajectory.
+  the plant, with every whole episode's time counted as a real trajectory.
 - worst: TRPO on the corner of B that predicts the plant worst.
 - method: `learn` as the study says: P sampled, the seed's stop rule.
 - zhu: argmax P, the search ended by values, the loop by time out: after as many real trajectories
@@ -132,12 +132,13 @@ def single(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[st
         seconds = time.perf_counter() - started
         returns = on_plant(scene, training.policy)
     log: pd.DataFrame = training.log
-    limit = scene.training(centre, None, 1).episode_steps
+    whole = scene.environment(scene.compiled(centre), 1).episode_steps
+    log["batch_return"] *= whole / scene.training(centre, None, 1).episode_steps
     return {
         "returns": returns,
         "point": centre.tolist(),
         "seconds": seconds,
-        "curve": [(log["steps"] / limit).tolist(), log["batch_return"].tolist()],
+        "curve": [(log["steps"] / whole).tolist(), log["batch_return"].tolist()],
     }
 
 
