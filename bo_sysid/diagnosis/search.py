@@ -151,6 +151,7 @@ class Search:
     def round(self, base: Fit) -> None:
         """Linearise at a fit and try what could be added to it, exchanged or left out."""
         _simplified(self, base)
+        self._vary(base)
         self._refine(base)
         table = self._linearise(base)
         if not base.members:
@@ -262,6 +263,28 @@ class Search:
                 guess=base.hypothesis if base is not None else None,
                 effort=effort,
             )
+
+    def _vary(self, base: Fit) -> None:
+        """Fit a set that leaves something with other shapes of its effects, all sites alike."""
+        if clean(base):
+            return
+        for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
+            own = [c for c in base.members if c.effect is effect]
+            for k in range(len(own[0].extent.variants)):
+                members = [
+                    c.with_shapes(np.array(c.extent.variants[k])) if c.effect is effect else c
+                    for c in base.members
+                ]
+                if set_key(members) not in self.fits:
+                    known = [self._known(c) for c in members]
+                    self.fit(known, base.x, start=base.start, guess=base.hypothesis)
+
+    def _known(self, candidate: Candidate) -> Candidate:
+        """Return a candidate as it is listed; one that is new is added to the list."""
+        present = {set_key([c]): c for c in self.candidates if not c.secant}
+        if set_key([candidate]) not in present:
+            self.candidates.append(candidate)
+        return present.get(set_key([candidate]), candidate)
 
     def _refine(self, base: Fit) -> None:
         """Add finer shapes of the members of a fit to the candidates."""

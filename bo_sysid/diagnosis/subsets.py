@@ -160,11 +160,11 @@ def gram(
 
 def groups(candidates: Sequence[Candidate]) -> tuple[Unit, ...]:
     """Return the effects that can be missing at all sites at once, as units."""
-    by_effect: dict[str, list[int]] = {}
+    by_effect: dict[str, dict[str, int]] = {}
     for i, c in enumerate(candidates):
         if c.effect.grouped and not c.secant:
-            by_effect.setdefault(c.effect.id, []).append(i)
-    return tuple(Unit(tuple(m), e) for e, m in by_effect.items() if len(m) > 1)
+            by_effect.setdefault(c.effect.id, {}).setdefault(c.site.name, i)
+    return tuple(Unit(tuple(m.values()), e) for e, m in by_effect.items() if len(m) > 1)
 
 
 def search(

@@ -148,6 +148,7 @@ class Extent:
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
         refine: factors by which shapes are varied once the effect is in the leading set.
+        variants: other shapes that are tried then, where the set leaves something unexplained.
     """
 
     probe: tuple[float, ...]
@@ -157,6 +158,7 @@ class Extent:
     starts: tuple[tuple[float, ...], ...] = ()
     refine: tuple[float, ...] = ()
     secants: tuple[tuple[float, ...], ...] = ()
+    variants: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         vectors = (self.probe, self.low, self.high, *self.grid, *self.starts, *self.secants)

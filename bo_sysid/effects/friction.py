@@ -23,6 +23,7 @@ from bo_sysid.effects.registry import effect
 # (1 - d)/d of the free one after a time constant: a load held at 33 rad/s² creeps 6.5e-6 rad/s.
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+_HOLDS, _CREEPS = 1.0, 0.0
 _FINER = (0.55, 0.75, 1.35, 1.8)
 _PRESLIDING = 1e-4  # [rad] or [m] by which bristles bend before they slip
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
@@ -41,13 +42,17 @@ def _damping(site: Site, machine: Machine) -> float:
 def _dry_extent(site: Site, machine: Machine) -> Extent:
     force = machine.joints[site.name].force
     low = -_frictionloss(site, machine) - 1e-12
-    return Extent((0.05 * force,), (low,), (3 * force,), secants=((force,),))
+    return Extent(
+        (0.05 * force, _HOLDS), (low, _CREEPS), (3 * force, _HOLDS),
+        secants=((force, _HOLDS),), variants=((_CREEPS,),),
+    )  # fmt: skip
 
 
 @effect(
     "dry_friction",
     kind="joint",
-    components=(Component("level", "N m"),),
+    components=(Component("level", "N m"), Component("hold", "–")),
+    shapes=1,
     extent=_dry_extent,
     nominal=_frictionloss,
     noun="dry friction",
@@ -59,14 +64,20 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     grouped=True,
 )
 def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Coulomb friction: a force of constant size against the velocity."""
-    add_dry_friction(spec, site.name, float(x[0]))
+    """Coulomb friction: a force of constant size against the velocity.
+
+    At x[1] = 1 (also where it is left out) it holds a load at rest, as that of machines does; at 0
+    it creeps under one as the solver settings in the model's file say.
+    """
+    add_dry_friction(spec, site.name, float(x[0]), holds=len(x) < 2 or bool(x[1] > 0.5))
 
 
-def add_dry_friction(spec: mujoco.MjSpec, joint: str, level: float) -> None:
-    """Add dry friction to a joint, with solver settings under which it holds a load."""
+def add_dry_friction(spec: mujoco.MjSpec, joint: str, level: float, *, holds: bool = True) -> None:
+    """Add dry friction to a joint; where it holds a load, with solver settings that let it."""
     j = spec.joint(joint)
     j.frictionloss = max(j.frictionloss + level, 0.0)
+    if not holds:
+        return
     j.solref_friction = list(_SOLREF)
     j.solimp_friction = list(_SOLIMP)
 
