@@ -105,7 +105,6 @@ def test_botorch_models_are_the_members() -> None:
 
 
 @pytest.mark.parametrize("rule", [n for n in acquisition_names() if n != "full-grid"])
-@pytest.mark.filterwarnings("ignore::UserWarning")  # BoTorch's, about points known exactly
 def test_every_rule_searches_a_mixed_set(rule: str) -> None:
     candidates = mixed(11)
     table = delta(candidates.points)

@@ -20,7 +20,9 @@ from bo_sysid.arrays import Categories, Points
 APART = 1.0 / np.sqrt(2.0)
 
 
-def encoded(points: Points, bounds: Float[np.ndarray, "2 d"], categories: Categories) -> Float[np.ndarray, "N D"]:
+def encoded(
+    points: Points, bounds: Float[np.ndarray, "2 d"], categories: Categories
+) -> Float[np.ndarray, "N D"]:
     """Return points in the unit cube, the indicators of categories last.
 
     Args:

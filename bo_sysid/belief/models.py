@@ -6,11 +6,14 @@ from botorch.models.transforms import Normalize, Standardize
 from botorch.models.transforms.input import InputTransform
 from gpytorch.kernels import MaternKernel, RBFKernel, ScaleKernel
 from gpytorch.means import ConstantMean
+from gpytorch.settings import min_fixed_noise
 from torch import Tensor
 
 from bo_sysid.belief.encoding import APART
 from bo_sysid.belief.gp import Conditional
 from bo_sysid.belief.surrogate import Surrogate
+
+LEAST_NOISE = 1e-12  # variance, in standardised units
 
 
 def as_single_task_gp(surrogate: Surrogate, member: Conditional) -> SingleTaskGP:
@@ -20,15 +23,17 @@ def as_single_task_gp(surrogate: Surrogate, member: Conditional) -> SingleTaskGP
     posterior is in the units of `points` and y.
     """
     base = RBFKernel if member.kernel == "rbf" else MaternKernel
-    model = SingleTaskGP(
-        torch.tensor(surrogate.points),
-        torch.tensor(surrogate.values)[:, None],
-        train_Yvar=torch.tensor(surrogate.noise * surrogate.scale**2)[:, None],
-        covar_module=ScaleKernel(base(ard_num_dims=len(member.lengthscales))),
-        mean_module=ConstantMean(),
-        input_transform=_cube(surrogate),
-        outcome_transform=Standardize(m=1),
-    ).double()
+    # the noise of values that are known exactly is what the members have, however small
+    with min_fixed_noise(double_value=LEAST_NOISE):
+        model = SingleTaskGP(
+            torch.tensor(surrogate.points),
+            torch.tensor(surrogate.values)[:, None],
+            train_Yvar=torch.tensor(surrogate.noise * surrogate.scale**2)[:, None],
+            covar_module=ScaleKernel(base(ard_num_dims=len(member.lengthscales))),
+            mean_module=ConstantMean(),
+            input_transform=_cube(surrogate),
+            outcome_transform=Standardize(m=1),
+        ).double()
     model.covar_module.base_kernel.lengthscale = torch.tensor(member.lengthscales)
     model.covar_module.outputscale = member.outputscale
     model.mean_module.constant = member.mean
