@@ -80,18 +80,6 @@ MACHINES = {
         wanted={k: (k, "x") for k in ("viscous_damping", "dry_friction", "asymmetric_damping")},
         values={("asymmetric_damping", "x"): 166.7 - 240.4},
     ),
-    "xl330": Machine(
-        "xl330_open_loop.yaml",
-        "friction grows with load; models M3 to M6 of the authors; Stribeck on top",
-        wanted={"load_dependent_friction": ("load_dependent_friction", "pendulum")},
-    ),
-    "double_pendulum": Machine(
-        "double_pendulum.yaml",
-        "dry friction 0.16 and 0.12 N m, rotors of 0.0023 kg m² at each joint; a scale error of "
-        "the torque of 1.2 to 1.45 is plausible",
-        wanted={f"dry_friction {j}": ("dry_friction", j) for j in ("shoulder", "elbow")}
-        | {f"armature {j}": ("armature", j) for j in ("shoulder", "elbow")},
-    ),
     "qube": Machine(
         "qube.yaml",
         "22 % more inertia of the arm, dry friction of about 0.001 N m at the arm",
@@ -101,6 +89,18 @@ MACHINES = {
     "cube_toss": Machine(
         "cube_toss.yaml",
         "friction 0.18, restitution 0.125; the model has 1.0 and next to none",
+    ),
+    "double_pendulum": Machine(
+        "double_pendulum.yaml",
+        "dry friction 0.16 and 0.12 N m, rotors of 0.0023 kg m² at each joint; a scale error of "
+        "the torque of 1.2 to 1.45 is plausible",
+        wanted={f"dry_friction {j}": ("dry_friction", j) for j in ("shoulder", "elbow")}
+        | {f"armature {j}": ("armature", j) for j in ("shoulder", "elbow")},
+    ),
+    "xl330": Machine(
+        "xl330_open_loop.yaml",
+        "friction grows with load; models M3 to M6 of the authors; Stribeck on top",
+        wanted={"load_dependent_friction": ("load_dependent_friction", "pendulum")},
     ),
 }
 
