@@ -1,10 +1,14 @@
 """Hypotheses as edits and parts."""
 
 import numpy as np
+import pytest
+from diagnosis_helpers import arm, record
 from effect_machines import case
 
+from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
 from bo_sysid.effects import CATALOGUE, Force, Reading
+from bo_sysid.errors import ModelError
 
 
 def test_each_part_comes_once_however_often_a_model_is_edited() -> None:
@@ -19,3 +23,21 @@ def test_each_part_comes_once_however_often_a_model_is_edited() -> None:
     for _ in range(2):
         c.model.compile(edits)
         assert [type(p) for p in parts] == [Force, Reading, Reading]
+
+
+def test_what_would_change_a_known_number_is_not_looked_for() -> None:
+    recording = record(duration=2.0)
+    names = ("viscous_damping", "armature", "link_mass", "gravity_tilt")
+    effects = [CATALOGUE[n] for n in names]
+    known = ("joint[elbow].damping", "body[forearm].mass", "option.gravity[2]")
+
+    def found(known: tuple[str, ...]) -> set[tuple[str, str]]:
+        evidence = make_evidence(arm(), [recording], effects=effects, known=known)
+        return {c.key for c in evidence.candidates}
+
+    gone = found(()) - found(known)
+    assert gone == {
+        ("viscous_damping", "elbow"), ("link_mass", "forearm"), ("gravity_tilt", "world"),
+    }  # fmt: skip
+    with pytest.raises(ModelError, match=r"joint\[elbw\].damping.*did you mean 'elbow'"):
+        found(("joint[elbw].damping",))

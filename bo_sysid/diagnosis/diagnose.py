@@ -162,6 +162,7 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
         most=study.diagnosis.most,
         threads=threads(),
         laws=study_laws(study, model),
+        known=study.diagnosis.known,
     )
 
 

@@ -4,11 +4,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from bo_sysid.diagnosis.driven import driven
-from bo_sysid.diagnosis.hypothesis import Candidate, candidates, parameter_candidates
+from bo_sysid.diagnosis.hypothesis import (
+    Candidate,
+    Hypothesis,
+    candidates,
+    edits_and_parts,
+    parameter_candidates,
+)
 from bo_sysid.diagnosis.scales import channel_noise
 from bo_sysid.diagnosis.windowing import touches
 from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
@@ -64,6 +72,7 @@ def make_evidence(
     most: int = 3,
     threads: int = 0,
     laws: Sequence[Controller | ForceLaw] = (),
+    known: Sequence[str] = (),
 ) -> Evidence:
     """Measure scales and noise, and list what may be missing.
 
@@ -76,9 +85,11 @@ def make_evidence(
         most: most effects at once.
         threads: of the simulation, 0 for all cores.
         laws: controllers and force laws that belong to the nominal model.
+        known: addresses whose values are certain: what would change one is not looked for.
 
     Raises:
         RecordingError: no joint's position was recorded, or none moves.
+        ModelError: an address of `known` matches nothing.
     """
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
@@ -89,9 +100,26 @@ def make_evidence(
         tuple(recordings),
         channel_noise(recordings, machine, noise or {}),
         parameter_candidates(model, parameters),
-        candidates(wanted, machine),
+        _possible(model, machine, candidates(wanted, machine), known),
         most,
         _window(machine),
         Engine(threads),
         tuple(laws),
     )
+
+
+def _possible(
+    model: Model, machine: Machine, all_of: Sequence[Candidate], known: Sequence[str]
+) -> tuple[Candidate, ...]:
+    """Return the candidates that leave every known number of the model as it is."""
+    targets = [t for address in known for t in resolve(model, address)]
+    if not targets:
+        return tuple(all_of)
+    nominal = [compiled_value(machine.model, t) for t in targets]
+    kept = []
+    for c in all_of:
+        hypothesis = Hypothesis((c,), (c.point[: c.size],))
+        edited = model.compile(edits_and_parts(hypothesis, machine)[0])
+        if [compiled_value(edited, t) for t in targets] == nominal:
+            kept.append(c)
+    return tuple(kept)

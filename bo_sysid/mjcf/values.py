@@ -71,6 +71,18 @@ def compiled_vector(
     return np.concatenate(parts).astype(float)
 
 
+def compiled_value(model: mujoco.MjModel, target: Target) -> float:
+    """Return a number as compiled; for a geom's mass or density the mass of its body."""
+    if target.kind == "geom" and target.name in ("mass", "density"):
+        return float(model.body_mass[model.geom(target.element).bodyid[0]])
+    if target.name in ("kp", "kv"):
+        actuator = model.actuator(target.element)
+        return float(actuator.gainprm[0] if target.name == "kp" else -actuator.biasprm[2])
+    return float(
+        compiled_vector(model, target.kind, target.element, target.attribute)[target.index]
+    )
+
+
 def _row(model: mujoco.MjModel, compiled: str, element: int) -> int:
     """Return the row of an element in a compiled field."""
     if compiled.startswith("dof_"):
