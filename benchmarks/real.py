@@ -147,7 +147,7 @@ def diagnosed(name: str, machine: Machine) -> dict[str, Any]:
         "seconds": time.perf_counter() - began,
     }
     if name.startswith("emps"):
-        out["force"] = force_errors(values, 95.1089 + sum(out["parameters"].values()))
+        out["force"] = force_errors(values, float(found.evidence.machine.model.body_mass.sum()))
     return out
 
 
@@ -246,10 +246,14 @@ def _error(terms: Mapping[str, np.ndarray], force: np.ndarray, theta: Mapping[st
 
 
 def run(quick: bool, cases: Cases) -> dict[str, Any]:
-    """Diagnose every machine whose recordings are there; --quick takes EMPS alone."""
+    """Diagnose every machine whose recordings are there; --quick takes EMPS alone.
+
+    $BO_SYSID_MACHINES may name some of them, separated by commas.
+    """
     if not os.environ.get("BO_SYSID_DATA"):
         print("  $BO_SYSID_DATA is not set: recordings without a public address are skipped")
-    chosen = {k: m for k, m in MACHINES.items() if not quick or k == "emps"}
+    wanted = os.environ.get("BO_SYSID_MACHINES", "emps" if quick else ",".join(MACHINES)).split(",")
+    chosen = {k: m for k, m in MACHINES.items() if k in wanted}
     return {
         name: cases.get(name, lambda n=name, m=machine: diagnosed(n, m))
         for name, machine in chosen.items()
