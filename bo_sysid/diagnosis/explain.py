@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.search import FINAL
+from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 

@@ -10,16 +10,11 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.moves import carried, eliminate, explore, stripped
 from bo_sysid.diagnosis.problem import Problem, pose
+from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import admissible, ranked
-from bo_sysid.diagnosis.search import (
-    FINAL,
-    Search,
-    carried,
-    eliminate,
-    explore,
-    stripped,
-)
+from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
 
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves

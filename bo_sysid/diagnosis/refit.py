@@ -40,6 +40,10 @@ class Effort:
     rival: float = np.inf
 
 
+FINAL = Effort(iterations=5, gain=1.0, final=True)
+"""On all windows, for sets between which is decided."""
+
+
 @dataclass(frozen=True)
 class _Space:
     """The vector that is fitted: magnitudes of members, parameters, share of the finer step."""

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
-from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.rules import (
     CLEAN,
     MARGIN,
@@ -24,10 +24,9 @@ from bo_sysid.diagnosis.rules import (
     Prior,
     clean,
     ranked,
-    required,
-    sizes,
 )
 from bo_sysid.diagnosis.subsets import Gram, Scored, clashes, gram, groups, search
+from bo_sysid.diagnosis.units import alone, grouped_labels, subset, units_of, with_group
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.simulation import State
 
@@ -86,6 +85,11 @@ class Search:
     def least(self) -> float:
         """The least rms of all fits."""
         return min((f.rms for f in self.fits.values()), default=np.inf)
+
+    @property
+    def begun(self) -> bool:
+        """Whether anything was tried yet."""
+        return self._signatures is not None
 
     def fit(
         self,
@@ -150,7 +154,7 @@ class Search:
 
     def round(self, base: Fit) -> None:
         """Linearise at a fit and try what could be added to it, exchanged or left out."""
-        _simplified(self, base)
+        self.simplify(base)
         self._vary(base)
         self._refine(base)
         table = self._linearise(base)
@@ -170,14 +174,14 @@ class Search:
 
     def _first(self, table: "_Table") -> None:
         found = search(table.gram((), {}), self.most, groups(self.candidates))
-        self._run(_alone(found.get(1, [])), _TOP[1], None)
+        self._run(alone(found.get(1, [])), _TOP[1], None)
         for size in (1, 2, 3):
-            if clean_enough(self.least):
+            if self.least**2 - 1 <= CLEAN:
                 return
             sets = found.get(size, [])
-            self._run(_with_group(sets), _TOP_GROUPED[size], None)
+            self._run(with_group(sets), _TOP_GROUPED[size], None)
             if size > 1:
-                self._run(_alone(sets), _TOP[size], None)
+                self._run(alone(sets), _TOP[size], None)
 
     def _add(self, table: "_Table", base: Fit) -> None:
         room = self.most - base.size
@@ -188,15 +192,15 @@ class Search:
         units = groups(self.candidates) if not clean(base) else ()
         found = search(table.gram(fixed, now), room, units, deepest=2, paired=60)
         need = max(0.7 * MARGIN, 0.5 * SHARE * np.sqrt(base.excess))
-        self._run(_alone(found[1]), 3, base, need=need)
-        self._run(_with_group(found[1]), 2, base, need=need)
+        self._run(alone(found[1]), 3, base, need=need)
+        self._run(with_group(found[1]), 2, base, need=need)
         if room > 1 and not clean(base):
-            self._run(_alone(found.get(2, [])), 2, base, need=need)
+            self._run(alone(found.get(2, [])), 2, base, need=need)
 
     def _exchange(self, table: "_Table", base: Fit, unit: tuple[int, ...]) -> None:
         """Try others in the place of one unit of a fit."""
         rest = [k for k in range(len(base.members)) if k not in unit]
-        members, x = _subset(base, rest)
+        members, x = subset(base, rest)
         fixed = [self.candidates.index(c) for c in members]
         now = dict(zip(fixed, x, strict=True))
         without = table.without([base.members[k] for k in unit], [base.x[k] for k in unit])
@@ -205,10 +209,10 @@ class Search:
         room = self.most - base.size + base.members[unit[0]].effect.weight
         deepest = 2 if many else 1
         found = search(without.gram(fixed, now), room, units, deepest=deepest, paired=60)
-        self._run(_alone(found[1]), 2 if clean(base) else 3, base, rest)
-        self._run(_with_group(found[1]), 1, base, rest)
+        self._run(alone(found[1]), 2 if clean(base) else 3, base, rest)
+        self._run(with_group(found[1]), 1, base, rest)
         if many:
-            self._run(_alone(found.get(2, [])), 1, base, rest)
+            self._run(alone(found.get(2, [])), 1, base, rest)
 
     def substitute(self, base: Fit) -> None:
         """Fit what could stand in the place of a member and explain as much."""
@@ -216,7 +220,7 @@ class Search:
         near = _ALIKE * max(1.0, base.rms**2)
         for k, member in enumerate(base.members):
             rest = [i for i in range(len(base.members)) if i != k]
-            members, x = _subset(base, rest)
+            members, x = subset(base, rest)
             fixed = [self.candidates.index(c) for c in members]
             without = table.without([member], [base.x[k]])
             found = search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
@@ -228,7 +232,7 @@ class Search:
         sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
         for out in sets:
             rest = [k for k in range(len(base.members)) if k not in out]
-            self.fit(*_subset(base, rest), start=base.start, again=True)
+            self.fit(*subset(base, rest), start=base.start, again=True)
 
     def _run(
         self,
@@ -244,7 +248,7 @@ class Search:
         dof = self.prepared.problem.dof
         held: tuple[Sequence[Candidate], Sequence[np.ndarray]] = ((), ())
         if base is not None:
-            held = _subset(base, range(len(base.members)) if kept is None else kept)
+            held = subset(base, range(len(base.members)) if kept is None else kept)
         for s in scored:
             members = [self.candidates[i] for i in s.members]
             key = frozenset(c.key for c in members)
@@ -285,6 +289,20 @@ class Search:
         if set_key([candidate]) not in present:
             self.candidates.append(candidate)
         return present.get(set_key([candidate]), candidate)
+
+    def simplify(self, fit: Fit, effort: Effort | None = None) -> None:
+        """Fit a set with the simpler effect in the place of each that contains one."""
+        for k, c in enumerate(fit.members):
+            plain = self._plainer(c) if fit.unique[k] < 1.0 or effort else None
+            if plain is not None:
+                members = (*fit.members[:k], plain, *fit.members[k + 1 :])
+                x = (*fit.x[:k], fit.x[k][1:], *fit.x[k + 1 :])
+                if not clashes(members):
+                    self.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=effort)
+
+    def _plainer(self, c: Candidate) -> Candidate | None:
+        wanted = (c.effect.nested, c.site.name)
+        return next((d for d in self.candidates if d.key == wanted), None)
 
     def _refine(self, base: Fit) -> None:
         """Add finer shapes of the members of a fit to the candidates."""
@@ -359,124 +377,3 @@ class _Table:
             own = np.flatnonzero(self.owner == self.candidates.index(c))
             b = b + self.G[:, own] @ z
         return replace(self, b=b)
-
-
-def units_of(fit: Fit) -> list[tuple[int, ...]]:
-    """Return the members of each unit of a fit: one member, or all of a group."""
-    found: list[tuple[int, ...]] = [(k,) for k, g in enumerate(fit.groups) if g is None]
-    for label in dict.fromkeys(g for g in fit.groups if g is not None):
-        found.append(tuple(k for k, g in enumerate(fit.groups) if g == label))
-    return found
-
-
-def clean_enough(rms: float) -> bool:
-    """Whether the least rms leaves nothing to look for."""
-    return rms**2 - 1 <= CLEAN
-
-
-def explore(search: Search, rounds: int = 5) -> Fit:
-    """Go on until the leading set no longer changes; return the leader."""
-    if search._signatures is None:
-        search.round(search.nominal)
-    leader = search.best
-    for _ in range(rounds):
-        if not leader.members:
-            break
-        search.round(leader)
-        if search.best.key == leader.key:
-            break
-        leader = search.best
-    return search.best
-
-
-def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
-    """Begin on other windows with the best sets found so far."""
-    new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
-    for f in ranked(search.fits.values(), search.prior)[:count]:
-        if f.members:
-            new.fit(f.members, f.x, guess=f.hypothesis)
-    return new
-
-
-def stripped(search: Search) -> None:
-    """Fit the sets without their weakest member, or with the simpler effect in its place."""
-    done: set[object] = set()
-    for _ in range(4):
-        before = len(search.fits)
-        for f in ranked(search.fits.values(), search.prior)[:4]:
-            if not f.members or f.key in done:
-                continue
-            done.add(f.key)
-            _simplified(search, f)
-            weakest = int(np.argmin(f.unique))
-            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
-                rest = [k for k in range(len(f.members)) if k != weakest]
-                search.fit(*_subset(f, rest), start=f.start, again=True)
-        if len(search.fits) == before:
-            return
-
-
-def _simplified(search: Search, f: Fit, effort: Effort | None = None) -> None:
-    """Fit a set with the simpler effect in the place of each that contains one."""
-    for k, c in enumerate(f.members):
-        plain = _plainer(search, c) if f.unique[k] < 1.0 or effort else None
-        if plain is not None:
-            members = (*f.members[:k], plain, *f.members[k + 1 :])
-            x = (*f.x[:k], f.x[k][1:], *f.x[k + 1 :])
-            if not clashes(members):
-                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=effort)
-
-
-def _plainer(search: Search, c: Candidate) -> Candidate | None:
-    wanted = (c.effect.nested, c.site.name)
-    return next((d for d in search.candidates if d.key == wanted), None)
-
-
-def eliminate(search: Search, steps: int = 14) -> None:
-    """Leave out what is too small until the leading set is admissible."""
-    for _ in range(steps):
-        for f in ranked(search.fits.values(), search.prior):
-            need = required(f, search.nominal)
-            weak = [k for k, u in enumerate(sizes(f, search.fits.values())) if u < need]
-            if not weak:
-                return
-            before = len(search.fits)
-            _simplified(search, f, FINAL)
-            members, x = _subset(f, _without_weak(f, weak))
-            if set_key(members) not in search.fits:
-                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
-            if len(search.fits) > before:
-                break
-        else:
-            return
-
-
-FINAL = Effort(iterations=5, gain=1.0, final=True)
-
-
-def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
-    """Leave out all weak members of groups at once, else the weakest member."""
-    in_groups = [k for k in weak if f.groups[k] is not None]
-    out = in_groups or [min(weak, key=lambda k: f.unique[k])]
-    return [k for k in range(len(f.members)) if k not in out]
-
-
-def grouped_labels(
-    members: Sequence[Candidate], candidates: Sequence[Candidate]
-) -> tuple[str | None, ...]:
-    """Return the effect of each member's group: found on at least two, and half, of its sites."""
-    sites = {u.group: len(u.members) for u in groups(candidates)}
-    held = [c.effect.id for c in members]
-    return tuple(e if held.count(e) >= max(2.0, 0.5 * sites.get(e, np.inf)) else None for e in held)
-
-
-def _subset(fit: Fit, keep: Sequence[int]) -> tuple[tuple[Candidate, ...], tuple[np.ndarray, ...]]:
-    return tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
-
-
-def _alone(scored: Sequence[Scored]) -> list[Scored]:
-    return [s for s in scored if all(u.group is None for u in s.units)]
-
-
-def _with_group(scored: Sequence[Scored]) -> list[Scored]:
-    return [s for s in scored if any(u.group is not None for u in s.units)]

@@ -24,8 +24,9 @@ from bo_sysid.effects.contract import (
     Site,
     unit_at,
 )
-from bo_sysid.effects.machine import Machine, survey
+from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import CATALOGUE, applicable, chosen, effect, listing, load_effects
+from bo_sysid.effects.surveying import survey
 
 __all__ = [
     "CATALOGUE",

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.motion import excitation
-from bo_sysid.effects.machine import survey
+from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit

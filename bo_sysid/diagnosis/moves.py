@@ -1,0 +1,80 @@
+"""What is done with a search: go on to its end, carry sets to longer windows, leave out."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.refit import FINAL
+from bo_sysid.diagnosis.rules import MARGIN, ranked, required, sizes
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.units import subset
+from bo_sysid.diagnosis.windowing import Prepared
+
+
+def explore(search: Search, rounds: int = 5) -> Fit:
+    """Go on until the leading set no longer changes; return the leader."""
+    if not search.begun:
+        search.round(search.nominal)
+    leader = search.best
+    for _ in range(rounds):
+        if not leader.members:
+            break
+        search.round(leader)
+        if search.best.key == leader.key:
+            break
+        leader = search.best
+    return search.best
+
+
+def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
+    """Begin on other windows with the best sets found so far."""
+    new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
+    for f in ranked(search.fits.values(), search.prior)[:count]:
+        if f.members:
+            new.fit(f.members, f.x, guess=f.hypothesis)
+    return new
+
+
+def stripped(search: Search) -> None:
+    """Fit the sets without their weakest member, or with the simpler effect in its place."""
+    done: set[object] = set()
+    for _ in range(4):
+        before = len(search.fits)
+        for f in ranked(search.fits.values(), search.prior)[:4]:
+            if not f.members or f.key in done:
+                continue
+            done.add(f.key)
+            search.simplify(f)
+            weakest = int(np.argmin(f.unique))
+            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
+                rest = [k for k in range(len(f.members)) if k != weakest]
+                search.fit(*subset(f, rest), start=f.start, again=True)
+        if len(search.fits) == before:
+            return
+
+
+def eliminate(search: Search, steps: int = 14) -> None:
+    """Leave out what is too small until the leading set is admissible."""
+    for _ in range(steps):
+        for f in ranked(search.fits.values(), search.prior):
+            need = required(f, search.nominal)
+            weak = [k for k, u in enumerate(sizes(f, search.fits.values())) if u < need]
+            if not weak:
+                return
+            before = len(search.fits)
+            search.simplify(f, FINAL)
+            members, x = subset(f, _without_weak(f, weak))
+            if set_key(members) not in search.fits:
+                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+            if len(search.fits) > before:
+                break
+        else:
+            return
+
+
+def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
+    """Leave out all weak members of groups at once, else the weakest member."""
+    in_groups = [k for k in weak if f.groups[k] is not None]
+    out = in_groups or [min(weak, key=lambda k: f.unique[k])]
+    return [k for k in range(len(f.members)) if k not in out]

@@ -1,0 +1,256 @@
+"""Measuring the scales of a machine from its model and recordings."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import savgol_filter
+
+from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.mjcf.compiling import coordinates
+from bo_sysid.recording import Recording
+
+_SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
+_LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
+_POSES = 20
+_INSTANTS = 200
+_FLOOR = 1e-6
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+
+def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
+    """Measure the scales of a machine.
+
+    Forces are scaled by effective inertia times acceleration, and by what the actuators did.
+    Velocities and accelerations come from a Savitzky-Golay filter; they set bounds and probe
+    sizes and enter no answer.
+
+    Args:
+        model: the compiled nominal model, joints and actuators named.
+        recordings: with ``qpos.<joint>`` for each hinge and slide joint.
+    """
+    names = [model.joint(j).name for j in range(model.njnt)]
+    scalar = [
+        n
+        for j, n in enumerate(names)
+        if int(model.jnt_type[j])
+        in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+        and all(f"qpos.{n}" in r.channels for r in recordings)
+    ]
+    motion = {n: _motion(recordings, n) for n in scalar}
+    actuators = {
+        model.actuator(a).name: _actuator(model, a, recordings, motion)
+        for a in range(model.nactuator)
+        if model.actuator_ctrlnum[a] == 1
+    }
+    inertia, loads = _inertia(model, recordings), _loads(model, motion)
+    joints = {n: _joint(model, n, motion[n], inertia, loads, actuators) for n in scalar}
+    bodies = {
+        b.name: b
+        for b in (_body(model, i) for i in range(1, model.nbody))
+        if b.name and b.mass > 1e-9 and model.body_weldid[model.body(b.name).id] > 0
+    }
+    known = _predicted(model)
+    times = [c.time for r in recordings for c in r.of_kind("qpos").values()]
+    return Machine(
+        model,
+        MappingProxyType(joints),
+        MappingProxyType(actuators),
+        MappingProxyType(bodies),
+        tuple(dict.fromkeys(n for r in recordings for n in r.channels if n in known)),
+        float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
+        float(sum(r.span[1] - r.span[0] for r in recordings)),
+        MappingProxyType(_scales(recordings, joints)),
+    )
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Position, velocity and acceleration of one joint on even grids, all recordings in a row."""
+
+    times: tuple[np.ndarray, ...]
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
+    grids, q, v, a = [], [], [], []
+    for r in recordings:
+        c = r.channels[f"qpos.{joint}"]
+        dt = float(np.median(np.diff(c.time)))
+        grid = np.arange(c.time[0], c.time[-1], dt)
+        x = np.interp(grid, c.time, c.values)
+        half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
+        grids.append(grid)
+        q.append(x)
+        v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
+        a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
+    return _Motion(tuple(grids), np.concatenate(q), np.concatenate(v), np.concatenate(a))
+
+
+def _actuator(
+    model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
+) -> ActuatorScale:
+    name = model.actuator(a).name
+    drives_joint = int(model.actuator_trntype[a]) in (
+        int(mujoco.mjtTrn.mjTRN_JOINT),
+        int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
+    )
+    joint = model.joint(int(model.actuator_trnid[a, 0])).name if drives_joint else None
+    gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+    affine = int(model.actuator_biastype[a]) == _AFFINE
+    b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
+    key = f"ctrl.{name}"
+    if joint is not None and joint in motion and all(key in r.channels for r in recordings):
+        m = motion[joint]
+        u = np.concatenate(
+            [r.channels[key].at(t) for r, t in zip(recordings, m.times, strict=True)]
+        )
+        force = gear * (gain * u + b[0] + b[1] * gear * m.q + b[2] * gear * m.v)
+    else:
+        held = [r.channels[key].values for r in recordings if key in r.channels]
+        u = np.concatenate(held) if held else np.zeros(1)
+        force = gear * gain * u
+    top = max(float(np.abs(force).max()), _FLOOR)
+    levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
+    return ActuatorScale(
+        name, a, joint, gear, gain, (float(b[0]), float(b[1]), float(b[2])), bool(b[1] != 0),
+        float(np.abs(u).max()), float(u.std()), top, float(force.std()),
+        tuple(dict.fromkeys(x for x in levels if x > 0.02)),
+        int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
+        _jumps(recordings, key),
+    )  # fmt: skip
+
+
+def _jumps(recordings: Sequence[Recording], channel: str) -> tuple[float, ...]:
+    held = [np.diff(r.channels[channel].values) for r in recordings if channel in r.channels]
+    moved = np.abs(np.concatenate(held)) if held else np.zeros(1)
+    moved = moved[moved > 0]
+    if not moved.size:
+        return ()
+    return tuple(float(np.percentile(moved, p)) for p in (100.0, *_LEVELS))
+
+
+def _joint(
+    model: mujoco.MjModel,
+    name: str,
+    motion: _Motion,
+    inertia: Float[np.ndarray, " nv"],
+    loads: Float[np.ndarray, " nv"],
+    actuators: Mapping[str, ActuatorScale],
+) -> JointScale:
+    dof = int(model.joint(name).dofadr[0])
+    drives = [a for a in actuators.values() if a.joint == name]
+    moved = inertia[dof] * float(np.sqrt(np.mean(motion.a**2)))
+    force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * a.force_std for a in drives)])
+    return JointScale(
+        name,
+        dof,
+        int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
+        force,
+        max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
+        max(float(motion.q.std()), _FLOOR),
+        max(float(np.ptp(motion.q)), _FLOOR),
+        float(inertia[dof]),
+        tuple(a.name for a in drives),
+        0.5 * float(motion.q.min() + motion.q.max()),
+    )
+
+
+def _inertia(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Float[np.ndarray, " nv"]:
+    """Return 1/diag(M⁻¹), the inertia felt at each degree of freedom, over recorded poses."""
+    data = mujoco.MjData(model)
+    full = np.zeros((model.nv, model.nv))
+    found = []
+    for r in recordings:
+        start, stop = r.span
+        for t in np.linspace(start, stop, _POSES):
+            for j in range(model.njnt):
+                key = f"qpos.{model.joint(j).name}"
+                if key in r.channels:
+                    data.qpos[model.jnt_qposadr[j]] = r.channels[key].at(np.array([t]))[0]
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, full)
+            found.append(1.0 / np.maximum(np.diag(np.linalg.inv(full)), 1e-12))
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _loads(model: mujoco.MjModel, motion: Mapping[str, _Motion]) -> Float[np.ndarray, " nv"]:
+    """Return how much gravity and the motion of all joints load each degree of freedom.
+
+    The larger of the root mean square of M a and the standard deviation of the bias force, over
+    instants of the recordings: a joint that friction holds moves little and is loaded all the same.
+    """
+    data = mujoco.MjData(model)
+    carried, biases = [np.zeros(model.nv)], [np.zeros(model.nv)]
+    first = next(iter(motion.values()), None)
+    for at in np.linspace(0, 1, _INSTANTS, endpoint=False) if first is not None else ():
+        acceleration = np.zeros(model.nv)
+        for name, m in motion.items():
+            k = int(at * len(m.q))
+            joint = model.joint(name)
+            data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]] = m.q[k], m.v[k]
+            acceleration[joint.dofadr[0]] = m.a[k]
+        mujoco.mj_forward(model, data)
+        force = np.zeros(model.nv)
+        mujoco.mj_mulM(model, data, force, acceleration)
+        carried.append(force)
+        biases.append(data.qfrc_bias.copy())
+    inertial = np.sqrt(np.mean(np.square(carried), axis=0))
+    return np.asarray(np.maximum(inertial, np.std(biases[1:] or biases, axis=0)))
+
+
+def _body(model: mujoco.MjModel, i: int) -> BodyScale:
+    """Return a body; its tip is its first site, else its farthest child, end of geom or centre."""
+    sites = [model.site_pos[k] for k in range(model.nsite) if model.site_bodyid[k] == i]
+    points = list(sites[:1])
+    if not points:
+        points = [model.body_pos[k] for k in range(1, model.nbody) if model.body_parentid[k] == i]
+        for g in np.flatnonzero(model.geom_bodyid == i):
+            axis = np.zeros(9)
+            mujoco.mju_quat2Mat(axis, model.geom_quat[g])
+            long = int(model.geom_type[g]) in (
+                int(mujoco.mjtGeom.mjGEOM_CAPSULE),
+                int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+            )
+            reach = model.geom_size[g, 1] * axis.reshape(3, 3)[:, 2] if long else np.zeros(3)
+            points += [model.geom_pos[g] + reach, model.geom_pos[g] - reach]
+        points.append(model.body_ipos[i])
+    x, y, z = max(points, key=lambda p: float(np.linalg.norm(p)))
+    return BodyScale(model.body(i).name, float(model.body_mass[i]), (float(x), float(y), float(z)))
+
+
+def _scales(
+    recordings: Sequence[Recording], joints: Mapping[str, JointScale]
+) -> dict[str, ChannelScale]:
+    """Return the scales of the channels; units of joints are the model's."""
+    if not recordings:
+        return {}
+    common = [n for n in recordings[0].channels if all(n in r.channels for r in recordings)]
+    found = {}
+    for name in common:
+        values = np.concatenate([r.channels[name].values for r in recordings])
+        kind, element = name.split(".", 1)
+        unit = recordings[0].channels[name].unit
+        if kind in ("qpos", "qvel") and element in joints:
+            length = "rad" if joints[element].hinge else "m"
+            unit = length if kind == "qpos" else f"{length}/s"
+        found[name] = ChannelScale(
+            name, unit, float(values.min()), float(values.max()), float(values.std())
+        )
+    return found
+
+
+def _predicted(model: mujoco.MjModel) -> set[str]:
+    """Return the names of channels that a model predicts."""
+    return {
+        f"{group}.{name}" if size == 1 else f"{group}.{name}.{i}"
+        for group in ("qpos", "qvel", "sensor")
+        for name, _, size in coordinates(model, group)
+        for i in range(size)
+    }
