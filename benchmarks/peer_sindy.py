@@ -22,8 +22,8 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.effects import CATALOGUE, Site
 
-WINDOWS = (0.03, 0.06, 0.12)  # [s]
-THRESHOLDS = (0.03, 0.1, 0.3)  # of the spread of the missing force
+WINDOWS = (0.03, 0.06, 0.12, 0.2)  # [s]
+THRESHOLDS = (0.03, 0.1, 0.3, 0.6)  # of the spread of the missing force
 _RIDGE = 1e-3
 _EDGE = 30  # samples left out at both ends
 _SLOW = 0.02  # of the typical speed, over which the sign of the velocity turns
