@@ -1,8 +1,8 @@
 """How often the diagnosis is right, and how well its repaired models forecast.
 
 Cases are drawn with fixed seeds (`diagnosis_cases.py`): the nominal model with effects in it,
-stepped eight times finer, seen through noisy joint positions. Each figure is a share and the
-number of its cases; "singles" and "pairs" count sizes from 2 sigma up.
+stepped eight times finer, seen through noisy joint positions. Each figure is a share,
+the number of its cases and its 95 % interval; "singles" and "pairs" count sizes from 2 sigma up.
 """
 
 import time
@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from common import Cases, benchmark
 from diagnosis_cases import RIGS, STRANGE, Case, Planted, draw, draw_group, draw_strange, load
+from scipy.stats import binomtest
 
 from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.explain import Outcome, explain
@@ -134,11 +135,8 @@ def _forecasts(
 def summary(rows: list[dict]) -> dict[str, object]:
     """Return the figures of the acceptance, with their numbers of cases."""
 
-    def share(chosen: list[dict], value) -> list[float]:
-        return [
-            round(float(np.mean([value(r) for r in chosen])), 4) if chosen else None,
-            len(chosen),
-        ]
+    def share(chosen: list[dict], value) -> list[float | None]:
+        return _share([bool(value(r)) for r in chosen])
 
     of = lambda *suites: [r for r in rows if r["suite"] in suites]  # noqa: E731
     seen = lambda rs: [r for r in rs if r["smallest"] >= 2]  # noqa: E731
@@ -156,13 +154,22 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "unknown_closed": share(of("unknown"), closed),
         "unknown_named": share(of("unknown"), lambda r: bool(r["found"]) and not r["flagged"]),
         "groups": share(of("group"), lambda r: r["right"]),
-        "inside_95": [round(float(np.mean(inside)), 4) if inside else None, len(inside)],
+        "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),
         "forecast_lugre_80ms": share(of("lugre"), good),
         "lugre_right": share(of("lugre"), right),
         "cpu_median_s": round(float(np.median([r["cpu"] for r in rows])), 1) if rows else None,
     }
+
+
+def _share(marks: Sequence[bool]) -> list[float | None]:
+    """Return a share, its number of cases and its 95 % interval (Clopper and Pearson)."""
+    if not marks:
+        return [None, 0, None, None]
+    found = binomtest(sum(marks), len(marks))
+    low, high = found.proportion_ci()
+    return [round(found.statistic, 4), len(marks), round(low, 3), round(high, 3)]
 
 
 def _closed(errors: list[float]) -> float:
@@ -182,7 +189,10 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
                     return {"suite": s, "rig": rig, **judged(case)}
             return None
 
-        row = cases.get(f"{suite} {rigs[0]} {seed} {detail}".strip(), compute)
+        key = f"{suite} {rigs[0]} {seed} {detail}".strip()
+        if cases.stored and key not in cases:
+            continue
+        row = cases.get(key, compute)
         if row is not None:
             rows.append(row)
             if not row["class"]:
@@ -191,4 +201,4 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    benchmark("diagnosis", run)
+    benchmark("diagnosis", run, partial=True)

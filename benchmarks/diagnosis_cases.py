@@ -375,14 +375,27 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
     machine = survey(model.compile(), [nominal])
     joint = list(machine.joints)[int(rng.integers(len(machine.joints)))]
     size, at = float(np.exp(rng.uniform(np.log(0.05), np.log(0.3)))), float(rng.uniform(0.3, 0.7))
-    law = strange_force(kind, machine, joint, size, at)
-    train, holdout = (
-        simulate(
-            model, setting, machine, (), seed=seed + k, duration=20.0, sigma=sigma, strange=[law]
-        )
-        for k in (1, 2)
-    )
+    for _ in range(_TRIES):
+        law = strange_force(kind, machine, joint, size, at)
+        train, holdout = (
+            simulate(
+                model, setting, machine, (), seed=seed + k, duration=20.0, sigma=sigma,
+                strange=[law],
+            )
+            for k in (1, 2)
+        )  # fmt: skip
+        if not _runs_away(train, nominal):
+            break
+        size = 0.6 * size
     return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
+
+
+def _runs_away(recording: Recording, nominal: Recording) -> bool:
+    """Whether a force drives the machine far out of where it moves without it."""
+    spans = [
+        [float(np.ptp(c.values)) for c in r.of_kind("qpos").values()] for r in (recording, nominal)
+    ]
+    return any(with_it > 4 * without for with_it, without in zip(*spans, strict=True))
 
 
 def draw_group(rng: np.random.Generator, rig: str, effect: str) -> Case:
