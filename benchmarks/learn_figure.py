@@ -33,14 +33,20 @@ def draw(figures: Mapping[str, Any], curves: Mapping[str, Any], path: Path) -> N
     panels = np.atleast_1d(figure.subplots(1, len(curves)))
     for axes, task in zip(panels, curves, strict=True):
         _panel(axes, figures[task], curves[task])
-        seeds = figures[task].get("true", {}).get("seeds", 0)
-        axes.set_title(f"{task}, {seeds} seed{'s' * (seeds != 1)}")
+        axes.set_title(_title(task, figures[task]), fontsize="medium")
         axes.set_xlabel("real trajectories")
     panels[0].set_ylabel("return on the plant")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
     path.parent.mkdir(exist_ok=True)
     save(figure, path)
+
+
+def _title(task: str, figures: Mapping[str, Any]) -> str:
+    """Return the task with its number of seeds, and the arms that have fewer."""
+    counts = {arm: figures[arm]["seeds"] for arm in LOOK if arm in figures}
+    fewer = [f"{arm} {n}" for arm, n in counts.items() if n != counts["true"]]
+    return f"{task}, {counts['true']} seeds" + (f" ({', '.join(fewer)})" if fewer else "")
 
 
 def _panel(axes: Axes, figures: Mapping[str, Any], curves: Mapping[str, Any]) -> None:
