@@ -142,7 +142,7 @@ def _estimated(
             J = linearise(problem, hypothesis, start).J[:, known]
             J = np.where((np.abs(J) < _DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
             N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / spread**2)
-            gain = np.linalg.inv(N)
+            gain = np.linalg.pinv(N, rcond=1e-15, hermitian=True)
         assert gain is not None  # noqa: S101
         g = np.einsum("wri,wr->wi", J, r) - away / spread**2
         step = np.einsum("wij,wj->wi", gain, g)
@@ -208,13 +208,16 @@ def _floor(
     good: Bool[np.ndarray, " W"],
 ) -> float:
     """Return the forecast error of sensor noise alone: √(1 + tr(Jₐ Cov Jₐᵀ)/n)."""
-    J = linearise(problem, hypothesis, start).J[good]
+    J = linearise(problem, hypothesis, start).J
+    J = J[good & (np.abs(J) < _DIVERGING).all(axis=(1, 2))]
     if not len(J):
         return 1.0
     past, ahead = J[:, known], J[:, ~known]
-    cov = np.linalg.inv(np.einsum("wri,wrj->wij", past, past) + np.diag(1 / _prior(problem) ** 2))
-    carried = np.einsum("wri,wij,wrj->w", ahead, cov, ahead) / ahead.shape[1]
-    return float(np.sqrt(1.0 + np.mean(carried)))
+    # what noise leaves of the start: ahead·(past'past + prior)⁻¹·ahead', by least squares
+    prior = np.broadcast_to(np.diag(1 / _prior(problem)), (len(J), *[J.shape[-1]] * 2))
+    R = np.linalg.qr(np.concatenate([past, prior], axis=1), mode="r")
+    spread = ahead @ np.linalg.pinv(R, rcond=1e-12)
+    return float(np.sqrt(1.0 + np.mean((spread**2).sum(axis=(1, 2)) / ahead.shape[1])))
 
 
 def _by_channel(problem: Problem, r: Float[np.ndarray, "W H c"], first: int) -> dict[str, float]:

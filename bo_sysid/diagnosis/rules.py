@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from math import comb, log, sqrt
 
 from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.hypothesis import Candidate
 
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
@@ -75,9 +76,15 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     found = []
     for member, unique in zip(fit.members, fit.unique, strict=True):
         rest = set_key([c for c in fit.members if c is not member])
-        left = min((f.rms for f in others if f.key <= rest), default=0.0)
+        left = min((f.rms for f in others if _without(f, rest, member)), default=0.0)
         found.append(max(unique, sqrt(max(left**2 - fit.rms**2, 0.0))))
     return tuple(found)
+
+
+def _without(fit: Fit, rest: frozenset[tuple[object, ...]], member: Candidate) -> bool:
+    """Whether a fit has nothing but `rest`, and perhaps the simpler effect that a member holds."""
+    simpler = (member.effect.nested, member.site.name)
+    return all(c.key == simpler or k in rest for c in fit.members for k in set_key([c]))
 
 
 def admissible(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> bool:
