@@ -72,8 +72,9 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     tell(f"final fits: {_said(search.best)}")
     final = _final(evidence, search, horizon, step)
     eliminate(final)
-    if final.best.members:
-        final.substitute(final.best)
+    leader = _leader(final)
+    if leader.members:
+        final.substitute(leader)
         eliminate(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
@@ -135,6 +136,13 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
 
 def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:
     return search.fit(fit.members, fit.x, guess=guess, again=True, effort=FINAL)
+
+
+def _leader(search: Search) -> Fit:
+    """Return the best of the fits whose every member is needed."""
+    fits = list(search.fits.values())
+    order = ranked(fits, search.prior)
+    return next(f for f in order if admissible(f, search.nominal, fits))
 
 
 def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:

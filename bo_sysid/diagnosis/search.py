@@ -33,6 +33,7 @@ from bo_sysid.simulation import State
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
 _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
 _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
+_ROUGHLY = 0.01  # of the gain, the same where the fit is far from the recordings
 _SUBSTITUTES = 5
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 _HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
@@ -218,6 +219,7 @@ class Search:
         """Fit what could stand in the place of a member and explain as much."""
         table = self._linearise(base)
         near = _ALIKE * max(1.0, base.rms**2)
+        rough = _ROUGHLY if base.rms > ROUGH else 0.0
         for k, member in enumerate(base.members):
             rest = [i for i in range(len(base.members)) if i != k]
             members, x = subset(base, rest)
@@ -225,7 +227,7 @@ class Search:
             without = table.without([member], [base.x[k]])
             found = search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
             own = max((s.gain for s in found if self.candidates[s.members[0]] is member), default=0)
-            alike = [s for s in found if s.gain > own - near]
+            alike = [s for s in found if s.gain > own - max(near, rough * own)]
             self._run(alike, _SUBSTITUTES, base, rest, effort=FINAL)
 
     def _drop(self, base: Fit, unit: tuple[int, ...]) -> None:
