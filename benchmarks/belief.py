@@ -5,7 +5,7 @@ candidates; the belief is then updated (surrogate fitted, P computed) on a fine 
 them. Every update runs in a process of its own, whose peak memory counts whole, imports included.
 
 - n1e5_*, n1e6_*: seconds, peak GiB, and total variation of P to a long exact run: the covariance of
-  each member's 3 000 likeliest candidates factored exactly, 40 times the samples. `outside` is the
+  each member's 3 000 likeliest candidates factored exactly, 20 times the samples. `outside` is the
   share of P that the tool gives to other candidates. Beside it stands the total variation between
   two exact runs with as many samples as the tool's: what sampling alone does.
 - exact, low_rank (as the tool does it), low_rank_by_variance (the usual pivots), pathwise (BoTorch:
@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from common import Cases, benchmark
 
 from bo_sysid.belief import joint
+from bo_sysid.belief.argmin import SAMPLES_LARGE as SAMPLES
 from bo_sysid.belief.argmin import allot, argmin_probability, evaluated_rows
 from bo_sysid.belief.joint import contenders, dense_factor, nystrom_factor, posterior_moments
 from bo_sysid.belief.stopping import StopRule
@@ -39,7 +40,7 @@ from bo_sysid.parameters import CandidateSet, Parameter
 
 COARSE, DIMENSIONS, EVALUATED = 7, 4, 40
 SIDES = {"n1e5": 19, "n1e6": 31}  # values a parameter; 19⁴ = 130 321, 31⁴ = 923 521
-SAMPLES, LONG = 4096, 40 * 4096
+LONG = 20 * SAMPLES
 SEEDS = 3
 LIKELIEST = 3000  # candidates of a member that the estimators are compared on
 _BLOCK = 256  # joint samples drawn at a time

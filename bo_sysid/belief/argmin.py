@@ -7,11 +7,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Points, Probabilities
-from bo_sysid.belief.joint import Contest, contest
+from bo_sysid.belief.joint import EXACT, Contest, contest
 from bo_sysid.belief.rows import RowIndex
 from bo_sysid.belief.surrogate import Surrogate
 
 CELLS = 16_000_000  # samples x candidates drawn at a time
+SAMPLES, SAMPLES_LARGE = 4096, 8192
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class ArgminBelief:
 
 
 def argmin_probability(
-    surrogate: Surrogate, candidates: Points, *, samples: int = 4096, seed: int = 0
+    surrogate: Surrogate, candidates: Points, *, samples: int | None = None, seed: int = 0
 ) -> ArgminBelief:
     """Return the probability of each candidate to be the arg-min of Δ.
 
@@ -54,9 +55,12 @@ def argmin_probability(
     Args:
         surrogate: of Δ.
         candidates: `N x d`, in the units of the surrogate's points.
-        samples: number of joint samples.
+        samples: number of joint samples; 4096, and 8192 over sets that are too large for an exact
+            factor, where P can be spread over more candidates.
         seed: of the samples.
     """
+    if samples is None:
+        samples = SAMPLES if len(candidates) <= EXACT else SAMPLES_LARGE
     index = RowIndex.of(candidates)
     first = index.find(candidates)
     unique, where = np.unique(first, return_inverse=True)
