@@ -15,7 +15,8 @@ by real trajectories), and gathers what they say. Every seed has a plant of its 
   hyperparameters are those of largest evidence (BoTorch's default).
 - coverage: share of the plants' parameters inside the 95 % intervals of P_boot.
 
-Figures and tables are left in runs/selection-*.
+Lists below are a value with its 95 % interval, then what the function's docstring names, then the
+number of cases. Figures and tables are left in runs/selection-*.
 
     python benchmarks/selection.py [--quick] [--stored]
 """
@@ -46,7 +47,7 @@ from bo_sysid.study.inputs import load_model
 ROOT = Path(__file__).parent.parent
 SEED_RULE = "argmin-entropy"
 STATED = 0.8
-EVERY, POINT_SEEDS = 4, 8  # without averaging: every fourth evaluation of the first eight seeds
+EVERY, POINT_SEEDS = 4, 12  # without averaging: every fourth evaluation of the first twelve seeds
 SAMPLES = 2048
 QUICK: dict[str, dict[str, Any]] = {
     "inner": {
@@ -84,48 +85,40 @@ def compared(name: str, quick: bool, stored: bool) -> Comparison:
     return found
 
 
-def costs(found: Comparison, unit: str) -> dict[str, Any]:
-    """Return mean costs by problem, arm and level."""
+def costs(found: Comparison, unit: str, level: float) -> dict[str, Any]:
+    """Return mean cost with its interval, share reached and runs, by problem and arm."""
     out: dict[str, Any] = {}
-    for row in found.summary.to_dict("records"):
-        at = out.setdefault(row["problem"], {}).setdefault(row["arm"], {})
-        at[f"{row['level']:g}"] = {
-            "mean": row[unit], "low": row[f"{unit}_low"], "high": row[f"{unit}_high"],
-            "reached": row["reached"], "runs": row["runs"],
-        }  # fmt: skip
+    for row in found.summary[found.summary["level"] == level].to_dict("records"):
+        told = [row[unit], row[f"{unit}_low"], row[f"{unit}_high"], row["reached"], row["runs"]]
+        out.setdefault(row["problem"], {})[row["arm"]] = told
     return out
 
 
 def ratios(found: Comparison, unit: str) -> dict[str, Any]:
-    """Return paired ratios against the first arm, over all problems together."""
+    """Return paired ratios against the first arm over all problems: ratio, low, high, p, pairs."""
     part = found.paired[found.paired["unit"] == unit]
     everywhere = part[part["problem"] == "all"]
     if everywhere.empty:
         everywhere = part
     out: dict[str, Any] = {}
     for row in everywhere.to_dict("records"):
-        out.setdefault(row["arm"], {})[f"{row['level']:g}"] = {
-            k: row[k] for k in ("ratio", "low", "high", "p", "pairs")
-        }
+        told = [row[k] for k in ("ratio", "low", "high", "p", "pairs")]
+        out.setdefault(row["arm"], {})[f"regret {row['level']:g}"] = told
     return out
 
 
 def agreement(found: Comparison) -> dict[str, Any]:
-    """Return how alike the seed's rule and each other pick, by problem."""
-    part = found.agreement[found.agreement["arm"] == SEED_RULE]
-    out: dict[str, Any] = {}
-    for row in part.to_dict("records"):
-        out.setdefault(row["other"], {})[row["problem"]] = {
-            "identical": row["identical"], "low": row["identical_low"],
-            "high": row["identical_high"], "pairs": row["pairs"], "overlap": row["overlap"],
-        }  # fmt: skip
-    return out
+    """Return on which share of seeds the seed's rule and greedy take one path, by problem."""
+    both = found.agreement
+    both = both[(both["arm"] == SEED_RULE) & (both["other"] == "greedy")]
+    columns = ["identical", "identical_low", "identical_high", "pairs", "overlap"]
+    return {row["problem"]: [row[c] for c in columns] for row in both.to_dict("records")}
 
 
-def rate(right: pd.Series) -> dict[str, Any]:
-    """Return how often something was right, with Wilson's interval."""
+def rate(right: pd.Series) -> list[float]:
+    """Return how often something was right, with Wilson's interval, and among how many."""
     told = share(int(right.sum()), len(right))
-    return {"right": told[0], "low": told[1], "high": told[2], "cases": len(right)}
+    return [*told, len(right)]
 
 
 def averaged(found: Comparison) -> dict[str, Any]:
@@ -143,7 +136,7 @@ def averaged(found: Comparison) -> dict[str, Any]:
         "by_problem": {
             str(name): rate(part["right"]) for name, part in sure.groupby("problem", sort=False)
         },
-        "curve": {str(k): v for k, v in curve.to_dict("index").items()},
+        "curve": {str(k): list(v.values()) for k, v in curve.to_dict("index").items()},
     }
 
 
@@ -228,8 +221,8 @@ def coverage(found: Comparison) -> dict[str, Any]:
     own = found.ends[(found.ends["arm"] == SEED_RULE) & (found.ends["uncertain"] > 0)]
     out: dict[str, Any] = {}
     for name, part in own.groupby("problem", sort=False):
-        mean, low, high = bootstrap((part["covered"] / part["uncertain"]).to_numpy(float))
-        out[str(name)] = {"covered": mean, "low": low, "high": high, "seeds": len(part)}
+        told = bootstrap((part["covered"] / part["uncertain"]).to_numpy(float))
+        out[str(name)] = [*told, len(part)]
     return out
 
 
@@ -253,14 +246,15 @@ def run(quick: bool, cases: Cases) -> dict[str, Any]:
         "coverage": coverage(inner),
         "agreement": agreement(inner),
         "ratio": ratios(inner, "evaluations"),
-        "cost": costs(inner, "evaluations"),
+        "evaluations_to_regret_0.01": costs(inner, "evaluations", 0.01),
+        "evaluations_to_regret_0": costs(inner, "evaluations", 0.0),
         "seconds_per_pick": seconds(inner),
     }
     outer = compared("outer", quick, cases.stored)
     figures["outer"] = {
         "seeds": int(outer.paths["seed"].nunique()),
         "final_regret": final(outer),
-        "cost": costs(outer, "trajectories"),
+        "trajectories_to_regret_0.05": costs(outer, "trajectories", 0.05),
         "ratio": ratios(outer, "trajectories"),
     }
     return figures
@@ -275,10 +269,7 @@ def final(found: Comparison) -> dict[str, Any]:
         top = best.loc[pd.MultiIndex.from_frame(part[["problem", "seed"]])].to_numpy()
         regret = bootstrap(1 - part["plant_return"].to_numpy() / top)
         spent = bootstrap(part["trajectories"].to_numpy(float))
-        out[str(arm)] = {
-            "regret": dict(zip(("mean", "low", "high"), regret, strict=True)),
-            "trajectories": dict(zip(("mean", "low", "high"), spent, strict=True)),
-        }
+        out[str(arm)] = {"regret": list(regret), "trajectories": list(spent)}
     return out
 
 
