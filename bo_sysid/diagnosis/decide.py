@@ -8,10 +8,11 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
-from bo_sysid.diagnosis.rules import Prior, admissible, criterion, inflation
+from bo_sysid.diagnosis.rules import ROUGH, Prior, admissible, criterion, inflation
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
-_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent
+_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; of the rms
+# where that is far above the sensors' noise
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
 
@@ -53,6 +54,9 @@ def decide(
         if leader is best:
             break
         best = leader
+    if best.rms > ROUGH:
+        score = _levelled(held, score, best, prior, Q, dof)
+        best = held[int(np.argmax(score))]
     order = np.argsort(-score)
     weight = np.exp(score - score.max())
     held = [held[i] for i in order]
@@ -73,12 +77,39 @@ def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
     return -0.5 * float(D.sum()) / inflation + prior.log(fit)
 
 
+def _levelled(
+    fits: Sequence[Fit],
+    score: Float[np.ndarray, " f"],
+    best: Fit,
+    prior: Prior,
+    Q: Float[np.ndarray, "W R k"],
+    dof: int,
+) -> Float[np.ndarray, " f"]:
+    """Return the scores where sets of one size that predict nearly the same differ by their prior.
+
+    Far from the recordings the model errs by more than such sets differ, and how far each was
+    fitted decides between them.
+    """
+    level = score[[f is best for f in fits].index(True)] - prior.log(best)
+    same = [
+        len(f.members) == len(best.members) and _apart(f, best, Q, dof) < _SAME * best.rms
+        for f in fits
+    ]
+    return np.where(same, [level + prior.log(f) for f in fits], score)
+
+
+def _apart(one: Fit, two: Fit, Q: Float[np.ndarray, "W R k"], dof: int) -> float:
+    """Return the rms difference of two fits' predictions in sigma."""
+    difference = project(Q, one.residual - two.residual)
+    return float(np.sqrt((difference**2).sum() / dof))
+
+
 def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int) -> bool:
     if not fit.members or _names(best) <= _names(fit):
         return False
-    apart = project(Q, fit.residual - best.residual)
-    distance = float(np.sqrt((apart**2).sum() / dof))
-    return gap < _BAND or (distance < _SAME and len(fit.members) <= len(best.members))
+    near = _SAME * (best.rms if best.rms > ROUGH else 1.0)
+    fewer = len(fit.members) <= len(best.members)
+    return gap < _BAND or (_apart(fit, best, Q, dof) < near and fewer)
 
 
 def _names(fit: Fit) -> set[tuple[str, str]]:
