@@ -27,7 +27,7 @@ _SETS = 6  # carried sets at most
 _STEPS = (-1.0, 0.0, 1.0)  # of the grid, in standard deviations about the fit
 _RELATIVE = 0.005  # of a magnitude, beside its standard deviation
 _FULL = 3  # magnitudes of a set up to which its grid is full; others vary one at a time
-_SAME = 0.02  # [sigma] difference of predictions below which two sets are one
+_SAME = 0.02  # of what they leave, at least of a sigma: difference of sets that are one
 _SURE = 0.5  # P_boot above which another set than the answer is worth a sentence
 _WINDOWS = 24
 _BUDGET = 30
@@ -107,7 +107,8 @@ def _shared(
     """Return the probabilities with sets that predict the same sharing theirs."""
     left = np.stack([project(Q, f.residual).ravel() for f in sets])
     apart = np.sqrt(((left[:, None] - left[None]) ** 2).sum(axis=-1) / dof)
-    same = (apart < _SAME).astype(float)
+    rms = np.array([f.rms for f in sets])
+    same = (apart < _SAME * np.maximum(1.0, np.minimum(rms[:, None], rms))).astype(float)
     return np.asarray(same @ share / same.sum(axis=1))
 
 

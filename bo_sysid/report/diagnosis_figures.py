@@ -138,7 +138,7 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.barh(place, shown["rms"] - left, left=left, color=colours, height=0.6)
     axis.set_xscale("log")
     largest = max(float(shown["rms"].max()), 2.0)
-    axis.set_xlim(left, left * (largest / left) ** 1.75)  # room for the words
+    axis.set_xlim(left, left * (largest / left) ** 2.0)  # room for the words
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.axvline(1.0, color=RECORDED, linewidth=1.0, linestyle="--")
     axis.text(1.0, len(shown) - 0.45, " sensor noise", fontsize="small", va="bottom")
