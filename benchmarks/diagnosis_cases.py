@@ -358,6 +358,8 @@ def draw(
             value = c.effect.reported(c.full(x), machine, c.site)
             full = tuple(c.full(x))
             found.append(Planted(effect, c.site.kind, c.site.name, full, target, value))
+    if len(found) < count:
+        return Case(rig, tuple(found), (), (), sigma)
     train, holdout = (
         simulate(
             model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre
