@@ -26,7 +26,7 @@ LARGE = ("six_motors", "six_servos")
 ROUNDS = 10
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
 SKIPPED = ("channel_swap", "sensor_sign", "timestep", "voltage_sag", "contact_friction",
-           "contact_softness", "contact_restitution", "backlash", "joint_compliance")  # fmt: skip
+           "contact_softness", "backlash", "joint_compliance")  # fmt: skip
 
 
 def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
