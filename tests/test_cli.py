@@ -195,6 +195,14 @@ def test_check_tells_what_fits_what(folder: Path, say: Say) -> None:
     assert not (folder / "runs").exists()
 
 
+def test_check_renders_the_model_or_says_what_to_install(folder: Path, say: Say) -> None:
+    code, out, _ = say("check", "arm.yaml", "--render", "--out", str(folder / "c"))
+    assert code == 0
+    drawn = (folder / "c" / "render.png").is_file()
+    assert ("works with MUJOCO_GL=" in out) == drawn
+    assert ("apt-get install libegl1" in out) != drawn
+
+
 def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> None:
     rows = LOG.splitlines()
     (folder / "log.csv").write_text("\n".join(rows[:20] + rows[30:]) + "\n")

@@ -1,6 +1,7 @@
 """`bo-sysid check`: what is wrong with a log, before anything is fitted."""
 
 import argparse
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ from bo_sysid.cli.common import Verbs, add_out, add_study, load_study
 
 if TYPE_CHECKING:
     from bo_sysid.checks.check import Checked
+    from bo_sysid.study import Study
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
@@ -21,6 +23,9 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     )
     add_study(parser)
     add_out(parser)
+    parser.add_argument(
+        "--render", action="store_true", help="also say whether MuJoCo can render on this machine"
+    )
     parser.set_defaults(run=run)
 
 
@@ -33,11 +38,32 @@ def run(args: argparse.Namespace) -> None:
 
     found = check(study, strict=args.strict)
     print(checked_text(found))
+    if args.render:
+        print(f"\n{rendering(study, args.out)}")
     if args.out is None:
         print("\n--out FOLDER writes the tables and a picture of each recording.")
     else:
         write(found, args.out)
         print(f"\n{args.out}: the tables, and a picture of each recording.")
+
+
+def rendering(study: "Study", folder: Path | None) -> str:
+    """Render the model, into a folder where one is given; say what did it, or what to do."""
+    from bo_sysid.report.render import rendered
+    from bo_sysid.study.inputs import load_model
+
+    with tempfile.TemporaryDirectory() as spare:
+        place = folder or Path(spare)
+        place.mkdir(parents=True, exist_ok=True)
+        model = Path(spare) / "model.xml"
+        load_model(study).export(model)
+        backend = rendered(model, {}, [], place / "render.png")
+    if backend is None:
+        return (
+            "Rendering: neither EGL nor OSMesa works here; sketches are drawn instead. "
+            "apt-get install libegl1 (with a GPU's driver or Mesa) or libosmesa6 provides one."
+        )
+    return f"Rendering: works with MUJOCO_GL={backend}."
 
 
 def write(found: "Checked", folder: Path) -> None:
