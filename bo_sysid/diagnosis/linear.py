@@ -12,27 +12,20 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.problem import Problem, Simulated, force_laws, observe
+from bo_sysid.diagnosis.points import Points, differ, matrices, points_along
+from bo_sysid.diagnosis.problem import Problem, observe
 from bo_sysid.effects import Force, Part
 from bo_sysid.simulation import (
-    Controller,
-    Engine,
-    ForceLaw,
     State,
     Trajectory,
-    tangent_difference,
 )
 
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
-_MOVE, _TURN = 1e-5, 1e-4  # perturbation of positions and of velocities
-_FORCE = 1e-2  # of the joint's typical force
 _BATCH = 24  # columns propagated at once
 
 
@@ -91,7 +84,7 @@ class Linear:
     B: Float[np.ndarray, "W K n nv"]
     E: Float[np.ndarray, "W K n nu"]
     ctrl: Float[np.ndarray, "W S nu"]
-    points: "Points"
+    points: Points
     J: Float[np.ndarray, "W R k"]
     Q: Float[np.ndarray, "W R k"]
     start_gain: Float[np.ndarray, "W k R"]
@@ -181,7 +174,7 @@ class Linear:
         model, parts = self.problem.compiled(added)
         new = parts[len(self.parts) :]
         w = self._nothing
-        if _differ(model, self.points.model):
+        if differ(model, self.points.model):
             step = self.points.stepped(model) - self.points.base
             w = w + self._held(step.reshape(len(self.start), -1, self.A.shape[-1]))
         for part in new:
@@ -263,69 +256,6 @@ class Linear:
         return out.reshape(len(node), -1, s.shape[-1])
 
 
-@dataclass(frozen=True)
-class Points:
-    """The states, one each `hold` macro steps, at which the model is stepped for differences.
-
-    Attributes:
-        model: of the hypothesis.
-        coordinates: where it keeps the nominal coordinates.
-        engine: steps it.
-        laws: of the nominal model and of the hypothesis.
-        state: `P` states of that model.
-        ctrl: controls during the macro step.
-        signals: recorded inputs during it.
-        base: where the macro step ends.
-    """
-
-    model: mujoco.MjModel
-    coordinates: Coordinates
-    engine: Engine
-    laws: tuple[Controller | ForceLaw, ...]
-    state: State
-    ctrl: Float[np.ndarray, "P macro nu"]
-    signals: Mapping[str, Float[np.ndarray, "P macro"]]
-    base: Float[np.ndarray, "P n"]
-
-    def stepped(
-        self,
-        model: mujoco.MjModel | None = None,
-        state: State | None = None,
-        ctrl: np.ndarray | None = None,
-        force: np.ndarray | None = None,
-    ) -> Float[np.ndarray, "P n"]:
-        """Return the nominal coordinates after one macro step, positions from where it began."""
-        model = model or self.model
-        t = self.engine.rollout(
-            model,
-            state or self.state,
-            self.ctrl if ctrl is None else ctrl,
-            force=force,
-            laws=self.laws,
-            signals=self.signals,
-        )
-        at, c = self.state, self.coordinates
-        moved = tangent_difference(model, t.qpos[:, -1], at.qpos)
-        speed = t.qvel[:, -1]
-        shown_moved, shown_speed = moved[:, c.qvel], speed[:, c.qvel]
-        for _, v, _, hidden, share in c.shown:
-            shown_moved[:, v] += share * moved[:, hidden]
-            shown_speed[:, v] += share * speed[:, hidden]
-        return np.concatenate([shown_moved, shown_speed, t.act[:, -1][:, c.act]], axis=1)
-
-    def perturbed(self, k: int, size: float) -> State:
-        """Return the states with one nominal coordinate changed: position, velocity, activation."""
-        nv = len(self.coordinates.qvel)
-        if k >= 2 * nv:
-            act = self.state.act.copy()
-            act[:, self.coordinates.act[k - 2 * nv]] += size
-            return replace(self.state, act=act)
-        tangent = np.zeros((len(self.state), 2 * self.model.nv))
-        column = int(self.coordinates.qvel[k % nv])
-        tangent[:, column if k < nv else self.model.nv + column] = size
-        return self.state.moved(self.model, tangent)
-
-
 def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     """Linearise the simulator along the prediction of a hypothesis."""
     s = problem.simulate(hypothesis, start)
@@ -333,8 +263,8 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     hold = max(round(_HOLD / (macro * s.windows.timestep)), 1)
     spare = -s.ctrl.shape[1] % macro
     ctrl = np.pad(s.ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
-    points = _points(problem, s, ctrl, macro, hold)
-    A, B, E = _matrices(problem, points, len(start))
+    points = points_along(problem, s, ctrl, macro, hold)
+    A, B, E = matrices(problem, points, len(start))
     W, nv = len(start), problem.machine.model.nv
     empty = np.zeros((W, problem.count, 0))
     linear = Linear(
@@ -349,71 +279,8 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     return replace(linear, J=J, Q=Q, start_gain=gain)
 
 
-def _points(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: int) -> Points:
-    last = s.whole.qpos.shape[1] - 1
-    rows = np.minimum(np.arange(0, ctrl.shape[1] // macro, hold) * macro, last)
-
-    def flat(values: np.ndarray) -> np.ndarray:
-        return values[:, rows].reshape(len(values) * len(rows), values.shape[-1])
-
-    state = State(flat(s.whole.qpos), flat(s.whole.qvel), flat(s.whole.act))
-    inputs = rows[:, None] + np.arange(macro)
-    spare = ctrl.shape[1] - s.ctrl.shape[1]
-    signals = {
-        n: np.pad(v, ((0, 0), (0, spare)), mode="edge")[:, inputs].reshape(-1, macro)
-        for n, v in s.windows.signals.items()
-    }
-    points = Points(
-        s.model,
-        s.coordinates,
-        Engine(problem.engine.threads),
-        (*problem.laws, *force_laws(s.parts)),
-        state,
-        ctrl[:, inputs].reshape(len(state), macro, ctrl.shape[-1]),
-        signals,
-        np.zeros((len(state), 2 * len(s.coordinates.qvel) + len(s.coordinates.act))),
-    )
-    return replace(points, base=points.stepped())
-
-
-def _matrices(
-    problem: Problem, points: Points, W: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    c = points.coordinates
-    nv, n, P = len(c.qvel), points.base.shape[1], len(points.state)
-    A, B = np.empty((P, n, n)), np.empty((P, n, nv))
-    E = np.empty((P, n, points.ctrl.shape[-1]))
-    for k in range(n):
-        size = _MOVE if k < nv else _TURN
-        A[..., k] = (points.stepped(state=points.perturbed(k, size)) - points.base) / size
-    scale = {j.dof: j.force for j in problem.machine.joints.values()}
-    for k in range(nv):
-        size = _FORCE * scale.get(k, 1.0)
-        force = np.zeros((P, points.ctrl.shape[1], points.model.nv))
-        force[..., c.qvel[k]] = size
-        B[..., k] = (points.stepped(force=force) - points.base) / size
-    for k, name in enumerate(problem.model.ctrl_channels):
-        actuator = problem.machine.actuators.get(name.removeprefix("ctrl."))
-        size = 1e-3 * max(actuator.ctrl_max if actuator else 1.0, 1e-6)
-        ctrl = points.ctrl.copy()
-        ctrl[..., k] += size
-        E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / size
-    return tuple(a.reshape(W, P // W, *a.shape[1:]) for a in (A, B, E))  # type: ignore[return-value]
-
-
 def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:
     """Return the mean of `W x S x nu` over each macro step."""
     spare = macros * macro - values.shape[1]
     padded = np.pad(values, ((0, 0), (0, spare), (0, 0)), mode="edge")
     return np.asarray(padded.reshape(len(values), macros, macro, -1).mean(axis=2))
-
-
-def _differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
-    """Whether two compiled models differ in anything."""
-    size = mujoco.mj_sizeModel(one)
-    if size != mujoco.mj_sizeModel(two):
-        return True
-    buffers = [np.empty(size, np.uint8) for _ in range(2)]
-    mujoco.mj_saveModel(one, None, buffers[0])
-    mujoco.mj_saveModel(two, None, buffers[1])
-    return bool((buffers[0] != buffers[1]).any())
