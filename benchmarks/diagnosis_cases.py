@@ -377,6 +377,7 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
     machine = survey(model.compile(), [nominal])
     joint = list(machine.joints)[int(rng.integers(len(machine.joints)))]
     size, at = float(np.exp(rng.uniform(np.log(0.05), np.log(0.3)))), float(rng.uniform(0.3, 0.7))
+    plain = simulate(model, setting, None, (), seed=seed + 1, duration=20.0, sigma=sigma)
     for _ in range(_TRIES):
         law = strange_force(kind, machine, joint, size, at)
         train, holdout = (
@@ -386,7 +387,7 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
             )
             for k in (1, 2)
         )  # fmt: skip
-        if not _runs_away(train, nominal):
+        if not _runs_away(train, plain):
             break
         size = 0.6 * size
     return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
