@@ -6,7 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.simulation import Controller, Engine, ForceLaw, LawInputs, State
+from bo_sysid.simulation import (
+    Controller,
+    Engine,
+    ForceLaw,
+    LawInputs,
+    State,
+    tangent_difference,
+)
 
 PENDULUM = """<mujoco><option timestep="0.001" integrator="{integrator}"/><worldbody>
   <body name="rod"><joint name="hinge" axis="0 1 0" damping="{damping}"/>
@@ -178,3 +185,25 @@ def test_final_equals_the_end_of_a_rollout() -> None:
     state, diverged = engine.final(pendulum(0.2), start, held, steps=4)
     np.testing.assert_array_equal(state, np.hstack([whole.qpos[:, -1], whole.qvel[:, -1]]))
     assert not diverged.any()
+
+
+def test_states_move_and_differ_as_mujoco_has_it() -> None:
+    xml = """<mujoco><worldbody>
+      <body><freejoint/><geom size=".1"/>
+        <body><joint type="hinge"/><geom size=".1"/>
+          <body><joint type="ball"/><geom size=".1"/></body></body></body>
+      <body><joint type="slide"/><geom size=".1"/></body></worldbody></mujoco>"""
+    model, rng = mujoco.MjModel.from_xml_string(xml), np.random.default_rng(0)
+    qpos = rng.normal(size=(20, model.nq))
+    for q in qpos:
+        mujoco.mj_normalizeQuat(model, q)
+    change = rng.normal(size=(20, model.nv))
+    state = State(qpos, np.zeros((20, model.nv)), np.zeros((20, 0)))
+    moved = state.moved(model, np.hstack([change, change]))
+    np.testing.assert_allclose(moved.qvel, change)
+    expected, difference = qpos.copy(), np.empty((20, model.nv))
+    for k in range(20):
+        mujoco.mj_integratePos(model, expected[k], change[k], 1.0)
+        mujoco.mj_differentiatePos(model, difference[k], 1.0, qpos[k], expected[k])
+    np.testing.assert_allclose(moved.qpos, expected, atol=1e-12)
+    np.testing.assert_allclose(tangent_difference(model, moved.qpos, qpos), difference, atol=1e-9)

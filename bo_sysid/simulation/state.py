@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from scipy.spatial.transform import Rotation
 
 from bo_sysid.arrays import Act, Qpos, Qvel
 
@@ -60,16 +61,17 @@ class State:
         """Return the states moved along their tangent space.
 
         Args:
-            model: gives the joints; quaternions are integrated by `mj_integratePos`.
+            model: gives the joints; quaternions are turned as `mj_integratePos` turns them.
             tangent: `W x 2 nv`, change of position in [m] or [rad], then change of velocity.
         """
         nv = model.nv
-        if model.nq == nv:
-            qpos = self.qpos + tangent[:, :nv]
-        else:
-            qpos = self.qpos.copy()
-            for row, change in zip(qpos, tangent[:, :nv], strict=True):
-                mujoco.mj_integratePos(model, row, change, 1.0)
+        plain, moves, turns = _coordinates(model)
+        qpos = np.array(self.qpos, float)
+        qpos[:, plain] += tangent[:, moves]
+        for q, v in turns:
+            at = Rotation.from_quat(qpos[:, q : q + 4], scalar_first=True)
+            turned = at * Rotation.from_rotvec(tangent[:, v : v + 3])
+            qpos[:, q : q + 4] = turned.as_quat(scalar_first=True)
         return replace(self, qpos=qpos, qvel=self.qvel + tangent[:, nv:], warmstart=None)
 
 
@@ -113,14 +115,40 @@ def tangent_difference(
 ) -> Float[np.ndarray, "... nv"]:
     """Return `left - right` in the tangent space of the joints, in [m] or [rad].
 
-    Hinge and slide joints subtract; quaternions use `mj_differentiatePos`.
+    Hinge and slide joints subtract; of quaternions it is the rotation vector from right to left, in
+    the frame of the body, as `mj_differentiatePos` has it.
     """
     if model.nq == model.nv:
         return np.asarray(left - right)
     shape = np.broadcast_shapes(left.shape, right.shape)
     flat_left = np.broadcast_to(left, shape).reshape(-1, model.nq)
     flat_right = np.broadcast_to(right, shape).reshape(-1, model.nq)
+    plain, moves, turns = _coordinates(model)
     out = np.empty((len(flat_left), model.nv))
-    for row, a, b in zip(out, flat_right, flat_left, strict=True):
-        mujoco.mj_differentiatePos(model, row, 1.0, a, b)
+    out[:, moves] = flat_left[:, plain] - flat_right[:, plain]
+    for q, v in turns:
+        one, two = (
+            Rotation.from_quat(values[:, q : q + 4], scalar_first=True)
+            for values in (flat_right, flat_left)
+        )
+        out[:, v : v + 3] = (one.inv() * two).as_rotvec()
     return out.reshape(*shape[:-1], model.nv)
+
+
+def _coordinates(
+    model: mujoco.MjModel,
+) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], tuple[tuple[int, int], ...]]:
+    """Return columns of qpos that add, those of qvel that move them, and (qpos, qvel) of turns."""
+    plain: list[int] = []
+    moves: list[int] = []
+    turns: list[tuple[int, int]] = []
+    for j in range(model.njnt):
+        q, v, kind = (int(a[j]) for a in (model.jnt_qposadr, model.jnt_dofadr, model.jnt_type))
+        count = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(
+            kind, 1
+        )
+        plain += range(q, q + count)
+        moves += range(v, v + count)
+        if count != 1:
+            turns.append((q + count, v + count))
+    return np.array(plain, int), np.array(moves, int), tuple(turns)
