@@ -68,6 +68,24 @@ def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
     assert decided(nominal, weak).best is nominal
 
 
+@pytest.mark.parametrize(("deviations", "stays"), [(8.0, True), (2.0, False)])
+def test_a_small_member_of_a_group_stays_where_it_is_surely_there(
+    machine, deviations: float, stays: bool
+) -> None:
+    # two joints that pass the margin, and a third below it
+    members = (
+        *(candidate(machine, "armature", j) for j in ("shoulder", "elbow")),
+        candidate(machine, "dry_friction", "elbow"),
+    )
+    variance = [1e-9, 1e-9, (members[2].probe[0] / deviations) ** 2]
+    three = replace(
+        fit(members, 1.0), groups=("armature",) * 3, unique=(5.0, 5.0, 0.1),
+        covariance=np.diag(variance),
+    )  # fmt: skip
+    assert admissible(three, fit((), 5.0)) == stays
+    assert not admissible(replace(three, groups=(None,) * 3), fit((), 5.0))
+
+
 def test_nothing_is_preferred_where_nothing_is_gained(machine) -> None:
     nominal = fit((), 1.0)
     useless = fit((candidate(machine, "armature", "elbow"),), 0.9999, unique=0.3)

@@ -6,7 +6,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rules import MARGIN, ranked, required, sizes
+from bo_sysid.diagnosis.rules import MARGIN, ranked, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared
@@ -58,13 +58,12 @@ def eliminate(search: Search, steps: int = 14) -> None:
     """Leave out what is too small until the leading set is admissible."""
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
-            need = required(f, search.nominal)
-            weak = [k for k, u in enumerate(sizes(f, search.fits.values())) if u < need]
-            if not weak:
+            small = weak(f, search.nominal, search.fits.values())
+            if not small:
                 return
             before = len(search.fits)
             search.simplify(f, FINAL)
-            members, x = subset(f, _without_weak(f, weak))
+            members, x = subset(f, _without_weak(f, small))
             if set_key(members) not in search.fits:
                 search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
             if len(search.fits) > before:

@@ -3,9 +3,12 @@
 Constants were fixed on development cases; see the benchmark of the diagnosis.
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import comb, log, sqrt
+
+import numpy as np
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
@@ -13,6 +16,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
+_THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 
@@ -87,10 +91,37 @@ def _without(fit: Fit, rest: frozenset[tuple[object, ...]], member: Candidate) -
     return all(c.key == simpler or k in rest for c in fit.members for k in set_key([c]))
 
 
+def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
+    """Return the members that are smaller than what stays unexplained.
+
+    Where at least two members of a group, and half of them, are large enough, the others stay as
+    long as the recordings show that they are there: what all joints have is not small by chance.
+    """
+    need, found = required(fit, nominal), sizes(fit, fits)
+    large = [u >= need for u in found]
+    held = Counter(g for g, ok in zip(fit.groups, large, strict=True) if ok)
+    standing = {
+        g for g, n in Counter(fit.groups).items() if g is not None and held[g] >= max(2.0, 0.5 * n)
+    }
+    excused = [fit.rms <= ROUGH and g in standing for g in fit.groups]
+    sure = significance(fit)
+    return [k for k, ok in enumerate(large) if not ok and not (excused[k] and sure[k] > _THERE)]
+
+
+def significance(fit: Fit) -> list[float]:
+    """Return for each member how many standard deviations its magnitudes are from nothing."""
+    found, first = [], 0
+    for x in fit.x:
+        own = slice(first, first + len(x))
+        first += len(x)
+        inverse = np.linalg.pinv(fit.covariance[own, own], hermitian=True)
+        found.append(sqrt(max(float(x @ inverse @ x), 0.0)))
+    return found
+
+
 def admissible(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> bool:
-    """Whether every member is at least as large as what stays unexplained."""
-    need = required(fit, nominal)
-    return all(u >= need for u in sizes(fit, fits))
+    """Whether every member is needed."""
+    return not weak(fit, nominal, fits)
 
 
 def clean(fit: Fit) -> bool:
