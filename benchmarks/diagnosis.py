@@ -154,6 +154,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "unknown_closed": share(of("unknown"), closed),
         "unknown_named": share(of("unknown"), lambda r: bool(r["found"]) and not r["flagged"]),
         "groups": share(of("group"), lambda r: r["right"]),
+        "groups_within_10": share(of("group"), _near),
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),
@@ -170,6 +171,12 @@ def _share(marks: Sequence[bool]) -> list[float | None]:
     found = binomtest(sum(marks), len(marks))
     low, high = found.proportion_ci()
     return [round(found.statistic, 4), len(marks), round(low, 3), round(high, 3)]
+
+
+def _near(row: dict) -> bool:
+    """Whether every planted magnitude was found within 10 %."""
+    found = {(e, s): x for e, s, x in row["found"]}
+    return all(abs(found.get((e, s), np.inf) / x - 1) < 0.1 for e, s, x, _ in row["truth"])
 
 
 def _closed(errors: list[float]) -> float:
