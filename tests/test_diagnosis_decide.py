@@ -86,6 +86,14 @@ def test_a_small_member_of_a_group_stays_where_it_is_surely_there(
     assert not admissible(replace(three, groups=(None,) * 3), fit((), 5.0))
 
 
+def test_shapes_of_one_effect_are_no_rivals(machine) -> None:
+    holds = candidate(machine, "dry_friction", "elbow")
+    creeps = holds.with_shapes(np.array([0.0]))
+    decision = decided(fit((), 5.0), fit((holds,), 1.0), fit((creeps,), 1.0002, seed=0))
+    assert [f.members for f in decision.fits if f.members] == [(holds,)]
+    assert decision.equivalents == ()
+
+
 def test_nothing_is_preferred_where_nothing_is_gained(machine) -> None:
     nominal = fit((), 1.0)
     useless = fit((candidate(machine, "armature", "elbow"),), 0.9999, unique=0.3)

@@ -1,6 +1,6 @@
 """Decide between the sets that were fitted, on the training recordings alone."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,7 @@ def decide(
     """
     held = [f for f in fits if np.isfinite(f.cv.sum()) and admissible(f, nominal, fits)]
     kappa = inflation(fits)
+    held = _one_of_each(held, lambda f: criterion(f, kappa, prior))
     best = min(held, key=lambda f: criterion(f, kappa, prior))
     for _ in range(_ROUNDS):
         score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
@@ -67,6 +68,14 @@ def decide(
         if f is not best and _equivalent(f, best, float(score[0] - score[k]), Q, dof)
     ]
     return Decision(best, nominal, tuple(held), weight, tuple(near))
+
+
+def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:
+    """Return the best of the fits that name the same effects at the same sites."""
+    found: dict[frozenset[tuple[str, str]], Fit] = {}
+    for f in sorted(fits, key=cost):
+        found.setdefault(frozenset(c.key for c in f.members), f)
+    return list(found.values())
 
 
 def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
