@@ -1,6 +1,6 @@
 """The controls that laws write, along what was recorded: they give the scales of the actuators."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -39,12 +39,8 @@ def _one(model: mujoco.MjModel, recording: Recording, laws: Sequence[Controller]
     step = float(np.median(np.diff(time)))
     made: dict[str, Channel] = {}
     for law in laws:
-        inputs = LawInputs(time - time[0], qpos, qvel, _known(ctrl), held, step)
+        inputs = LawInputs(time - time[0], qpos, qvel, dict(ctrl), held, step)
         ctrl[law.actuator] = np.broadcast_to(np.asarray(law.law(inputs), float), time.shape)
         name = f"ctrl.{law.actuator}"
         made[name] = Channel(time, ctrl[law.actuator], "", f"{recording.name}: {name}", "zero")
     return Recording(recording.name, {**recording.channels, **made}, recording.notes)
-
-
-def _known(ctrl: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    return dict(ctrl)

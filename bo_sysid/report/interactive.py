@@ -119,7 +119,7 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
     figure.update_layout(showlegend=False)
     largest = float(np.log10(max(float(shown["rms"].max()), 2.0)))
     figure.update_xaxes(
-        type="log", range=[-0.15, 1.35 * largest + 0.2], title="unexplained [sensor sigma, rms]"
+        type="log", range=[-0.15, 1.7 * largest + 0.3], title="unexplained [sensor sigma, rms]"
     )
     labels = [_said(s).replace(" + ", "<br>+ ") for s in shown["set"]]
     figure.update_yaxes(automargin=True, tickvals=place, ticktext=labels)

@@ -27,6 +27,8 @@ _LARGEST = 300_000  # bytes of a picture in the page
 _CHANNELS = 12  # of a page; all are in the run folder
 _FILES = {
     "model_repaired.xml": "the repaired model, MJCF that plain MuJoCo loads",
+    "model_repaired.json": "what stands beside it because MJCF cannot express it",
+    "next_experiment.csv": "the controls of what to record next",
     "study_repaired.yaml": "the study that goes on with it",
     "model_identified.xml": "the model with the identified parameters",
     "diagnosis.json": "the diagnosis, to be read by programs",
