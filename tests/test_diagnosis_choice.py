@@ -17,23 +17,23 @@ from bo_sysid.effects import CATALOGUE
 from bo_sysid.study.outer import Limit
 
 
-def located(recording, effects) -> Located:
+def located(*recordings, effects) -> Located:
     noise = {"qpos": SIGMA}
     chosen = [CATALOGUE[e] for e in effects]
-    return locate(make_evidence(arm(), [recording], effects=chosen, noise=noise, threads=1))
+    return locate(make_evidence(arm(), recordings, effects=chosen, noise=noise, threads=1))
 
 
 @pytest.fixture(scope="module")
 def friction() -> Located:
     missing = [("dry_friction", "joint", "elbow", [0.02])]
-    return located(record(missing, duration=6.0), ("dry_friction", "viscous_damping"))
+    return located(record(missing, duration=6.0), effects=("dry_friction", "viscous_damping"))
 
 
 @pytest.fixture(scope="module")
 def rotor() -> Located:
     """A rotor's inertia at a vertical base, which is the link's own about that axis."""
     missing = [("armature", "joint", "shoulder", [0.01])]
-    return located(record(missing, duration=6.0), ("armature", "link_inertia"))
+    return located(record(missing, duration=6.0), effects=("armature", "link_inertia"))
 
 
 def test_the_search_of_the_argmin_finds_the_set_that_is_there(friction) -> None:
@@ -90,3 +90,13 @@ def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
         data.ctrl[:] = row[["ctrl.shoulder", "ctrl.elbow"]]
         mujoco.mj_step(model, data)
         assert np.abs(data.qpos).max() < 0.62
+
+
+def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> None:
+    spring = [("joint_spring", "joint", "elbow", [0.15, 0.0])]
+    with_it, without = record(spring, duration=4.0, seed=1), record(duration=4.0, seed=2)
+    found = located(with_it, without, effects=("joint_spring",))
+    outcome = explain(found)
+    assert outcome.fit.members == ()
+    assert outcome.unexplained.flagged
+    assert outcome.sessions.table.empty

@@ -159,8 +159,7 @@ def _motions(problem: Problem) -> Iterator[tuple[str, Float[np.ndarray, "T nu"]]
     names = [c.removeprefix("ctrl.") for c in problem.model.ctrl_channels]
     if any(isinstance(w, Controller) for w in problem.laws) or not names:
         return
-    held = [[r.channels[f"ctrl.{n}"].values for r in problem.recordings] for n in names]
-    low, high = (np.array([edge([edge(v) for v in h]) for h in held]) for edge in (np.min, np.max))
+    low, high = (edge(problem.windows.ctrl, axis=(0, 1)) for edge in (np.min, np.max))
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     phase = np.arange(len(names))
     for rate, word in ((_SLOW, "slow"), (_MIDDLE, "medium"), (_FAST, "fast")):
@@ -187,7 +186,7 @@ def _kept(
     for _ in range(_TRIES):
         one = _posed(problem, _still(problem, controls), len(controls) - 1)
         told = one.simulate(best.hypothesis, one.windows.start)
-        over = limits.violation(told.model, told.trajectory, told.ctrl, 1.0)[0]
+        over = limits.violation(problem.machine.model, told.trajectory, told.ctrl, 1.0)[0]
         if over == 0.0 and _within_reach(problem, stated, told.trajectory):
             return controls, _shown(one, told, controls)
         controls = middle + _SMALLER * (controls - middle)

@@ -93,7 +93,11 @@ def explain(located: Located) -> Outcome:
     if unknown.joint is not None:
         kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
         fit = _without(located, fit, kept)
+    named = fit.key
     fit, sessions = _agreed(located, fit)
+    if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
+        unknown = examine(problem, replace(decision, best=fit))
+        unexplained = _said(unknown)
     repaired = fit.hypothesis
     if unknown.joint is not None:
         repaired = learn(problem, fit, unknown)[0]
