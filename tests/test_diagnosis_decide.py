@@ -61,11 +61,27 @@ def test_a_second_effect_below_the_margin_is_not_admitted(machine) -> None:
 
 
 def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
-    nominal = fit((), 5.0)
+    nominal = fit((), 3.5)
     weak = fit((candidate(machine, "dry_friction", "elbow"),), 3.0, unique=2.0)
     assert required(weak, nominal) == pytest.approx(np.sqrt(8.0))
     assert not admissible(weak, nominal)
     assert decided(nominal, weak).best is nominal
+
+
+def test_far_off_an_effect_is_as_large_as_the_best_fit_without_it_leaves(machine) -> None:
+    nominal = fit((), 5.0)  # 4 sigma beyond the fit, where the linear model sees 2
+    strong = fit((candidate(machine, "dry_friction", "elbow"),), 3.0, unique=2.0)
+    assert decided(nominal, strong).best is strong
+
+
+def test_sets_that_differ_by_less_than_both_leave_are_told_apart_by_nothing(machine) -> None:
+    one = fit((candidate(machine, "payload", "forearm"),), 2.0)
+    other = replace(
+        fit((candidate(machine, "link_mass", "forearm"),), 1.99),
+        residual=one.residual + 0.01,
+    )
+    decision = decided(fit((), 9.0, seed=3), one, other)
+    assert decision.probability[:2] == pytest.approx([0.5, 0.5])
 
 
 @pytest.mark.parametrize(("deviations", "stays"), [(8.0, True), (2.0, False)])
@@ -106,6 +122,16 @@ def test_sets_with_the_same_predictions_are_equivalent(machine) -> None:
         fit((candidate(machine, "link_mass", "forearm"),), 1.0), residual=one.residual, cv=one.cv
     )
     decision = decided(fit((), 5.0, seed=3), one, other)
+    assert {decision.best, *decision.equivalents} == {one, other}
+
+
+def test_a_set_with_one_member_exchanged_is_an_equivalent_though_a_hair_too_weak(machine) -> None:
+    shared = candidate(machine, "dry_friction", "elbow")
+    payload, mass = (candidate(machine, e, "forearm") for e in ("payload", "link_mass"))
+    one = fit((shared, payload), 1.5, unique=1.2)
+    other = replace(fit((shared, mass), 1.5, unique=1.1), cv=one.cv, residual=one.residual)
+    assert not admissible(other, fit((), 9.0))
+    decision = decided(fit((), 9.0, seed=3), one, other)
     assert {decision.best, *decision.equivalents} == {one, other}
 
 

@@ -19,6 +19,7 @@ from bo_sysid.runs import plain
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
 _ALTERNATIVES = 5
+_EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
 
@@ -100,9 +101,8 @@ def make_answer(
     best, kept = decision.best, outcome.fit
     none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged else _UNHEARD
     posterior = (1.0 - none_of_these) * decision.probability
-    same = kept.key == best.key
-    equivalents = decision.equivalents[:3] if same else ()
-    found = findings(kept, machine, float(posterior[decision.fits.index(best)]), equivalents)
+    probability = float(posterior[decision.fits.index(best)])
+    found = findings(kept, machine, probability, _equivalents(decision, kept, machine))
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)
@@ -119,6 +119,21 @@ def make_answer(
         outcome.unexplained,
         experiment,
     )
+
+
+def _equivalents(
+    decision: Decision, kept: Fit, machine: Machine
+) -> tuple[tuple[Mapping[str, Any], ...], ...]:
+    """Return the sets told apart by nothing, without the names that a learned law replaced."""
+    named_at = {c.key for c in kept.members}
+    out = {c.key for c in decision.best.members} - named_at
+    found: dict[frozenset[Any], tuple[Mapping[str, Any], ...]] = {}
+    for fit in decision.equivalents[:_EQUIVALENTS]:
+        rest = tuple(m for m in named(fit, machine) if (m["effect"], m["site"]) not in out)
+        key = frozenset((m["effect"], m["site"]) for m in rest)
+        if rest and key != named_at:
+            found.setdefault(key, rest)
+    return tuple(found.values())
 
 
 def verdict(found: Sequence[Finding], unexplained: Unexplained) -> Verdict:

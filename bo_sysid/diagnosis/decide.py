@@ -11,8 +11,8 @@ from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.rules import ROUGH, Prior, admissible, criterion, inflation
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
-_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; of the rms
-# where that is far above the sensors' noise
+_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
+# what they leave is far above the sensors' noise
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
 
@@ -43,21 +43,27 @@ def decide(
 
     Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
     to the best set; κ grows with the variance of D between blocks where that is larger than the
-    one of two nearly true models. Only sets whose every member is needed are admitted.
+    one of two nearly true models. Only sets whose every member is needed are admitted, and those
+    that stand for the best of them as well as it does itself.
     """
-    held = [f for f in fits if np.isfinite(f.cv.sum()) and admissible(f, nominal, fits)]
+    able = [f for f in fits if np.isfinite(f.cv.sum())]
     kappa = inflation(fits)
-    held = _one_of_each(held, lambda f: criterion(f, kappa, prior))
-    best = min(held, key=lambda f: criterion(f, kappa, prior))
+
+    def cost(fit: Fit) -> float:
+        return criterion(fit, kappa, prior)
+
+    admitted = [f for f in able if admissible(f, nominal, fits)]
+    best = min(admitted, key=cost)
+    like = [f for f in able if _is_like(f, best, Q, dof, cost(f) - cost(best))]
+    held = _one_of_each([*admitted, *(f for f in like if f not in admitted)], cost)
     for _ in range(_ROUNDS):
         score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
         leader = held[int(np.argmax(score))]
         if leader is best:
             break
         best = leader
-    if best.rms > ROUGH:
-        score = _levelled(held, score, best, prior, Q, dof)
-        best = held[int(np.argmax(score))]
+    score = _levelled(held, score, best, prior, Q, dof)
+    best = held[int(np.argmax(score))]
     order = np.argsort(-score)
     weight = np.exp(score - score.max())
     held = [held[i] for i in order]
@@ -68,6 +74,17 @@ def decide(
         if f is not best and _equivalent(f, best, float(score[0] - score[k]), Q, dof)
     ]
     return Decision(best, nominal, tuple(held), weight, tuple(near))
+
+
+def _is_like(fit: Fit, best: Fit, Q: Float[np.ndarray, "W R k"], dof: int, worse: float) -> bool:
+    """Whether a fit stands for the best one: the same predictions, or one member exchanged."""
+    if len(fit.members) != len(best.members):
+        return False
+    shared = len(_names(fit) & _names(best))
+    exchanged = len(best.members) > 1 and shared == len(best.members) - 1
+    return bool(best.members) and (
+        (exchanged and worse < _BAND) or _apart(fit, best, Q, dof) < _SAME
+    )
 
 
 def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:
@@ -96,12 +113,13 @@ def _levelled(
 ) -> Float[np.ndarray, " f"]:
     """Return the scores where sets of one size that predict nearly the same differ by their prior.
 
-    Far from the recordings the model errs by more than such sets differ, and how far each was
-    fitted decides between them.
+    Nearly is little beside what all of them leave, E = √(rms² - 1): there how far each was fitted
+    decides between them, not the machine.
     """
     level = score[[f is best for f in fits].index(True)] - prior.log(best)
     same = [
-        len(f.members) == len(best.members) and _apart(f, best, Q, dof) < _SAME * best.rms
+        len(f.members) == len(best.members)
+        and _apart(f, best, Q, dof) < _SAME * np.sqrt(best.excess)
         for f in fits
     ]
     return np.where(same, [level + prior.log(f) for f in fits], score)

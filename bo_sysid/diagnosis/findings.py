@@ -1,6 +1,6 @@
 """Findings: what a fit says in numbers and in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +80,13 @@ class Finding:
 
 
 def findings(
-    fit: Fit, machine: Machine, probability: float, equivalents: Sequence[Fit]
+    fit: Fit,
+    machine: Machine,
+    probability: float,
+    equivalents: tuple[tuple[Mapping[str, object], ...], ...],
 ) -> tuple[Finding, ...]:
     """Return the findings of a fit."""
     found, first = [], 0
-    others = tuple(named(e, machine) for e in equivalents)
     for candidate, x, label in zip(fit.members, fit.x, fit.groups, strict=True):
         own = slice(first, first + candidate.size)
         first += candidate.size
@@ -101,7 +103,7 @@ def findings(
                 _details(candidate, x, fit.covariance[own, own], machine),
                 _group_words(label, candidate, fit),
                 probability,
-                others,
+                equivalents,
                 sentence(candidate, quantity, before),
                 tuple(float(v) for v in candidate.full(x)),
             )

@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.tables import traces
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
+_AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
 
@@ -55,6 +56,10 @@ class Holdout:
             f"Forecast error on the unseen recording {verb} from {before:.3g} to {after:.3g} "
             f"sensor sigmas; the noise floor is {floor:.3g}."
         )
+        if after > max(1.02 * before, _AT_FLOOR * floor):
+            return (text, "The unseen recording does not confirm the repair.")
+        if after > _AT_FLOOR * floor:
+            return (text, "The floor is not reached: something else is missing as well.")
         return (text,)
 
     def as_json(self) -> dict[str, Any]:

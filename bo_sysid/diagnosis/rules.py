@@ -18,6 +18,7 @@ SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
+LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted alone
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 
 
@@ -74,7 +75,7 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     from a set to the same set without a member, it is what the best fit without the member leaves
     beyond this one, √(rms₀² - rms²), if that is more.
     """
-    if fit.rms <= ROUGH:
+    if fit.rms <= LOOSE:
         return fit.unique
     others = tuple(fits)
     found = []

@@ -212,7 +212,7 @@ class Search(Section):
     """grid, or {sobol: number of points}."""
     refine: bool = False
     """Zoom into a new discrete set around the mass of P."""
-    acquisition: Name = "argmin-entropy"
+    acquisition: Name = "max-value-entropy"
     """Which candidate is tried next."""
     budget: Count = 60
     """Most evaluations of the deviation."""
