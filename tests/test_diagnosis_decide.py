@@ -135,6 +135,15 @@ def test_a_set_with_one_member_exchanged_is_an_equivalent_though_a_hair_too_weak
     assert {decision.best, *decision.equivalents} == {one, other}
 
 
+def test_what_adds_nothing_to_a_simpler_effect_does_not_stand_for_it(machine) -> None:
+    friction = fit((candidate(machine, "dry_friction", "elbow"),), 1.0)
+    stribeck = fit((candidate(machine, "stribeck_friction", "elbow"),), 1.0, unique=0.01)
+    stribeck = replace(
+        stribeck, cv=friction.cv - 1.5, residual=friction.residual, covariance=np.eye(2)
+    )
+    assert decided(fit((), 5.0, seed=3), friction, stribeck).best is friction
+
+
 def test_a_superset_of_the_answer_is_no_equivalent(machine) -> None:
     one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
     single = fit((one,), 1.0)

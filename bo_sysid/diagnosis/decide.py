@@ -8,11 +8,12 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
-from bo_sysid.diagnosis.rules import ROUGH, Prior, admissible, criterion, inflation
+from bo_sysid.diagnosis.rules import ROUGH, Prior, admissible, criterion, inflation, required
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
 # what they leave is far above the sensors' noise
+_NEARLY = 0.5  # of the size that a member must have, for a set that stands for the best
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
 
@@ -54,7 +55,8 @@ def decide(
 
     admitted = [f for f in able if admissible(f, nominal, fits)]
     best = min(admitted, key=cost)
-    like = [f for f in able if _is_like(f, best, Q, dof, cost(f) - cost(best))]
+    nearly = [f for f in able if min(f.unique, default=0.0) > _NEARLY * required(f, nominal)]
+    like = [f for f in nearly if _is_like(f, best, Q, dof, cost(f) - cost(best))]
     held = _one_of_each([*admitted, *(f for f in like if f not in admitted)], cost)
     for _ in range(_ROUNDS):
         score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
