@@ -139,7 +139,11 @@ def test_what_adds_nothing_to_a_simpler_effect_does_not_stand_for_it(machine) ->
     friction = fit((candidate(machine, "dry_friction", "elbow"),), 1.0)
     stribeck = fit((candidate(machine, "stribeck_friction", "elbow"),), 1.0, unique=0.01)
     stribeck = replace(
-        stribeck, cv=friction.cv - 1.5, residual=friction.residual, covariance=np.eye(2)
+        stribeck,
+        cv=friction.cv - 1.5,
+        residual=friction.residual,
+        jacobian=np.zeros((2, DOF // 2, 2)),
+        covariance=np.eye(2),
     )
     assert decided(fit((), 5.0, seed=3), friction, stribeck).best is friction
 
