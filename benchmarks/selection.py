@@ -1,13 +1,17 @@
 """Which candidate to try next, which model to trust: arms compared with paired seeds.
 
 Runs `bo-sysid compare` on `studies/selection/inner.yaml` (searches on recordings: dm-control plants
-with 2, 4 and 8 unknown parameters, one with wrong physics, EMPS) and `outer.yaml` (the outer loop,
-by real trajectories), and gathers what they say. Every seed has a plant of its own.
+with 2, 4 and 8 unknown parameters, one with wrong physics, EMPS), on `confirm.yaml` (the winner on
+fresh seeds) and on `outer.yaml` (the outer loop, by real trajectories), and gathers what they say.
+Every seed has a plant of its own.
 
 - cost: mean evaluations until the excess of Δ over its minimum on B is at most a level (in shares
   of the median excess), with bootstrap intervals; a run that does not get there counts as the
   longest one of the problem.
 - ratio: geometric mean of paired costs against the seed's rule, interval, Wilcoxon's p.
+- certain: the same ratio for evaluations until max P >= .95 at the full grid's arg-min, and the
+  share of searches that get there. The tool's answer is P: its searches end when P is a point.
+- confirmed: that ratio again on thirty fresh seeds, for the one rule that won the first thirty.
 - agreement: share of seeds on which two rules take one and the same path.
 - reliability: how often argmax P is the full grid's arg-min where max P >= .8, on the searches of
   the seed's rule: at every evaluation, and when it is first said in a search. With averaging as the
@@ -28,6 +32,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import wilcoxon
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -47,6 +52,8 @@ from bo_sysid.study.inputs import load_model
 ROOT = Path(__file__).parent.parent
 SEED_RULE = "argmin-entropy"
 STATED = 0.8
+CERTAIN = 0.95
+FRESH = 30  # seeds before that number were seen when the rule to confirm was picked
 EVERY, POINT_SEEDS = 4, 12  # without averaging: every fourth evaluation of the first twelve seeds
 SAMPLES = 2048
 QUICK: dict[str, dict[str, Any]] = {
@@ -54,6 +61,11 @@ QUICK: dict[str, dict[str, Any]] = {
         "compare.seeds": 2,
         "compare.problems": ["wrong_physics.yaml"],
         "compare.arms": [SEED_RULE, "greedy", "random"],
+        "search.budget": 15,
+    },
+    "confirm": {
+        "compare.seeds": 2,
+        "compare.problems": ["wrong_physics.yaml"],
         "search.budget": 15,
     },
     "outer": {"compare.seeds": 1, "policy.steps": 8000, "learn.trajectories": 2},
@@ -104,6 +116,35 @@ def ratios(found: Comparison, unit: str) -> dict[str, Any]:
     for row in everywhere.to_dict("records"):
         told = [row[k] for k in ("ratio", "low", "high", "p", "pairs")]
         out.setdefault(row["arm"], {})[f"regret {row['level']:g}"] = told
+    return out
+
+
+def certain(found: Comparison, first: int = 0) -> dict[str, Any]:
+    """Return paired ratios of evaluations until the right answer is certain.
+
+    A search that does not get there counts as the longest one of its problem.
+
+    Returns:
+        Arm -> ratio, low, high, p, share of searches that get there, pairs.
+    """
+    paths = found.paths[found.paths["seed"] >= first]
+    if paths.empty:
+        return {}
+    of = ["problem", "arm", "seed"]
+    sure = paths[(paths["max_p"] >= CERTAIN) & paths["right"].fillna(False).astype(bool)]
+    reached = sure.groupby(of, observed=True)["evaluations"].min()
+    longest = paths.groupby("problem", observed=True)["evaluations"].max()
+    spent = paths.groupby(of, observed=True).size().to_frame("rows").join(reached)
+    most = longest.loc[spent.index.get_level_values("problem")].to_numpy()
+    spent["cost"] = spent["evaluations"].fillna(pd.Series(most, index=spent.index))
+    own = spent["cost"].xs(SEED_RULE, level="arm")
+    out: dict[str, Any] = {}
+    for arm, part in spent.groupby(level="arm", observed=True, sort=False):
+        logs = np.log(part["cost"].droplevel("arm") / own).dropna().to_numpy()
+        mean, low, high = (float(np.exp(v)) for v in bootstrap(logs))
+        p = float(wilcoxon(logs).pvalue) if logs.any() else 1.0
+        there = float(part["evaluations"].notna().mean())
+        out[str(arm)] = [mean, low, high, p, there, len(logs)]
     return out
 
 
@@ -246,6 +287,8 @@ def run(quick: bool, cases: Cases) -> dict[str, Any]:
         "coverage": coverage(inner),
         "agreement": agreement(inner),
         "ratio": ratios(inner, "evaluations"),
+        "certain": certain(inner),
+        "confirmed": certain(compared("confirm", quick, cases.stored), 0 if quick else FRESH),
         "evaluations_to_regret_0.01": costs(inner, "evaluations", 0.01),
         "evaluations_to_regret_0": costs(inner, "evaluations", 0.0),
         "seconds_per_pick": seconds(inner),

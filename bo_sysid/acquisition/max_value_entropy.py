@@ -18,6 +18,7 @@ from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
 from bo_sysid.belief.argmin import contests
 
 MINIMA = 64  # samples of f* of each member
+_FAR = 6.0  # standard deviations above every minimum from which the fall is below 1e-7 nats
 
 
 def table(context: SelectionContext) -> Values:
@@ -30,8 +31,10 @@ def table(context: SelectionContext) -> Values:
     for weight, mean, std, field in zip(surrogate.weights, means, deviations, fields, strict=True):
         draws = field.mean + rng.standard_normal((MINIMA, len(field.factor))) @ field.factor
         lowest = np.minimum(draws.min(axis=1, initial=np.inf), field.floor)
-        for minimum in surrogate.shift + surrogate.scale * lowest:
-            values += weight / MINIMA * entropy_fall(mean, std, minimum)
+        minima = surrogate.shift + surrogate.scale * lowest
+        near = np.flatnonzero(mean - _FAR * std < minima.max())
+        for minimum in minima:
+            values[near] += weight / MINIMA * entropy_fall(mean[near], std[near], minimum)
     return values
 
 
