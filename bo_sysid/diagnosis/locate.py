@@ -20,6 +20,7 @@ from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
 _SHORTEST = 1 / 6  # of the full horizon
 _UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
+_LESS = 3  # times shorter at most: what acts slowly is not seen in less
 _OFTEN = 0.9  # quantile of λ over the recordings
 _LEAST = 6  # instants in the shortest window
 _GROWTH = 2.2
@@ -98,7 +99,7 @@ def _stable(evidence: Evidence, horizon: int, step: float) -> int:
     rates = np.log(np.maximum(growth, 1e-12)) / (linear.macro * problem.windows.timestep)
     rate = float(np.quantile(rates, _OFTEN))
     most = _UNSTABLE / rate if rate > 0 else np.inf
-    return int(max(min(horizon, most / evidence.machine.sampling), _LEAST))
+    return int(max(min(horizon, most / evidence.machine.sampling), horizon / _LESS, _LEAST))
 
 
 def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:
