@@ -111,8 +111,8 @@ forest
 # ## Who knows the answer first?
 #
 # To touch the best candidate is not to know it. `cost`: evaluations until $P \ge 0.95$ at the
-# arg-min of $B$, or the longest search of the problem where that never happens; `certain`: how many get
-# there.
+# arg-min of $B$, or the longest search of the problem where that never happens; `certain`: how
+# many get there.
 
 # %%
 sure = paths[(paths["max_p"] >= 0.95) & paths["right"].fillna(False).astype(bool)]
