@@ -12,6 +12,7 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.errors import RunError
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.refine import zoomed
+from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import History, Rules, initial_rows, search
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.runs import Run
@@ -45,6 +46,27 @@ def test_the_search_finds_the_minimum_in_a_tenth_of_the_evaluations(grid: Candid
     assert outcome.belief.best == int(np.argmin(everything))
     assert len(outcome.history) <= 17
     assert len(set(outcome.history.rows)) == len(outcome.history)  # none twice
+
+
+def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None:
+    # P_boot along x/1 + y/2 = 1, half of it: the sum is known, neither summand is
+    u = grid.points / np.array([1.0, 2.0])
+    valley = np.isclose(u.sum(axis=1), 1.0) & (u[:, 0] > 0.2) & (u[:, 0] < 0.8)
+    boot = valley / valley.sum()
+    sure = (np.arange(len(grid)) == np.flatnonzero(valley)[0]).astype(float)
+    for p, told in ((boot, 1), (sure, 0)):
+        spread = grid.points[p > 0]
+        low, high = spread.min(axis=0), spread.max(axis=0)
+        table = pd.DataFrame({"name": ["x", "y"], "low95": low, "high95": high})
+        found = Identification(
+            "valley", grid.points[0], table, grid, sure, p, pd.DataFrame({"deviation": [1.0]}),
+            pd.DataFrame(), pd.DataFrame(), "", (),
+        )  # fmt: skip
+        tied = found.identifiability
+        assert list(tied["correlation"]) == pytest.approx([-told, -told])
+        assert tied["of_range"].to_numpy() == pytest.approx((high - low) / [1.0, 2.0])
+        against = [s for s in found.unsure if "x and y move against each other" in s]
+        assert len(against) == told
 
 
 def test_every_candidate_evaluated_means_converged() -> None:

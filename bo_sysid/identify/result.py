@@ -10,6 +10,9 @@ from jaxtyping import Float
 from bo_sysid.arrays import Point, Probabilities
 from bo_sysid.parameters import CandidateSet
 
+_LITTLE = 0.5  # share of the range from which an interval says little
+_TIED = 0.8  # correlation from which two parameters stand for each other
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -48,6 +51,56 @@ class Identification:
         """One row a candidate: its parameters, P and P_boot."""
         return self.candidates.frame().assign(P=self.probabilities, P_boot=self.bootstrap)
 
+    @property
+    def identifiability(self) -> pd.DataFrame:
+        """What P_boot says about each parameter, and which other one could take its place.
+
+        Columns: name; of_range, the share of the range of B that the 95 % interval takes; tied_to,
+        the parameter with the largest correlation ρ over P_boot, and that ρ (empty, 0 for none).
+        """
+        names = [str(n) for n in self.parameters["name"]]
+        points = self.belief[names].to_numpy(float)
+        width = (self.parameters["high95"] - self.parameters["low95"]).to_numpy(float)
+        of_range = width / np.maximum(np.ptp(points, axis=0), 1e-300)
+        covariance = np.atleast_2d(np.cov(points.T, aweights=self.bootstrap, bias=True))
+        sigma = np.sqrt(np.diag(covariance))
+        rho = covariance / np.maximum(np.outer(sigma, sigma), 1e-300)
+        np.fill_diagonal(rho, 0.0)
+        tied = np.abs(rho).argmax(axis=1)
+        found = rho[np.arange(len(names)), tied]
+        return pd.DataFrame(
+            {
+                "name": names,
+                "of_range": np.minimum(of_range, 1.0),
+                "tied_to": [names[k] if r else "" for k, r in zip(tied, found, strict=True)],
+                "correlation": found,
+            }
+        )
+
+    @property
+    def unsure(self) -> tuple[str, ...]:
+        """What these recordings do not tell about the parameters, in words."""
+        rows = self.identifiability.to_dict(orient="records")
+        said = [
+            f"These recordings say little about {r['name']}: its interval takes "
+            f"{float(r['of_range']):.0%} of the range that was searched."
+            for r in rows
+            if float(r["of_range"]) > _LITTLE
+        ]
+        pairs = {
+            frozenset((str(r["name"]), str(r["tied_to"]))): float(r["correlation"])
+            for r in rows
+            if abs(float(r["correlation"])) > _TIED
+        }
+        for pair, rho in pairs.items():
+            one, other = sorted(pair)
+            how = "together" if rho > 0 else "against each other"
+            said.append(
+                f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
+                "combination of the two better than either."
+            )
+        return tuple(said)
+
     def summary(self) -> dict[str, Any]:
         """Return the result as plain values, for JSON."""
         return {
@@ -59,6 +112,8 @@ class Identification:
             "entropy": entropy(self.probabilities),
             "entropy_bootstrap": entropy(self.bootstrap),
             "stopped": self.reason,
+            "identifiability": self.identifiability.to_dict(orient="records"),
+            "unsure": list(self.unsure),
             "errors": self.errors.to_dict(orient="records"),
             "notes": list(self.notes),
         }

@@ -25,7 +25,7 @@ from bo_sysid.report.look import (
 )
 from bo_sysid.report.robot import Posed, Site, ball, view
 
-_POINTS = 10_000  # of all channels of a page together
+_POINTS = 6_000  # of all channels of a page together
 _LEAST_POINTS = 400  # of a curve
 _TICKS = 15
 _DASHES = {"refitted": "dot"}

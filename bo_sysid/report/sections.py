@@ -201,6 +201,21 @@ def parameters(found: Found) -> Section | None:
     return Section("parameters", "Parameters", plots=plots, tables=tables)
 
 
+def identifiability(found: Found) -> Section | None:
+    """What the recordings tell about each parameter, and which stand for each other."""
+    if not found.has("identification.json"):
+        return None
+    made = read_json(found.folder, "identification.json")
+    if "identifiability" not in made:  # of an earlier version
+        return None
+    table = pd.DataFrame(made["identifiability"]).rename(
+        columns={"of_range": "95 % interval / range", "tied_to": "moves with"}
+    )
+    text = made["unsure"] or ["These recordings tell every parameter from the others."]
+    tables = [("From P_boot, the arg-min over bootstraps of the recordings", Table.of(table))]
+    return Section("identifiability", "What these recordings tell", text=text, tables=tables)
+
+
 def search(found: Found) -> Section | None:
     """The search: deviation and entropy per evaluation."""
     if not found.has("evaluations.parquet"):
@@ -266,8 +281,8 @@ def again(found: Found) -> Section:
 
 
 MAKERS = (
-    robot, proof, missing_force, explanations, parameters, predictions, search, learned,
-    comparison, data, again,
+    robot, proof, missing_force, explanations, parameters, identifiability, predictions, search,
+    learned, comparison, data, again,
 )  # fmt: skip
 """The sections in the order of the page."""
 

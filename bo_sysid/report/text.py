@@ -61,6 +61,8 @@ def identification_text(summary: Mapping[str, Any]) -> str:
     bound = parameters.loc[parameters["at_bound"].astype(bool), "name"]
     if len(bound):
         parts += ["", f"On a bound, so that the truth may lie beyond: {', '.join(bound)}."]
+    unsure = summary.get("unsure", [])
+    parts += ["", *unsure] if unsure else []
     parts += [
         "",
         "Root mean square errors of prediction, in the channel's unit:",
