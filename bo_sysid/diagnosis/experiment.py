@@ -96,9 +96,10 @@ def next_experiment(
     separation, name, controls = _most_telling(problem, best, rivals, stated)
     if controls is None or separation < _TELLS:
         return Experiment(_in_words(best, rivals), separates, separation, None)
+    one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
     return Experiment(
-        f"Record {name}: {_said(best)} and {_said(rivals[0])} then differ by {separation:.2g} "
-        "sensor sigmas.",
+        f"Record {name}: {one} and {other}, which these recordings do not tell apart, then differ "
+        f"by {separation:.2g} sensor sigmas.",
         separates,
         separation,
         _frame(problem, controls),
@@ -143,13 +144,16 @@ def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
     members = (*best.members, *(c for r in rivals for c in r.members))
     ways = dict.fromkeys(c.effect.separation for c in members if c.effect.separation)
     return (
-        f"No motion within the limits tells {_said(best)} from {_said(rivals[0])} by what was "
-        f"recorded here. What would: {'; '.join(ways)}."
+        f"No motion within the limits tells {_said(best, beside=rivals[0])} from "
+        f"{_said(rivals[0], beside=best)} by what was recorded here. What would: {'; '.join(ways)}."
     )
 
 
-def _said(fit: Fit) -> str:
-    words = [f"{c.effect.noun} at {c.site.name}" for c in fit.members]
+def _said(fit: Fit, beside: Fit) -> str:
+    """Return what a set has that another lacks, all of it where it lacks nothing."""
+    shared = {c.key for c in beside.members}
+    own = [c for c in fit.members if c.key not in shared] or fit.members
+    words = [f"{c.effect.noun} at {c.site.name}" for c in own]
     return " with ".join(words) or "nothing missing"
 
 

@@ -53,8 +53,8 @@ class Holdout:
         confirmed = after < 0.98 * before
         verb = "falls" if confirmed else "goes"
         text = (
-            f"Forecast error on the unseen recording {verb} from {before:.3g} to {after:.3g} "
-            f"sensor sigmas; the noise floor is {floor:.3g}."
+            f"Forecast error on the unseen recording {verb} from {_figure(before)} to "
+            f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
         if after > max(1.02 * before, _AT_FLOOR * floor):
             return (text, "The unseen recording does not confirm the repair.")
@@ -170,11 +170,12 @@ def _free_runs(
     for name, hypothesis in models.items():
         errors = forecast(problem, past, hypothesis)
         channels[name], residuals[name] = errors.channel, errors.residual
-        hinge = all(
+        hinges = {
             j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
-        )
+        }
+        unit = "rad" if hinges == {True} else "m" if hinges == {False} else "SI"
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
-        rows.append({**_row("free_run", free, name, error), "unit": "rad" if hinge else "SI"})
+        rows.append({**_row("free_run", free, name, error), "unit": unit})
     return rows, traces(problem, past, residuals)
 
 
@@ -199,6 +200,11 @@ def _row(measure: str, horizon: float, model: str, error: float) -> dict[str, An
         "measure": measure, "horizon_s": horizon, "model": model, "error": error,
         "unit": "sensor sigma",
     }  # fmt: skip
+
+
+def _figure(value: float) -> str:
+    """Return three figures without an exponent: 14,700."""
+    return f"{float(f'{value:.3g}'):,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def _number(value: Any) -> float | None:

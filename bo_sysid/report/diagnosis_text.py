@@ -100,11 +100,29 @@ def set_text(members: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(said) or "nothing is missing"
 
 
+def told_apart(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a sentence for each set that the recordings do not tell from the findings."""
+    said = []
+    for other in (e for f in findings for e in f["equivalents"]):
+        own, theirs = _without(findings, other), _without(other, findings)
+        said.append(
+            f"These recordings do not tell {set_text(own)} from {set_text(theirs)}."
+            if own and theirs
+            else f"These recordings do not tell it from {set_text(other)}."
+        )
+    return list(dict.fromkeys(said))
+
+
+def _without(
+    members: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    there = {(m["effect"], m["site"]) for m in others}
+    return [m for m in members if (m["effect"], m["site"]) not in there]
+
+
 def _equivalents(findings: Sequence[Mapping[str, Any]]) -> list[str]:
-    said = dict.fromkeys(set_text(e) for f in findings for e in f["equivalents"])
-    if not said:
-        return []
-    return ["", "These recordings do not tell it from:", *[f"- {s}" for s in said]]
+    said = told_apart(findings)
+    return ["", *said] if said else []
 
 
 def _experiment(proposal: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ from bo_sysid.report.diagnosis_text import (
     alternatives_table,
     errors_table,
     findings_table,
-    set_text,
+    told_apart,
 )
 from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
@@ -168,8 +168,7 @@ def explanations(found: Found) -> Section | None:
         plots.append(Plot(words, {"": interactive.evidence(sets)}))
     elif diagnosis["alternatives"]:
         tables.append(("Also tried", Table.of(alternatives_table(diagnosis["alternatives"]))))
-    same = dict.fromkeys(set_text(e) for f in diagnosis["findings"] for e in f["equivalents"])
-    text = [f"These recordings do not tell it from {s}." for s in same]
+    text = told_apart(diagnosis["findings"])
     if diagnosis["next_experiment"]:
         text.append(f"What to record next: {diagnosis['next_experiment'].get('sentence', '')}")
     return Section("explanations", "What was found, and what else was tried",
