@@ -258,6 +258,24 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
     return _dressed(figure, 360)
 
 
+def training(rounds: pd.DataFrame) -> go.Figure:
+    """Return the return of training batches against simulated control steps, a curve a round.
+
+    Args:
+        rounds: learned (the round), steps, batch_return.
+    """
+    figure = go.Figure()
+    for k, (number, part) in enumerate(rounds.groupby("learned", sort=True)):
+        shade = 0.35 + 0.65 * (k + 1) / rounds["learned"].nunique()
+        figure.add_scatter(
+            x=_light(part["steps"]), y=_light(part["batch_return"]), name=f"round {number}",
+            line={"color": IDENTIFIED, "width": 2}, opacity=shade,
+        )  # fmt: skip
+    figure.update_xaxes(title="simulated control steps")
+    figure.update_yaxes(title="return of a batch")
+    return _dressed(figure, 320)
+
+
 def _said(text: str) -> str:
     """Return text that Plotly shows as it is: it takes some HTML in its labels."""
     return html.escape(text, quote=False)

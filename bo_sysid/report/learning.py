@@ -39,6 +39,33 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     return "\n".join(parts)
 
 
+def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `learning.json` amounts to: a verdict and the sentences below it."""
+    several = "y" if summary["trajectories"] == 1 else "ies"
+    spent = (
+        f"{summary['trajectories']} real trajector{several} ({summary['seconds_recorded']:.4g} s)"
+    )
+    why = summary["waiting"] or summary["stopped"]
+    rounds = summary.get("iterations") or []
+    told = [r for r in rounds if r.get("plant_return")]
+    if summary["waiting"] or not told:
+        return {"verdict": why, "sentences": [f"So far: {spent}."]}
+    plant, model = told[-1]["plant_return"], told[-1].get("model_return")
+    verdict = f"The policy returns {_with_interval(plant)} on the plant, after {spent}."
+    learned_on = ", ".join(f"{n} {v:.4g}" for n, v in summary["chosen"].items())
+    where = f"It was learned on {learned_on}"
+    where += f", where it returns {_with_interval(model)}." if model else "."
+    diagnosed = [r for r in rounds if r.get("diagnosis")]
+    found = [f"After {r['trajectories']} the diagnosis repaired the model." for r in diagnosed]
+    return {"verdict": verdict, "sentences": [where, *found, f"Why it stopped: {why}"]}
+
+
+def _with_interval(value: Mapping[str, Any]) -> str:
+    """Return a mean with its 95 % interval."""
+    half = _Z95 * float(value.get("error") or 0.0)
+    return f"{value['mean']:.4g} ± {half:.2g}" if half else f"{value['mean']:.4g}"
+
+
 def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure":
     """Return returns against real trajectories, and those of training against simulated steps.
 

@@ -17,6 +17,7 @@ from bo_sysid.report.diagnosis_text import (
     findings_table,
     told_apart,
 )
+from bo_sysid.report.learning import learning_said
 from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
@@ -67,9 +68,7 @@ def headline(found: Found) -> dict[str, Any]:
             }
         if found.has("learning.json"):
             made = read_json(found.folder, "learning.json")
-            said = made["waiting"] or made["stopped"]
-            text = f"{made['trajectories']} real trajectories, {made['seconds_recorded']:.4g} s."
-            return {"name": made["name"], "verdict": said, "sentences": [text]}
+            return {"name": made["name"], **learning_said(made)}
         if found.has("comparison.json"):
             made = read_json(found.folder, "comparison.json")
             return {"name": made["name"], "verdict": sentence(made), "sentences": []}
@@ -244,11 +243,18 @@ def learned(found: Found) -> Section | None:
     iterations = read_frame(found.folder, "iterations.parquet")
     if iterations.empty:
         return None
-    plot = Plot("Return of the policy after each round, on the identified model and on the plant.",
-                {"": interactive.learning(iterations)})  # fmt: skip
+    words = "Return of the policy after each round, on the identified model and on the plant."
+    plots = [Plot(words, {"": interactive.learning(iterations)})]
+    if found.has("training.parquet"):
+        training = read_frame(found.folder, "training.parquet")
+        words = (
+            "How each policy was learned: return of a batch of episodes in the identified model, "
+            "against simulated control steps. One curve a round; no step of the plant is in them."
+        )
+        plots.append(Plot(words, {"": interactive.training(training)}))
     shown = [c for c in iterations if iterations[c].notna().any() and _flat(iterations[c])]
     tables = [("Rounds", Table.of(iterations[shown]))]
-    return Section("learning", "Learning", plots=[plot], tables=tables)
+    return Section("learning", "Learning", plots=plots, tables=tables)
 
 
 def data(found: Found) -> Section | None:
