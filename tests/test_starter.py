@@ -121,6 +121,26 @@ def test_signs_and_units_are_found_by_behaviour(tmp_path: Path) -> None:
     assert check(study).proposal == ""
 
 
+def test_columns_called_like_the_joints_are_positions_and_their_units_are_read(
+    tmp_path: Path,
+) -> None:
+    time, qpos, qvel, ctrl = moved(TWO, 1.0)
+    frame = pd.DataFrame(
+        {
+            "time": time, "shoulder": qpos[:, 0], "elbow_deg": np.rad2deg(qpos[:, 1]),
+            "elbow_deg_s": np.rad2deg(qvel[:, 1]), "elbow_temperature": 30 + time,
+            "u_shoulder": ctrl[:, 0], "u_elbow": ctrl[:, 1],
+        }
+    )  # fmt: skip
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    study = Study.load(init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml").path)
+    rules = study.recordings.columns
+    assert rules["qpos.shoulder"].source == "shoulder"
+    assert (rules["qpos.elbow"].source, rules["qpos.elbow"].unit) == ("elbow_deg", "deg")
+    assert (rules["qvel.elbow"].source, rules["qvel.elbow"].unit) == ("elbow_deg_s", "deg/s")
+    assert (rules["ctrl.shoulder"].source, rules["ctrl.elbow"].source) == ("u_shoulder", "u_elbow")
+
+
 def test_a_urdf_gets_motors_and_a_joint_without_a_column_is_held(tmp_path: Path) -> None:
     link = (
         '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 -.1"/>'

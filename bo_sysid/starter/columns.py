@@ -37,6 +37,8 @@ UNITS = {
     "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "ma": "mA", "mnm": "mN m", "percent": "%",
 }  # fmt: skip
 """Units that names of columns carry."""
+_PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
+"""Units of positions: a column that carries one and says nothing else is a position."""
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
 _LATE = 8  # samples that a speed may come late
 _MOST = 20_000
@@ -104,7 +106,9 @@ def _named(name: str, unit: str) -> Column:
         kind = "other" if "measured" in said else "effort"
     elif "velocity" in said:
         kind = "velocity"
-    elif "position" in said:
+    elif unit and parts[-1:] == ("s",) and unit in _PLACES:
+        kind, unit = "velocity", f"{unit}/s"
+    elif "position" in said or unit in _PLACES:
         kind = "position"
     if name.split(".", 1)[0] in ("qpos", "qvel", "ctrl") and "." in name:
         kind = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}[name.split(".", 1)[0]]  # type: ignore[assignment]

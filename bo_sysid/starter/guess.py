@@ -16,7 +16,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import WORDS, Column, describe
-from bo_sysid.starter.matching import Guess, match, rates_of
+from bo_sysid.starter.matching import Guess, match, named_after, rates_of
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
@@ -59,7 +59,9 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     columns = describe(table)
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
-    positions = match("qpos", joints, [c for c in columns if c.kind == "position"])
+    positions = match(
+        "qpos", joints, [c for c in columns if c.kind == "position" or named_after(joints, c)]
+    )
     if not positions:
         names = [c.name for c in columns]
         raise RecordingError(
@@ -174,7 +176,11 @@ def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> Rule:
     """Return the rule of a guess; the unit of a hinge is guessed by how far it seems to move."""
     rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
     kind, element = guess.channel.split(".", 1)
-    fits = {"qpos": ("deg", "mrad", "ticks", "mm"), "qvel": ("rpm",), "ctrl": ("mA", "mN m", "%")}
+    fits = {
+        "qpos": ("deg", "mrad", "ticks", "mm"),
+        "qvel": ("rpm", "deg/s", "mm/s"),
+        "ctrl": ("mA", "mN m", "%"),
+    }
     if guess.unit in fits.get(kind, ()) and table.units.get(guess.column) is None:
         rule["unit"] = guess.unit
         if guess.unit == "ticks":

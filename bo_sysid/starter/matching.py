@@ -74,6 +74,11 @@ def match(
     return guesses
 
 
+def named_after(elements: Sequence[str], column: Column) -> bool:
+    """Whether a column of no other kind is called like an element, and nothing more."""
+    return column.kind == "other" and set(column.words) in [set(words(e)) for e in elements]
+
+
 def rates_of(table: RawTable, positions: Sequence[Guess], columns: Sequence[Column]) -> list[Guess]:
     """Match velocities with the positions that they are the rates of."""
     velocities = [c for c in columns if c.kind == "velocity"]
