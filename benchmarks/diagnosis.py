@@ -7,6 +7,7 @@ the number of its cases and its 95 % interval; "singles" and "pairs" count sizes
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from common import Cases, benchmark
@@ -20,6 +21,7 @@ from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, forecast, forecast_
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Evidence, Located, locate
 from bo_sysid.effects import CATALOGUE
+from bo_sysid.parameters import Parameter
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE = ("six_motors", "six_servos")
@@ -47,6 +49,8 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
             yield "nothing", (rig,), 3 * seed + 2, ""
         for k, kind in enumerate(STRANGE):
             yield "unknown", _turned(SMALL, seed + k), seed, kind
+        for rig in rigs:  # a parameter of the study is off, and nothing is missing
+            yield "off", (rig,), seed, "viscous_damping"
         yield "lugre", _turned(rigs, seed), seed, "dry_friction"
         if not quick and seed < 2:
             for rig in LARGE:
@@ -63,7 +67,7 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
     key = [seed, sorted(RIGS).index(rig), *detail.encode()]
     rng = np.random.default_rng(key)
     ids = [i for i, e in CATALOGUE.items() if e.family != "learned" and i not in SKIPPED]
-    if suite == "single":
+    if suite in ("single", "off"):
         case = draw(rng, rig, [detail], 1)
     elif suite == "lugre":
         case = draw(rng, rig, [detail], 1, lugre=True)
@@ -75,14 +79,19 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw_group(rng, rig, detail)
     else:
         case = draw(rng, rig, ids, 0)
-    wanted = {"single": 1, "lugre": 1, "pair": 2}.get(suite, 0)
-    return case if len(case.truth) >= wanted else None
+    wanted = {"single": 1, "off": 1, "lugre": 1, "pair": 2}.get(suite, 0)
+    if len(case.truth) < wanted:
+        return None
+    if suite == "off":  # what was planted is a parameter of the study
+        (planted,) = case.truth
+        case = replace(case, truth=(), notes={"damping": planted.site, "off by": planted.value})
+    return case
 
 
 def judged(case: Case) -> dict[str, object]:
     """Diagnose a case and compare with what was planted."""
     model, began, cpu = load(case.rig), time.perf_counter(), time.process_time()
-    evidence = make_evidence(model, case.train)
+    evidence = make_evidence(model, case.train, parameters=_parameters(case))
     located = locate(evidence)
     outcome = explain(located)
     seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
@@ -108,6 +117,14 @@ def judged(case: Case) -> dict[str, object]:
         "cpu": cpu,
         "smallest": min((p.size for p in case.truth), default=0.0),
     }
+
+
+def _parameters(case: Case) -> list[Parameter]:
+    """Return the study's parameters: the damping that is off, where it is."""
+    if "damping" not in case.notes:
+        return []
+    high = 5 * float(str(case.notes["off by"]))
+    return [Parameter("damping", (f"joint[{case.notes['damping']}].damping",), 0.0, high, 11)]
 
 
 def _inside(truth: tuple[Planted, ...], said: Sequence[Finding]) -> list[bool]:
@@ -149,6 +166,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "singles": share(seen(of("single")), right),
         "pairs": share(seen(of("pair")), right),
         "nothing": share(of("nothing"), lambda r: not r["found"] and not r["flagged"]),
+        "nothing_off": share(of("off"), lambda r: not r["found"] and not r["flagged"]),
         "unknown_flagged": share(of("unknown"), lambda r: r["flagged"]),
         "unknown_located": share(of("unknown"), lambda r: r["site"] == r["planted"].get("site")),
         "unknown_closed": share(of("unknown"), closed),
