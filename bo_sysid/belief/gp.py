@@ -28,8 +28,14 @@ def correlation(
     """Return the correlation `R` at scaled squared distances `r²`."""
     if kernel == "rbf":
         return np.exp(-0.5 * squared)
-    root = np.sqrt(5.0 * squared)
-    return (1.0 + root + root**2 / 3.0) * np.exp(-root)
+    root = np.asarray(5.0 * squared)
+    np.sqrt(root, out=root)
+    polynomial = np.asarray(root / 3.0)
+    polynomial += 1.0
+    polynomial *= root
+    polynomial += 1.0  # 1 + r + r²/3
+    polynomial *= np.exp(np.negative(root, out=root), out=root)
+    return polynomial
 
 
 def correlation_slope(
@@ -48,8 +54,10 @@ def scaled_squared_distances(
     """Return `Σ_k (a_k − b_k)² / ℓ_k²`."""
     # from the middle of the unit cube, which keeps the cancellation below small
     u, v = (a - 0.5) / lengthscales, (b - 0.5) / lengthscales
-    squared = (u**2).sum(axis=1)[:, None] + (v**2).sum(axis=1)[None, :] - 2.0 * u @ v.T
-    return np.asarray(np.maximum(squared, 0.0))
+    squared = (-2.0 * u) @ v.T
+    squared += (u**2).sum(axis=1)[:, None]
+    squared += (v**2).sum(axis=1)
+    return np.asarray(np.maximum(squared, 0.0, out=squared))
 
 
 @dataclass(frozen=True)
@@ -167,6 +175,10 @@ class Conditional:
                 self.chol, self.covariance(self.points, x), lower=True, check_finite=False
             )
         )
+
+    def weights(self, V: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n m"]:
+        """Return `L⁻ᵀ V`: `Vᵀ V'` is that transposed times `k(points, x')`."""
+        return np.asarray(solve_triangular(self.chol, V, lower=True, trans="T", check_finite=False))
 
     def residual(self, values: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
         """Return `L⁻¹ (y − c)`; the posterior mean at x is `c + Vᵀ` times it. Batched over `b`."""

@@ -32,7 +32,7 @@ DENSE = 800  # contenders up to which it is exact in larger sets too
 RANK = 128  # of the factor beyond that
 SUBSET = 2_000  # pivots are chosen among as many likely and as many random contenders
 MASS = 1e-3  # bound on the probability that may be dropped
-CHUNK = 32_768  # candidates per block when moments are computed
+CHUNK = 1024  # candidates per block when moments are computed
 TOLERANCE = 1e-8  # share of the prior variance at which no further pivot is worth adding
 JITTER = 1e-10  # share of the prior variance added before a factorisation
 
@@ -87,11 +87,11 @@ def contenders(
     covariance = np.zeros(len(x))
     if moments.variance[reference] > 0:
         pivot = x[[reference]]
-        w = member.whitened(pivot)
+        w = member.weights(member.whitened(pivot))[:, 0]
         for start in range(0, len(x), CHUNK):
             block = slice(start, start + CHUNK)
             prior = member.covariance(x[block], pivot)[:, 0]
-            covariance[block] = prior - (w.T @ member.whitened(x[block]))[0]
+            covariance[block] = prior - w @ member.covariance(member.points, x[block])
         covariance[moments.variance == 0] = 0.0
     difference = moments.variance + moments.variance[reference] - 2.0 * covariance
     gap = moments.mean[reference] - moments.mean
@@ -130,13 +130,14 @@ class Contest:
 
     def tally(self, draws: Float[np.ndarray, "b s"], size: int) -> Float[np.ndarray, " N"]:
         """Return how often each of `size` candidates is the arg-min of joint samples at `rows`."""
-        counts = np.zeros(size)
-        below = draws.min(axis=1, initial=np.inf) < self.floor
-        if below.any():
-            winners = self.rows[draws[below].argmin(axis=1)]
-            counts += np.bincount(winners, minlength=size)
+        counts, below = np.zeros(size), 0
+        if len(self.rows):
+            least = draws.argmin(axis=1)
+            wins = draws[np.arange(len(draws)), least] < self.floor
+            counts += np.bincount(self.rows[least[wins]], minlength=size)
+            below = int(wins.sum())
         if len(self.holders):
-            counts[self.holders] += (~below).sum() / len(self.holders)
+            counts[self.holders] += (len(draws) - below) / len(self.holders)
         return counts
 
 
@@ -222,13 +223,17 @@ def nystrom_factor(
     corner = member.covariance(pivots, pivots) - at_pivots.T @ at_pivots
     corner[np.diag_indices(len(pivots))] += JITTER * member.outputscale
     L = cholesky(corner, lower=True, check_finite=False)
+    # F = L⁻¹ (k(pivots, x) - Vᵀ L_n⁻¹ k(points, x)), as one product
+    left = solve_triangular(
+        L,
+        np.concatenate([np.eye(len(pivots)), -member.weights(at_pivots).T], axis=1),
+        lower=True,
+        check_finite=False,
+    )
+    both = np.concatenate([pivots, member.points])
     factor = np.empty((len(pivots), len(x)), dtype=np.float32)
     for start in range(0, len(x), CHUNK):
-        block = x[start : start + CHUNK]
-        cross = member.covariance(pivots, block) - at_pivots.T @ member.whitened(block)
-        factor[:, start : start + CHUNK] = solve_triangular(
-            L, cross, lower=True, check_finite=False
-        )
+        factor[:, start : start + CHUNK] = left @ member.covariance(both, x[start : start + CHUNK])
     return factor
 
 
