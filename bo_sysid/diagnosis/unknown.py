@@ -27,6 +27,7 @@ _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _RIDGES = (1e-3, 3e-2, 0.3, 2.0)
+_NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
 _NEAR = 0.5  # of the best gain: dependences that are named
 _WINDOWS = 40
 _ROUNDS = 4
@@ -102,24 +103,28 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
 def needed_beside(
     problem: Problem, fit: Fit, joint: str, depends_on: Sequence[str]
 ) -> tuple[bool, ...]:
-    """Return which members of a fit are still needed once a law acts at a joint."""
+    """Return which members of a fit are still needed once a law acts at a joint.
+
+    A flexible law can say within the recordings what almost any name says. What a name says that
+    holds beyond them is what it predicts in blocks that neither was fitted to: the gain of the law
+    with the name over the law without it, which must exceed the least size of an effect, squared.
+    """
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
     terms = [f for f in features(joint, problem.machine) if f.depends_on in depends_on]
     L = _normalised(law_columns(linear, joint, terms))
     S = project(linear.Q, fit.jacobian.astype(float))
+    y = project(linear.Q, fit.residual)
     kept, first = [], 0
-    left = max(fit.excess - _explained(L, project(linear.Q, fit.residual), problem.dof), 0.0)
-    need = max(MARGIN, np.sqrt(left))
     for c, x in zip(fit.members, fit.x, strict=True):
         own = np.arange(first, first + c.size)
-        rest = _normalised(np.delete(S, own, axis=-1))
         first += c.size
-        others = np.concatenate([rest, L], axis=-1).reshape(-1, rest.shape[-1] + L.shape[-1])
-        part = (S[..., own] @ x).ravel()
-        G = others.T @ others + 1e-3 * np.eye(others.shape[1])
-        part = part - others @ np.linalg.solve(G, others.T @ part)
-        kept.append(bool(np.sqrt(part @ part / problem.dof) >= need))
+        before = y + S[..., own] @ x  # what is left without the member
+        rest = _normalised(np.delete(S, own, axis=-1))
+        free = np.concatenate([_normalised(S[..., own]), rest], axis=-1)
+        gain = _cross_validated(L, before, problem.block, free)[0]
+        without = _cross_validated(L, before, problem.block, rest)[0]
+        kept.append(bool((gain - without) / problem.dof >= MARGIN**2))
     return tuple(kept)
 
 
@@ -187,16 +192,21 @@ def _clues(linear: Linear, best: Fit) -> list[Clue]:
         columns = law_columns(linear, joint, terms)
         for dependence in dict.fromkeys(t.depends_on for t in terms):
             own = [k for k, t in enumerate(terms) if t.depends_on == dependence]
-            A = np.concatenate([_normalised(columns[..., own]), S], axis=-1)
-            gain, ridge = _cross_validated(A, y, problem.block)
+            law = _normalised(columns[..., own])
+            gain, ridge = _cross_validated(law, y, problem.block, S, np.inf)
             found.append(Clue(joint, dependence, gain / problem.dof, ridge))
     return found
 
 
 def _cross_validated(
-    A: Float[np.ndarray, "W R k"], y: Float[np.ndarray, "W R"], block: np.ndarray
+    law: Float[np.ndarray, "W R k"],
+    y: Float[np.ndarray, "W R"],
+    block: np.ndarray,
+    named: Float[np.ndarray, "W R j"],
+    ridge_of_named: float = _NAMED,
 ) -> tuple[float, float]:
-    """Return the gain of squared residual in left-out blocks, at the best ridge."""
+    """Return the gain of squared residual in left-out blocks, and the best ridge on the law."""
+    A = np.concatenate([law, named], axis=-1)
     count, k = int(block.max()) + 1, A.shape[-1]
     G, b = np.zeros((count, k, k)), np.zeros((count, k))
     for i in range(count):
@@ -205,9 +215,12 @@ def _cross_validated(
     whole, sum_b = G.sum(axis=0), b.sum(axis=0)
     best, at = -np.inf, _RIDGES[0]
     for ridge in _RIDGES:
+        penalty = np.concatenate(
+            [np.full(law.shape[-1], ridge), np.full(named.shape[-1], min(ridge, ridge_of_named))]
+        )
         gain = 0.0
         for i in range(count):
-            x = np.linalg.solve(whole - G[i] + ridge * np.eye(k), sum_b - b[i])
+            x = np.linalg.solve(whole - G[i] + np.diag(penalty), sum_b - b[i])
             gain += float(2 * x @ b[i] - x @ G[i] @ x)
         if gain > best:
             best, at = gain, ridge
@@ -240,12 +253,6 @@ def _step(
         for c, z, d in zip(hypothesis.members, hypothesis.x, parts, strict=True)
     )
     return replace(hypothesis, x=x)
-
-
-def _explained(L: np.ndarray, y: np.ndarray, dof: int) -> float:
-    A = L.reshape(-1, L.shape[-1])
-    b = A.T @ y.ravel()
-    return float(b @ np.linalg.solve(A.T @ A + 0.03 * np.eye(len(b)), b)) / dof
 
 
 def _normalised(A: Float[np.ndarray, "W R k"]) -> Float[np.ndarray, "W R k"]:
