@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnosis_helpers import arm, posed, record
+from diagnosis_helpers import arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.refit import Effort, refit
-from bo_sysid.diagnosis.unknown import examine, law_candidate, learn
+from bo_sysid.diagnosis.unknown import examine, law_candidate, learn, needed_beside
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects.learned import features
 
@@ -51,6 +51,24 @@ def test_the_learned_law_explains_it(magnet) -> None:
     r = project(ready.linear.Q, ready.problem.residual(hypothesis, start))
     left = np.sqrt((r**2).sum() / ready.problem.dof)
     assert (left**2 - 1) < 0.2 * (nominal.rms**2 - 1)
+
+
+def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
+    ready, _ = magnet
+    spring = candidate(ready.problem.machine, "joint_spring", "elbow")
+    named = refit(ready.linear, (spring,), (spring.probe,), effort=Effort(10, 1.0, final=True))
+    assert needed_beside(ready.problem, named, "elbow", ("position",)) == (False,)
+
+
+def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
+    rubs = [("dry_friction", "joint", "elbow", [0.03])]
+    problem, machine = posed(record(rubs, duration=8.0, force=("elbow", spring_law)), horizon=150)
+    ready = prepare(problem)
+    friction = candidate(machine, "dry_friction", "elbow")
+    x = np.array([0.03])
+    named = refit(ready.linear, (friction,), (x,), effort=Effort(10, 1.0, final=True))
+    # friction at each position, with bumps of its own, is among what the law can say
+    assert needed_beside(problem, named, "elbow", ("position",)) == (True,)
 
 
 def test_noise_alone_is_not_flagged() -> None:

@@ -107,7 +107,8 @@ def needed_beside(
 
     A flexible law can say within the recordings what almost any name says. What a name says that
     holds beyond them is what it predicts in blocks that neither was fitted to: the gain of the law
-    with the name over the law without it, which must exceed the least size of an effect, squared.
+    with the name over the law without it. It must exceed what both together leave there, and the
+    least size of an effect, squared.
     """
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
@@ -115,6 +116,8 @@ def needed_beside(
     L = _normalised(law_columns(linear, joint, terms))
     S = project(linear.Q, fit.jacobian.astype(float))
     y = project(linear.Q, fit.residual)
+    explained = _cross_validated(L, y, problem.block, _normalised(S))[0] / problem.dof
+    need = max(MARGIN**2, fit.excess - explained)
     kept, first = [], 0
     for c, x in zip(fit.members, fit.x, strict=True):
         own = np.arange(first, first + c.size)
@@ -124,7 +127,7 @@ def needed_beside(
         free = np.concatenate([_normalised(S[..., own]), rest], axis=-1)
         gain = _cross_validated(L, before, problem.block, free)[0]
         without = _cross_validated(L, before, problem.block, rest)[0]
-        kept.append(bool((gain - without) / problem.dof >= MARGIN**2))
+        kept.append(bool((gain - without) / problem.dof >= need))
     return tuple(kept)
 
 
