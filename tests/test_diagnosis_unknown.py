@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 from diagnosis_helpers import arm, candidate, posed, record
@@ -11,7 +12,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.unknown import examine, law_candidate, learn, needed_beside
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.windowing import prepare, touching
 from bo_sysid.effects.learned import features
 
 
@@ -93,3 +94,14 @@ def test_the_law_is_a_force_on_its_joint() -> None:
     )
     expected = 2.0 * machine.joints["elbow"].force * terms[3].value(motion)
     np.testing.assert_allclose(part.law(motion), expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_contact_is_seen_where_geoms_touch() -> None:
+    ball = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
+        <body><joint name="z" type="slide" axis="0 0 1"/><geom size=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    heights = np.array([[0.09], [0.5], [0.095], [1.0]])
+    assert touching(ball, heights) == 0.5
+    assert touching(arm().compile(), np.zeros((3, 2))) == 0.0

@@ -92,14 +92,22 @@ class Answer:
 
 
 def make_answer(
-    decision: Decision, outcome: Outcome, machine: Machine, experiment: Experiment | None = None
+    decision: Decision,
+    outcome: Outcome,
+    machine: Machine,
+    experiment: Experiment | None = None,
+    *,
+    contact: bool = False,
 ) -> Answer:
     """Freeze a decision into an answer, with what to record next.
+
+    In contact, where names were wrong more often than their fits say, an effect outside the
+    catalogue is as probable as beside something that stays unexplained.
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
     best, kept = decision.best, outcome.fit
-    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged else _UNHEARD
+    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or contact else _UNHEARD
     posterior = (1.0 - none_of_these) * decision.probability
     probability = float(posterior[decision.fits.index(best)])
     found = findings(kept, machine, probability, _equivalents(decision, kept, machine))

@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
 from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, sets
+from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
 from bo_sysid.identify.problem import study_laws
@@ -40,6 +41,7 @@ class Diagnosis:
         evidence: what it was made from.
         searched: the same choice between sets as a search of the arg-min.
         notes: what was done to the data, and what the repaired model cannot say.
+        contact: whether the machine touches something in the recordings.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Diagnosis:
     evidence: Evidence
     searched: ArgminSets
     notes: tuple[str, ...]
+    contact: bool = False
 
     @property
     def verdict(self) -> str:
@@ -79,6 +82,8 @@ class Diagnosis:
         if not said:
             said = ["Nothing that these recordings could show is missing from the model."]
         said += doubts(self.located.decision, self.searched)
+        if self.contact and self.answer.findings:
+            said.append("The machine is in contact, where names are hints and not yet findings.")
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -113,7 +118,8 @@ def diagnose(
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
-    answer = make_answer(located.decision, outcome, evidence.machine, experiment)
+    contact = in_contact(located.prepared.problem)
+    answer = make_answer(located.decision, outcome, evidence.machine, experiment, contact=contact)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
@@ -127,6 +133,7 @@ def diagnose(
         evidence,
         searched,
         (*(n for r in evidence.recordings for n in r.notes), *notes),
+        contact,
     )
     if run is not None:
         run.write_json("diagnosis.json", result.as_json())

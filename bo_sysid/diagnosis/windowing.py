@@ -22,6 +22,7 @@ _ROUNDS = 3
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
+_TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
 
@@ -92,6 +93,23 @@ def touches(model: mujoco.MjModel) -> bool:
         return False
     active = (model.geom_contype | model.geom_conaffinity) != 0
     return bool(active.sum() > 1 and (active & (model.geom_bodyid > 0)).any()) or model.npair > 0
+
+
+def in_contact(problem: Problem) -> bool:
+    """Whether geoms touch at the beginning of more than a few windows."""
+    return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
+
+
+def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
+    """Return the share of poses in which geoms of the model touch."""
+    if not touches(model):
+        return 0.0
+    data, count = mujoco.MjData(model), 0
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(model, data)
+        count += data.ncon > 0
+    return count / len(poses)
 
 
 def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
