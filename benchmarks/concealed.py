@@ -23,12 +23,12 @@ RUNS = Path(__file__).parents[1] / "runs"
 
 
 def figures(scores: Scores) -> dict[str, object]:
-    """The rates of the proof, each with its count and interval, and the calibration."""
+    """The rates of the proof, each with its interval and number of cases, and the calibration."""
     table = scores.summary
     calibration = scores.calibration
     return {
         "rates": {
-            r["what"]: {k: r[k] for k in ("count", "of", "rate", "low", "high", "upper_bound")}
+            r["what"]: [round(r["rate"], 4), round(r["low"], 3), round(r["high"], 3), r["of"]]
             for r in table[table["of"] > 0].to_dict("records")
         },
         "calibration_error": calibration.error,
