@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from diagnosis_helpers import SIGMA, arm, record
 
@@ -11,6 +12,8 @@ from bo_sysid.diagnosis.argmin import argmin_sets
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
 from bo_sysid.diagnosis.explain import explain
+from bo_sysid.diagnosis.forecast import AHEAD
+from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.tables import doubts
 from bo_sysid.effects import CATALOGUE
@@ -100,3 +103,18 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     assert outcome.fit.members == ()
     assert outcome.unexplained.flagged
     assert outcome.sessions.table.empty
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [(1.1, ""), (4.0, "The floor is not reached"), (30.0, "does not confirm the repair")],
+)
+def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> None:
+    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
+    rows = [
+        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
+        for m, e in models.items()
+    ]
+    first, *more = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences
+    assert first.startswith("Forecast error on the unseen recording")
+    assert [said in m for m in more] == ([True] if said else [])

@@ -59,7 +59,10 @@ class Holdout:
         if after > max(1.02 * before, _AT_FLOOR * floor):
             return (text, "The unseen recording does not confirm the repair.")
         if after > _AT_FLOOR * floor:
-            return (text, "The floor is not reached: something else is missing as well.")
+            return (
+                text,
+                "The floor is not reached: these recordings do not show all that is missing.",
+            )
         return (text,)
 
     def as_json(self) -> dict[str, Any]:

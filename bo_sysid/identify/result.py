@@ -59,10 +59,12 @@ class Identification:
         the parameter with the largest correlation ρ over P_boot, and that ρ (empty, 0 for none).
         """
         names = [str(n) for n in self.parameters["name"]]
-        points = self.belief[names].to_numpy(float)
+        points, likely = self.candidates.points, self.bootstrap > 0
         width = (self.parameters["high95"] - self.parameters["low95"]).to_numpy(float)
         of_range = width / np.maximum(np.ptp(points, axis=0), 1e-300)
-        covariance = np.atleast_2d(np.cov(points.T, aweights=self.bootstrap, bias=True))
+        covariance = np.atleast_2d(
+            np.cov(points[likely].T, aweights=self.bootstrap[likely], bias=True)
+        )
         sigma = np.sqrt(np.diag(covariance))
         rho = covariance / np.maximum(np.outer(sigma, sigma), 1e-300)
         np.fill_diagonal(rho, 0.0)
