@@ -44,6 +44,15 @@ def test_a_coarse_encoder_has_at_least_its_rounding_error(kind):
     assert noise_sigma(time, values) == pytest.approx(resolution / np.sqrt(12), rel=0.5)
 
 
+@pytest.mark.parametrize("ratio", [0.3, 0.9, 1.0, 2.0, 3.0])
+def test_rounding_adds_its_variance_and_nothing_else(ratio):
+    time, sigma = np.arange(10_000) * 0.002, 5e-4
+    values = np.sin(3 * time) + sigma * np.random.default_rng(4).normal(size=time.size)
+    rounded = np.round(values / (ratio * sigma)) * ratio * sigma
+    expected = sigma * np.sqrt(1 + ratio**2 / 12)
+    assert noise_sigma(time, rounded) == pytest.approx(expected, rel=0.05)
+
+
 def test_nothing_can_be_said_about_a_frozen_or_tiny_channel():
     assert noise_sigma(np.arange(3.0), np.array([1.0, 5.0, 2.0])) == 0.0
     assert noise_sigma(np.arange(50.0), np.full(50, 3.0)) == 0.0

@@ -1,10 +1,11 @@
 """Sensor noise of a channel, estimated from the recording itself.
 
-Third differences remove what is locally a parabola and leave white noise, amplified by √20; the
-median absolute deviation (MAD) ignores the few places where the signal itself jumps:
-σ = 1.4826 · MAD(Δ³x) / √20 (METHOD of this package, section 5; 1.4826 makes the MAD of a Gaussian
-its σ). For uneven stamps the third difference becomes the third divided difference, scaled so that
-the squares of its weights sum to one: the same estimate, exact for parabolas on any grid.
+Third differences remove what is locally a parabola and leave white noise, amplified by √20. Their
+scale is Huber's (Robust Statistics, 1981, proposal 2), which hardly heeds the few places where the
+signal itself jumps: σ solves E min(z²/20, k²σ²) = β σ² with β = E min(u², k²) of a standard Gaussian
+u. The median absolute deviation would lie on the lattice of a quantised channel, 10 % off and more.
+For uneven stamps the third difference becomes the third divided difference, scaled so that the
+squares of its weights sum to one: the same estimate, exact for parabolas on any grid.
 """
 
 from math import sqrt
@@ -15,6 +16,9 @@ from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.value import Recording
 
 _REPEATED = 0.1  # share of samples that equal the one before, from which on a channel is coarse
+_CUT = 1.5  # deviations beyond which a value counts no further
+_BETA = 0.7785  # E min(u², _CUT²) of a standard Gaussian u
+_ITERATIONS = 50  # of a contraction
 _GAP = 2.0  # four samples that span more than this many medians lie across a gap
 
 
@@ -44,8 +48,15 @@ def noise_sigma(time: Times, values: Samples) -> float:
     weights = 1.0 / np.prod(offsets + np.eye(4), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     third = np.sum(weights * (samples - samples[:, :1]), axis=1)[whole]
-    mad = float(np.median(np.abs(third)))
-    return max(1.4826 * mad, _resolution(values) / sqrt(12))
+    return max(_huber_scale(third), _resolution(values) / sqrt(12))
+
+
+def _huber_scale(z: Samples) -> float:
+    """Return the scale σ of values about 0 that solves mean min(z², k²σ²) = β σ²."""
+    square, scale = z**2, float(np.mean(z**2))
+    for _ in range(_ITERATIONS):
+        scale = float(np.minimum(square, _CUT**2 * scale).mean()) / _BETA
+    return sqrt(scale)
 
 
 def _resolution(values: Samples) -> float:
