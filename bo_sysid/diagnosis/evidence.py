@@ -22,7 +22,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
-_CONTACT_STEPS = 8  # of the recording or the model, where geoms can touch
+_CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,7 @@ class Evidence:
 
 def _window(machine: Machine) -> float:
     """Return the length of a window: short where contact soon decides, else long."""
-    if not touches(machine.model):
-        return _WINDOW
-    step = max(machine.sampling, float(machine.model.opt.timestep))
-    return min(_WINDOW, _CONTACT_STEPS * step)
+    return min(_WINDOW, _CONTACT_WINDOW) if touches(machine.model) else _WINDOW
 
 
 def make_evidence(

@@ -71,18 +71,18 @@ def required(fit: Fit, nominal: Fit) -> float:
 def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     """Return the unique size of each member, in sigma.
 
-    Close to the recordings that is the linear one. Far from them, where no linearisation reaches
-    from a set to the same set without a member, it is what the best fit without the member leaves
-    beyond this one, √(rms₀² - rms²), if that is more.
+    Close to the recordings that is the linear one, or what the best fit without the member leaves
+    beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
+    is large in windows that no magnitude brings any closer. Far from them, where no linearisation
+    reaches from a set to the same set without a member, it is the larger of the two.
     """
-    if fit.rms <= LOOSE:
-        return fit.unique
-    others = tuple(fits)
-    found = []
+    others, found = tuple(fits), []
+    choose = min if fit.rms <= LOOSE else max
     for member, unique in zip(fit.members, fit.unique, strict=True):
         rest = set_key([c for c in fit.members if c is not member])
-        left = min((f.rms for f in others if _without(f, rest, member)), default=0.0)
-        found.append(max(unique, sqrt(max(left**2 - fit.rms**2, 0.0))))
+        left = min((f.rms for f in others if _without(f, rest, member)), default=None)
+        lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
+        found.append(choose(unique, lost))
     return tuple(found)
 
 

@@ -190,7 +190,7 @@ def _clues(linear: Linear, best: Fit) -> list[Clue]:
     y = project(linear.Q, best.residual)
     S = _normalised(project(linear.Q, best.jacobian.astype(float)))
     found = []
-    for joint in problem.machine.joints:
+    for joint in problem.machine.names("joint"):
         terms = features(joint, problem.machine)
         columns = law_columns(linear, joint, terms)
         for dependence in dict.fromkeys(t.depends_on for t in terms):

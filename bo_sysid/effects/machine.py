@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from bo_sysid.recording import Recording
 
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
+_OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
 Signal = Float[np.ndarray, "..."]
 
 
@@ -140,6 +143,23 @@ class Machine:
         """Names of the recorded goals and auxiliary channels, which force laws may read."""
         return inputs_of(self.scales)
 
+    @property
+    def floating(self) -> frozenset[str]:
+        """Joints of a base that floats in a plane, where nothing is that could rub or pull.
+
+        They are those of a body on the world that slides in two directions and that no actuator
+        drives there, as MJCF writes planar walkers.
+        """
+        m = self.model
+        driven = set(m.actuator_trnid[:, 0][np.isin(m.actuator_trntype, _OF_JOINTS)].tolist())
+        found: set[str] = set()
+        for body in np.flatnonzero(m.body_parentid == 0)[1:]:
+            own = [int(j) for j in np.flatnonzero(m.jnt_bodyid == body)]
+            slides = sum(int(m.jnt_type[j]) == _SLIDE for j in own)
+            if slides >= 2 and not driven.intersection(own):
+                found.update(m.joint(j).name for j in own)
+        return frozenset(found)
+
     def names(self, kind: str) -> tuple[str, ...]:
         """Return the names of the sites of one kind."""
         if kind == "world":
@@ -148,7 +168,7 @@ class Machine:
             named = (self.model.geom(i).name for i in range(self.model.ngeom))
             return tuple(n for n in named if n)
         tables: dict[str, Mapping[str, object] | tuple[str, ...]] = {
-            "joint": self.joints,
+            "joint": tuple(n for n in self.joints if n not in self.floating),
             "actuator": self.actuators,
             "body": self.bodies,
             "channel": self.channels,
