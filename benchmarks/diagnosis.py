@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 from common import Cases, benchmark
-from diagnosis_cases import RIGS, STRANGE, Case, Planted, draw, draw_group, draw_strange, load
+from diagnosis_cases import LOGS, RIGS, STRANGE, Case, Planted, draw, draw_group, draw_strange, load
 from scipy.stats import binomtest
 
 from bo_sysid.diagnosis.diagnose import make_evidence
@@ -51,6 +51,10 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
             yield "unknown", _turned(SMALL, seed + k), seed, kind
         for rig in rigs:  # a parameter of the study is off, and nothing is missing
             yield "off", (rig,), seed, "viscous_damping"
+        for k, log in enumerate(LOGS):
+            for j, rig in enumerate(SMALL):
+                chosen = ids[(len(SMALL) * (len(LOGS) * seed + k) + j) % len(ids)]
+                yield "log", (rig, *_turned(SMALL, j + 1)[:2]), seed, f"{chosen} at {log}"
         yield "lugre", _turned(rigs, seed), seed, "dry_friction"
         if not quick and seed < 2:
             for rig in LARGE:
@@ -71,6 +75,9 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw(rng, rig, [detail], 1)
     elif suite == "lugre":
         case = draw(rng, rig, [detail], 1, lugre=True)
+    elif suite == "log":
+        id, log = detail.split(" at ")
+        case = draw(rng, rig, [id], 1, log=LOGS[log])
     elif suite == "pair":
         case = draw(rng, rig, ids, 2)
     elif suite == "unknown":
@@ -79,7 +86,7 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw_group(rng, rig, detail)
     else:
         case = draw(rng, rig, ids, 0)
-    wanted = {"single": 1, "off": 1, "lugre": 1, "pair": 2}.get(suite, 0)
+    wanted = {"single": 1, "off": 1, "log": 1, "lugre": 1, "pair": 2}.get(suite, 0)
     if len(case.truth) < wanted:
         return None
     if suite == "off":  # what was planted is a parameter of the study

@@ -1,7 +1,7 @@
 """Machines and drawn cases for the benchmark of the diagnosis.
 
-A plant is the nominal model with effects in it, stepped eight times finer; friction may be
-LuGre instead of Coulomb. Sizes are drawn log-uniformly by what they do to the predictions: the
+A plant is the nominal model with effects in it, stepped at a quarter of a millisecond; friction
+may be LuGre instead of Coulomb, and the log may be slow, fast or uneven. Sizes are drawn log-uniformly by what they do to the predictions: the
 projected rms difference over windows of 0.3 s, in units of the sensor noise.
 """
 
@@ -22,7 +22,8 @@ from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine
 
 MODELS = Path(__file__).parents[1] / "studies" / "diagnosis"
-FINER = 8
+_STEP = 2.5e-4  # [s] of a plant, an eighth of the models'; less where the log is faster
+_WINDOW = 0.3  # [s] in which an effect is sized
 _TRIES = 40  # draws until every effect of a case can be sized
 
 
@@ -94,6 +95,23 @@ class Case:
     notes: dict[str, object] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Log:
+    """How a recording is written: seconds between rows, and the share that they vary by."""
+
+    sampling: float = 0.002
+    jitter: float = 0.0
+
+
+LOGS = {
+    "50 Hz": Log(0.02),
+    "100 Hz": Log(0.01),
+    "200 Hz, uneven": Log(0.005, 0.3),
+    "300 Hz": Log(1 / 300),
+    "1000 Hz": Log(0.001),
+}
+
+
 def load(rig: str) -> Model:
     return Model.from_file(MODELS / RIGS[rig].file)
 
@@ -118,11 +136,15 @@ def simulate(
     seed: int,
     duration: float,
     sigma: float,
-    sampling: float = 0.002,
+    log: Log | None = None,
     lugre: bool = False,
     strange: Sequence[Force] = (),
 ) -> Recording:
-    """Return a recording of noisy joint positions and of the controls that were commanded."""
+    """Return a recording of noisy joint positions and of the controls that were commanded.
+
+    The command changes when a row is written.
+    """
+    log = log or Log()
     rng = np.random.default_rng(seed)
     parts: list[object] = list(strange)
 
@@ -135,15 +157,21 @@ def simulate(
             effect = CATALOGUE[p.effect]
             parts.extend(effect.parts(spec, Site(p.kind, p.site), np.array(p.x), machine))
 
-    compiled = model.compile([edit], timestep=sampling / FINER)
+    finer = max(round(log.sampling / _STEP), 8)
+    compiled = model.compile([edit], timestep=log.sampling / finer)
     data = mujoco.MjData(compiled)
-    time = np.arange(0, duration, sampling)
+    tick = np.arange(round(duration / log.sampling)) * finer
+    early = int(log.jitter * finer)
+    if early:
+        tick[1:] += rng.integers(-early, early + 1, len(tick) - 1)
+    time = tick * compiled.opt.timestep
     goal = excitation(rng, rig, time)
     if rig.middle:
         goal += np.array(rig.middle)
         data.qpos[: len(rig.middle)] = goal[0]
-    commanded, position = _run(model, compiled, data, rig, time, goal, parts, rng, sigma)
-    shown = _shown(model, time, position, parts) + sigma * rng.normal(size=position[::FINER].shape)
+    commanded, position = _run(model, compiled, data, rig, tick, goal, parts, rng, sigma)
+    shown = _shown(model, compiled.opt.timestep, tick, position, parts)
+    shown += sigma * rng.normal(size=shown.shape)
     return Recording.from_arrays(
         time,
         name=f"recording {seed}",
@@ -152,34 +180,35 @@ def simulate(
     )
 
 
-def _run(model, compiled, data, rig, time, goal, parts, rng, sigma):
+def _run(model, compiled, data, rig, tick, goal, parts, rng, sigma):
     """Step the plant; filters act on the command at the plant's own step."""
-    steps, fine = len(time), compiled.opt.timestep
+    fine = compiled.opt.timestep
+    time, ends = tick * fine, np.append(tick[1:], 2 * tick[-1] - tick[-2])
     filters = [p for p in parts if isinstance(p, Filter)]
     offsets = {p.channel: p.offset for p in parts if isinstance(p, Reading)}
     laws = [p for p in parts if hasattr(p, "law")]
-    position = np.zeros((steps * FINER, compiled.nq))
-    commanded = np.zeros((steps, len(model.actuators)))
+    position = np.zeros((ends[-1], compiled.nq))
+    commanded = np.zeros((len(tick), len(model.actuators)))
     applied = None
     if rig.gains is None:
         commanded = goal
-        applied = _filtered(model, time, goal, filters, fine)
+        applied = _filtered(model, time, goal, filters, fine, ends[-1])
     else:
         kp, kd = (np.array(g) for g in rig.gains)
         gear = compiled.actuator_gear[: len(model.actuators), 0]
-        past = _Causal(model, filters, time[1] - time[0])
+        past = _Causal(model, filters, time, fine)
         zero = np.array([offsets.get(f"qpos.{n}", 0.0) for n in model.joints])
-    for k in range(steps):
+    for k, (begin, end) in enumerate(zip(tick, ends, strict=True)):
         if applied is None:
             seen = data.qpos + zero + sigma * rng.normal(size=compiled.nq)
             u = (kp * (goal[k] - seen) - kd * data.qvel) / gear
             commanded[k] = u
-        for i in range(FINER):
-            position[k * FINER + i] = data.qpos
-            now = applied[k * FINER + i] if applied is not None else past(commanded, k, i)
+        for at in range(begin, end):
+            position[at] = data.qpos
+            now = applied[at] if applied is not None else past(commanded, k, at)
             data.ctrl[: len(now)] = now
             data.qfrc_applied[:] = 0
-            view = _View(model, data, (k + i / FINER) * (time[1] - time[0]), fine)
+            view = _View(model, data, at * fine, fine)
             for law in laws:
                 j = model.joints.index(law.joint)
                 data.qfrc_applied[j] += float(np.asarray(law.law(view)).ravel()[0])
@@ -238,8 +267,8 @@ def strange_force(kind: str, machine: Machine, joint: str, size: float, at: floa
     return Force(joint, laws[kind])
 
 
-def _filtered(model, time, goal, filters, fine) -> np.ndarray:
-    grid = np.arange(len(time) * FINER) * fine
+def _filtered(model, time, goal, filters, fine, count) -> np.ndarray:
+    grid = np.arange(count) * fine
     out = np.zeros((len(grid), goal.shape[1]))
     for a, name in enumerate(model.actuators):
         channel = Channel(time, goal[:, a], hold="zero")
@@ -253,29 +282,31 @@ def _filtered(model, time, goal, filters, fine) -> np.ndarray:
 class _Causal:
     """Applies filters to a command that is only known up to now."""
 
-    def __init__(self, model: Model, filters: Sequence[Filter], sampling: float) -> None:
-        self.model, self.filters, self.sampling = model, filters, sampling
+    def __init__(
+        self, model: Model, filters: Sequence[Filter], time: np.ndarray, fine: float
+    ) -> None:
+        self.model, self.filters, self.time, self.fine = model, filters, time, fine
         self.span = 200
 
-    def __call__(self, commanded: np.ndarray, k: int, i: int) -> np.ndarray:
+    def __call__(self, commanded: np.ndarray, k: int, at: int) -> np.ndarray:
         now = commanded[k].copy()
         first = max(k - self.span, 0)
         for f in self.filters:
             a = self.model.actuators.index(f.actuator)
-            time = np.arange(first, k + 2) * self.sampling
+            later = 2 * self.time[k] - self.time[k - 1] if k else self.time[1]
+            time = np.append(self.time[first : k + 1], later)
             values = np.append(commanded[first : k + 1, a], commanded[k, a])
-            changed = f.change(Channel(time, values, hold="zero"), self.sampling / FINER)
-            now[a] = changed.at(np.array([(k + i / FINER) * self.sampling + 1e-9]))[0]
+            changed = f.change(Channel(time, values, hold="zero"), self.fine)
+            now[a] = changed.at(np.array([at * self.fine + 1e-9]))[0]
         return now
 
 
-def _shown(model, time, position, parts) -> np.ndarray:
-    grid = np.arange(len(position)) * (time[1] - time[0]) / FINER
-    out = position[::FINER].copy()
+def _shown(model, fine, tick, position, parts) -> np.ndarray:
+    grid, out = np.arange(len(position)) * fine, position[tick]
     for r in parts:
         if isinstance(r, Reading) and r.channel.startswith("qpos."):
             i = model.joints.index(r.channel.removeprefix("qpos."))
-            late = np.interp(time - r.delay, grid, position[:, i])
+            late = np.interp(tick * fine - r.delay, grid, position[:, i])
             out[:, i] = (1 + r.scale) * late + r.offset
     return out
 
@@ -300,7 +331,10 @@ def sized(
 ) -> np.ndarray | None:
     """Return the magnitudes at which an effect moves the predictions by `target` sigma, or None."""
     channels = {n: sigma for n in nominal.channels if n.startswith("qpos.")}
-    problem = pose(model, machine, [nominal], channels, (), horizon=150, stride=3, engine=Engine(1))
+    horizon = round(_WINDOW / machine.sampling)
+    problem = pose(
+        model, machine, [nominal], channels, (), horizon=horizon, stride=3, engine=Engine(1)
+    )
     prepared = prepare(problem)
     problem = replace(prepared.problem, correction=None)
     base = problem.residual(nothing(problem), prepared.start)
@@ -334,12 +368,13 @@ def draw(
     high: float = 30.0,
     duration: float = 20.0,
     lugre: bool = False,
+    log: Log | None = None,
 ) -> Case:
     """Draw a case with `count` effects of the given ids, at sites where they apply."""
     model, sigma = load(rig), 10 ** rng.uniform(np.log10(3e-4), -3)
     setting = RIGS[rig]
     seed = int(rng.integers(2**31))
-    nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma)
+    nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma, log=log)
     machine = survey(model.compile(), [nominal])
     found: list[Planted] = []
     pool = [c for c in candidates([CATALOGUE[i] for i in ids], machine) if not c.secant]
@@ -362,8 +397,9 @@ def draw(
         return Case(rig, tuple(found), (), (), sigma)
     train, holdout = (
         simulate(
-            model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre
-        )
+            model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre,
+            log=log,
+        )  # fmt: skip
         for k, d in ((1, duration), (2, 8.0))
     )
     return Case(rig, tuple(found), (train,), (holdout,), sigma)

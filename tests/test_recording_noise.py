@@ -44,6 +44,14 @@ def test_a_coarse_encoder_has_at_least_its_rounding_error(kind):
     assert noise_sigma(time, values) == pytest.approx(resolution / np.sqrt(12), rel=0.5)
 
 
+@pytest.mark.parametrize("kind", ["even", "uneven"])
+def test_a_slow_log_of_fast_motion_is_not_all_noise(kind):
+    rng = np.random.default_rng(5)
+    time = clock(kind, 2000, rng) * 2.0  # 50 Hz
+    values = np.sin(2 * np.pi * 2.0 * time) + 0.001 * rng.normal(size=time.size)
+    assert noise_sigma(time, values) == pytest.approx(0.001, rel=0.08)
+
+
 @pytest.mark.parametrize("ratio", [0.3, 0.9, 1.0, 2.0, 3.0])
 def test_rounding_adds_its_variance_and_nothing_else(ratio):
     time, sigma = np.arange(10_000) * 0.002, 5e-4

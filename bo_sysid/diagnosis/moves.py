@@ -6,10 +6,10 @@ import numpy as np
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rules import MARGIN, ranked, weak
+from bo_sysid.diagnosis.rules import MARGIN, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.units import subset
-from bo_sysid.diagnosis.windowing import Prepared
+from bo_sysid.diagnosis.windowing import Prepared, touches
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -55,25 +55,39 @@ def stripped(search: Search) -> None:
 
 
 def eliminate(search: Search, steps: int = 14) -> None:
-    """Leave out what is too small until the leading set is admissible."""
+    """Leave out what is too small until the leading set is admissible.
+
+    Where contact bends the response, that is known of a set only once it was fitted without each
+    of its members.
+    """
+    bent = touches(search.prepared.problem.machine.model)
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
-            small = weak(f, search.nominal, search.fits.values())
-            if not small:
-                return
             before = len(search.fits)
-            search.simplify(f, FINAL)
-            members, x = subset(f, _without_weak(f, small))
-            if set_key(members) not in search.fits:
-                search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+            small = weak(f, search.nominal, search.fits.values())
+            if small:
+                search.simplify(f, FINAL)
+                _fit_some(search, f, _without_weak(search, f, small))
+            elif bent:
+                for k in range(len(f.members)):
+                    _fit_some(search, f, [i for i in range(len(f.members)) if i != k])
             if len(search.fits) > before:
                 break
+            if not small:
+                return
         else:
             return
 
 
-def _without_weak(f: Fit, weak: Sequence[int]) -> list[int]:
+def _fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
+    members, x = subset(f, keep)
+    if set_key(members) not in search.fits:
+        search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+
+
+def _without_weak(search: Search, f: Fit, weak: Sequence[int]) -> list[int]:
     """Leave out all weak members of groups at once, else the weakest member."""
+    size = sizes(f, search.fits.values())
     in_groups = [k for k in weak if f.groups[k] is not None]
-    out = in_groups or [min(weak, key=lambda k: f.unique[k])]
+    out = in_groups or [min(weak, key=lambda k: size[k])]
     return [k for k in range(len(f.members)) if k not in out]

@@ -1,16 +1,18 @@
 """Sensor noise of a channel, estimated from the recording itself.
 
-Third differences remove what is locally a parabola and leave white noise, amplified by √20. Their
-scale is Huber's (Robust Statistics, 1981, proposal 2), which hardly heeds the few places where the
-signal itself jumps: σ solves E min(z²/20, k²σ²) = β σ² with β = E min(u², k²) of a standard Gaussian
-u. The median absolute deviation would lie on the lattice of a quantised channel, 10 % off and more.
-For uneven stamps the third difference becomes the third divided difference, scaled so that the
-squares of its weights sum to one: the same estimate, exact for parabolas on any grid.
+Differences of order n remove what is locally a polynomial below n and leave white noise. On even
+and uneven stamps alike they are divided differences, z = Σ wᵢ xᵢ with wᵢ ∝ 1 / ∏_{j≠i} (tᵢ - tⱼ) and
+Σ wᵢ² = 1, so that z has the variance of the noise. Its scale is Huber's (Robust Statistics, 1981,
+proposal 2), which hardly heeds the few places where the signal itself jumps: mean min(z², k²σ²) =
+β σ² with β = E min(u², k²) of a standard Gaussian u. (The median absolute deviation would lie on the
+lattice of a quantised channel, 10 % off and more.) Order 3 serves most logs. Slow logs of fast
+motion bend within four samples and that looks like noise; there a higher order shows less.
 """
 
 from math import sqrt
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.value import Recording
@@ -19,7 +21,9 @@ _REPEATED = 0.1  # share of samples that equal the one before, from which on a c
 _CUT = 1.5  # deviations beyond which a value counts no further
 _BETA = 0.7785  # E min(u², _CUT²) of a standard Gaussian u
 _ITERATIONS = 50  # of a contraction
-_GAP = 2.0  # four samples that span more than this many medians lie across a gap
+_ORDERS = (3, 4, 5, 6, 7)
+_LESS = 0.95  # of the estimate so far, for the next order to be believed
+_GAP = 2.0  # samples that span more than this many medians lie across a gap
 
 
 def noise_sigma(time: Times, values: Samples) -> float:
@@ -27,8 +31,8 @@ def noise_sigma(time: Times, values: Samples) -> float:
 
     Samples across gaps are left out. A coarsely quantised channel that moves slowly shows the same
     value again and again and seems free of noise; σ is therefore at least q/√12, the deviation of a
-    rounding error, with the resolution q the smallest step between values that occur. A signal that
-    bends within three samples counts as noise: for fast motion the estimate is an upper bound.
+    rounding error, with the resolution q the smallest step between values that occur. What bends
+    too fast for the highest order counts as noise: there the estimate is an upper bound.
 
     Args:
         time: `T` increasing stamps in [s].
@@ -37,21 +41,33 @@ def noise_sigma(time: Times, values: Samples) -> float:
     Returns:
         σ in the unit of `values`; 0 for a channel that never moves or has fewer than 4 samples.
     """
-    if len(values) < 4:
+    if len(values) < _ORDERS[0] + 1:
         return 0.0
-    stamps = np.stack([time[i : len(time) - 3 + i] for i in range(4)], axis=1)
-    samples = np.stack([values[i : len(values) - 3 + i] for i in range(4)], axis=1)
-    span = stamps[:, 3] - stamps[:, 0]
-    whole = span <= _GAP * np.median(span)
-    # weights of the third divided difference, 1 / ∏_{j≠i} (t_i − t_j), to unit length
+    sigma = _huber_scale(_differences(time, values, _ORDERS[0]))
+    for order in _ORDERS[1:]:
+        if len(values) < 2 * order:
+            break
+        less = _huber_scale(_differences(time, values, order))
+        if less > _LESS * sigma:
+            break
+        sigma = less
+    return max(sigma, _resolution(values) / sqrt(12))
+
+
+def _differences(time: Times, values: Samples, order: int) -> Float[np.ndarray, " D"]:
+    """Return the divided differences of an order, with weights of unit length, but across gaps."""
+    count = len(time) - order
+    stamps = np.stack([time[i : count + i] for i in range(order + 1)], axis=1)
+    samples = np.stack([values[i : count + i] for i in range(order + 1)], axis=1)
+    span = stamps[:, -1] - stamps[:, 0]
     offsets = (stamps[:, :, None] - stamps[:, None, :]) / span[:, None, None]
-    weights = 1.0 / np.prod(offsets + np.eye(4), axis=2)
+    weights = 1.0 / np.prod(offsets + np.eye(order + 1), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    third = np.sum(weights * (samples - samples[:, :1]), axis=1)[whole]
-    return max(_huber_scale(third), _resolution(values) / sqrt(12))
+    found = np.sum(weights * (samples - samples[:, :1]), axis=1)
+    return np.asarray(found[span <= _GAP * np.median(span)])
 
 
-def _huber_scale(z: Samples) -> float:
+def _huber_scale(z: Float[np.ndarray, " D"]) -> float:
     """Return the scale σ of values about 0 that solves mean min(z², k²σ²) = β σ²."""
     square, scale = z**2, float(np.mean(z**2))
     for _ in range(_ITERATIONS):
