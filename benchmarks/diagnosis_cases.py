@@ -1,8 +1,9 @@
 """Machines and drawn cases for the benchmark of the diagnosis.
 
 A plant is the nominal model with effects in it, stepped at a quarter of a millisecond; friction
-may be LuGre instead of Coulomb, and the log may be slow, fast or uneven. Sizes are drawn log-uniformly by what they do to the predictions: the
-projected rms difference over windows of 0.3 s, in units of the sensor noise.
+may be LuGre instead of Coulomb, and the log may be slow, fast or uneven. Sizes are drawn
+log-uniformly by what they do to the predictions: the projected rms difference over windows of
+0.3 s, in units of the sensor noise.
 """
 
 from collections.abc import Sequence
@@ -397,9 +398,16 @@ def draw(
         return Case(rig, tuple(found), (), (), sigma)
     train, holdout = (
         simulate(
-            model, setting, machine, found, seed=seed + k, duration=d, sigma=sigma, lugre=lugre,
+            model,
+            setting,
+            machine,
+            found,
+            seed=seed + k,
+            duration=d,
+            sigma=sigma,
+            lugre=lugre,
             log=log,
-        )  # fmt: skip
+        )
         for k, d in ((1, duration), (2, 8.0))
     )
     return Case(rig, tuple(found), (train,), (holdout,), sigma)

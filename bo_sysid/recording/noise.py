@@ -1,12 +1,13 @@
 """Sensor noise of a channel, estimated from the recording itself.
 
 Differences of order n remove what is locally a polynomial below n and leave white noise. On even
-and uneven stamps alike they are divided differences, z = Σ wᵢ xᵢ with wᵢ ∝ 1 / ∏_{j≠i} (tᵢ - tⱼ) and
-Σ wᵢ² = 1, so that z has the variance of the noise. Its scale is Huber's (Robust Statistics, 1981,
-proposal 2), which hardly heeds the few places where the signal itself jumps: mean min(z², k²σ²) =
-β σ² with β = E min(u², k²) of a standard Gaussian u. (The median absolute deviation would lie on the
-lattice of a quantised channel, 10 % off and more.) Order 3 serves most logs. Slow logs of fast
-motion bend within four samples and that looks like noise; there a higher order shows less.
+and uneven stamps alike they are divided differences, z = Σ wᵢ xᵢ with wᵢ ∝ 1 / ∏_{j≠i} (tᵢ - tⱼ)
+and Σ wᵢ² = 1, so that z has the variance of the noise. Its scale is Huber's (Robust Statistics,
+1981, proposal 2), which hardly heeds the few places where the signal itself jumps:
+mean min(z², k²σ²) = β σ² with β = E min(u², k²) of a standard Gaussian u. (The median absolute
+deviation would lie on the lattice of a quantised channel, 10 % off and more.) Order 3 serves most
+logs. Slow logs of fast motion bend within four samples and that looks like noise; there a higher
+order shows less.
 """
 
 from math import sqrt
