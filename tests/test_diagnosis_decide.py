@@ -9,7 +9,7 @@ from diagnosis_helpers import candidate, posed, record
 from bo_sysid.diagnosis.decide import decide
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.rules import Prior, admissible, required
+from bo_sysid.diagnosis.rules import Prior, admissible, required, sizes
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000
@@ -162,3 +162,16 @@ def test_the_prior_halves_for_nothing_and_shares_an_eighth_by_size(machine) -> N
     assert prior.log(fit((), 1.0)) == pytest.approx(np.log(0.5))
     assert prior.log(fit((one,), 1.0)) == pytest.approx(np.log(0.125 / 40))
     assert prior.log(fit((one, two), 1.0)) == pytest.approx(np.log(0.125 / 780))
+
+
+def test_close_to_the_recordings_a_size_is_at_most_what_leaving_out_costs(machine) -> None:
+    payload = fit((candidate(machine, "payload", "forearm"),), 0.902, unique=4.2)
+    nothing = fit((), 0.907)
+    assert sizes(payload, [nothing, payload]) == pytest.approx([np.sqrt(0.907**2 - 0.902**2)])
+    assert sizes(payload, [payload]) == (4.2,)  # nothing to compare with
+    assert decided(nothing, payload).best is nothing
+
+
+def test_far_from_the_recordings_a_size_is_at_least_what_leaving_out_costs(machine) -> None:
+    friction = fit((candidate(machine, "dry_friction", "elbow"),), 2.0, unique=0.5)
+    assert sizes(friction, [fit((), 5.0), friction]) == pytest.approx([np.sqrt(21.0)])

@@ -228,3 +228,24 @@ def test_unknown_effects_are_named_with_the_nearest() -> None:
     ):
         chosen(["dry_fricton"])
     assert all(e.id != "cogging" for e in chosen("all", ("cogging",)))
+
+
+PLANAR = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="torso" pos="0 0 1">
+<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide" axis="0 0 1"/>
+<joint name="pitch" axis="0 1 0"/><geom size=".1"/>
+<body name="leg"><joint name="hip" axis="0 1 0"/><geom size=".05" pos="0 0 -.3"/></body></body>
+</worldbody><actuator><motor joint="hip"/>{}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("motor", "sites"),
+    [("", ("hip",)), ('<motor joint="x"/>', ("x", "z", "pitch", "hip"))],
+    ids=["a walker floats", "a gantry is driven"],
+)
+def test_nothing_acts_at_the_joints_of_a_base_that_floats(motor: str, sites: tuple[str]) -> None:
+    model = Model.from_xml(PLANAR.format(motor))
+    t = np.arange(0, 1, 0.002)
+    recording = Recording.from_arrays(t, qpos={n: np.sin(3 * t) for n in model.joints})
+    machine = survey(model.compile(), [recording])
+    assert machine.names("joint") == sites
+    assert set(machine.joints) == {"x", "z", "pitch", "hip"}  # their scales are known all the same

@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import admissible, ranked
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
+from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare, touches
 
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
 _SHORTEST = 1 / 6  # of the full horizon
@@ -120,7 +120,8 @@ def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared,
 def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
-    wanted = _WINDOWS * max(round(_LONG / max(evidence.window, 1e-9)), 1)
+    short = max(round(_LONG / max(evidence.window, 1e-9)), 1)
+    wanted = _WINDOWS * (short if not touches(evidence.machine.model) else 1)
     stride = 1 if everything and count <= _MOST * wanted else max(round(count / wanted), 1)
     return pose(
         evidence.model,
