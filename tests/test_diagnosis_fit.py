@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis_helpers import candidate, posed, record
+from diagnosis_helpers import arm, candidate, posed, record
 
+from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.fit import assess
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import CATALOGUE
+from bo_sysid.parameters import Parameter
 
 TRUTH = [("dry_friction", "joint", "elbow", [0.02]), ("payload", "body", "forearm", [0.02])]
 
@@ -79,3 +83,49 @@ def test_a_finer_step_is_a_nuisance_and_not_a_finding(fitted) -> None:
     assert ready.correction_rms > 0.05
     assert 0.4 < fit.hypothesis.numerics < 2.0
     assert Hypothesis().numerics == 0.0
+
+
+def test_a_parameter_takes_over_only_what_its_bounds_allow(fitted) -> None:
+    ready, held, fit = fitted
+    friction, share = held[0], 0.3
+    x = fit.x[0]
+    beside, narrow = (
+        Candidate(
+            friction.effect,
+            friction.site,
+            replace(friction.extent, low=(0.0, 0.0), high=(k * float(x[0]), 1.0)),
+            friction.point,
+        )
+        for k in (1.0, share)
+    )
+    S = fit.jacobian[..., [0, 0]]  # the parameter does what the member does
+    made = {}
+    for parameter in (beside, narrow):
+        hypothesis = Hypothesis((friction,), (x,), (parameter,), (np.zeros(1),))
+        made[parameter] = assess(
+            ready.problem, ready.linear.Q, hypothesis, (None,), fit.start, fit.residual, S
+        )
+    alone = assess(
+        ready.problem, ready.linear.Q, Hypothesis((friction,), (x,)), (None,), fit.start,
+        fit.residual, S[..., :1],
+    )  # fmt: skip
+    assert made[beside].unique[0] == pytest.approx(0.0, abs=1e-2 * alone.unique[0])
+    assert made[narrow].unique[0] == pytest.approx((1 - share) * alone.unique[0], rel=1e-3)
+    widths = [np.sqrt(made[c].covariance[0, 0]) for c in (beside, narrow)]
+    assert widths == pytest.approx([x[0] / np.sqrt(12), share * x[0] / np.sqrt(12)], rel=0.2)
+
+
+def test_an_effect_is_found_beside_a_parameter_that_is_at_its_bound() -> None:
+    parameter = Parameter("damping", ("joint[elbow].damping",), 0.04, 0.06, 5)
+    truth = [("viscous_damping", "joint", "elbow", [0.05])]
+    evidence = make_evidence(
+        arm(),
+        [record(truth, duration=5.0)],
+        effects=[CATALOGUE[e] for e in ("viscous_damping", "dry_friction", "payload")],
+        parameters=[parameter],
+        threads=1,
+    )
+    best = locate(evidence).decision.best
+    assert [c.key for c in best.members] == [("viscous_damping", "elbow")]
+    whole = best.x[0][0] + best.hypothesis.nuisance_x[0][0]
+    assert whole == pytest.approx(0.05, rel=0.03)

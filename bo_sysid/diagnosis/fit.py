@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
@@ -96,8 +97,9 @@ def assess(
 
     Leave-one-block-out steps are computed from the blocks' normal equations, with a ridge on unit
     columns. The covariance is the sandwich of the blocks' gradients, at least the one of white
-    noise of the observed size. The unique size of a member is the rms of its columns times its
-    magnitudes after they are orthogonalised on all other columns.
+    noise of the observed size, parameters of the study being uniform within their bounds. The
+    unique size of a member is the rms of its columns times its magnitudes after the other columns
+    took over what they can, parameters without leaving their bounds.
     """
     y = project(Q, residual)
     SP = project(Q, jacobian.astype(float))
@@ -112,8 +114,11 @@ def assess(
         for k in range(len(cost)):
             step = np.linalg.solve(total - G[k] + ridge, g.sum(axis=0) - g[k]) - whole
             cv[k] = cost[k] - 2 * step @ g[k] + step @ G[k] @ step
-    covariance = _sandwich(total, g, float(cost.sum()) / dof) / np.outer(scale, scale)
-    unique = _unique(hypothesis, total, scale, dof)
+    low, high = _room(hypothesis, p)
+    variance = float(cost.sum()) / dof
+    known = total + np.diag(12.0 * variance / ((high - low) * scale) ** 2)
+    covariance = _sandwich(known, g, variance) / np.outer(scale, scale)
+    unique = _unique(hypothesis, total, scale, (low * scale, high * scale), dof)
     rms = float(np.sqrt(cost.sum() / dof))
     return Fit(
         hypothesis, groups, start, residual, jacobian.astype(np.float32), rms, cv, cost, unique,
@@ -146,10 +151,22 @@ def _sandwich(
     return np.asarray(robust * np.outer(grow, grow))
 
 
+def _room(hypothesis: Hypothesis, p: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far each of `p` columns may move down and up: parameters to their bounds."""
+    low, high = np.full(p, -np.inf), np.full(p, np.inf)
+    first = sum(c.size for c in hypothesis.members)
+    for c, x in zip(hypothesis.nuisances, hypothesis.nuisance_x, strict=True):
+        own = slice(first, first + c.size)
+        low[own], high[own] = np.minimum(c.low - x, 0.0), np.maximum(c.high - x, 0.0)
+        first += c.size
+    return low, high
+
+
 def _unique(
     hypothesis: Hypothesis,
     G: Float[np.ndarray, "p p"],
     scale: Float[np.ndarray, " p"],
+    room: tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]],
     dof: int,
 ) -> tuple[float, ...]:
     sizes, first = [], 0
@@ -159,10 +176,22 @@ def _unique(
         a = np.arange(first, first + own)
         rest = np.setdiff1d(np.arange(len(G)), a)
         z = x[:own] * scale[a]
-        left = G[np.ix_(a, a)]
-        if len(rest):
-            N = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest))
-            left = left - G[np.ix_(a, rest)] @ np.linalg.solve(N, G[np.ix_(rest, a)])
-        sizes.append(float(np.sqrt(max(z @ left @ z, 0.0) / dof)))
+        N, c = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), G[np.ix_(rest, a)] @ z
+        y = _nearest(N, c, (room[0][rest], room[1][rest]))
+        left = z @ G[np.ix_(a, a)] @ z - 2 * y @ c + y @ N @ y
+        sizes.append(float(np.sqrt(max(left, 0.0) / dof)))
         first += candidate.size
     return tuple(sizes)
+
+
+def _nearest(
+    N: Float[np.ndarray, "r r"],
+    c: Float[np.ndarray, " r"],
+    room: tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]],
+) -> Float[np.ndarray, " r"]:
+    """Return the y within its bounds at which y'Ny/2 - c'y is least."""
+    y = np.linalg.solve(N, c)
+    if ((y >= room[0]) & (y <= room[1])).all():
+        return np.asarray(y)
+    L = np.linalg.cholesky(N)
+    return np.asarray(lsq_linear(L.T, np.linalg.solve(L, c), room).x)

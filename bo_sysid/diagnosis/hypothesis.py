@@ -17,6 +17,9 @@ _EXACT = 1e-6  # how far the magnitude of a discrete effect may lie from 1
 PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
 
 
+_AT_BOUND = 1e-6  # of its range
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect at a site, with its shapes fixed.
@@ -97,6 +100,14 @@ class Hypothesis:
     nuisances: tuple[Candidate, ...] = ()
     nuisance_x: tuple[Float[np.ndarray, " _"], ...] = ()
     numerics: float = 0.0
+
+    @property
+    def bound(self) -> tuple[bool, ...]:
+        """Whether each parameter is at one of its bounds, so that it can give way no further."""
+        return tuple(
+            bool(np.isclose(x, [c.low, c.high], rtol=0, atol=_AT_BOUND * (c.high - c.low)).any())
+            for c, x in zip(self.nuisances, self.nuisance_x, strict=True)
+        )
 
     @property
     def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " _"]], ...]:

@@ -326,7 +326,7 @@ class Search:
         held = [*self.candidates, *problem.nuisances]
         S = self.frame.signatures(held)
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
-        owner[owner >= len(self.candidates)] = -1
+        owner[owner >= len(self.candidates)] = np.where(base.hypothesis.bound, -2, -1)
         if problem.correction is not None:
             column = project(self.frame.Q, problem.correction).astype(np.float32)
             S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, -1)
