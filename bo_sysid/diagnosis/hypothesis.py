@@ -121,7 +121,7 @@ def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, 
     found = []
     for effect in effects:
         if effect.hidden or effect.family == "learned":
-            continue  # another state than the recordings'; fitted to what stays unexplained
+            continue  # a state that no recording shows: it stays unexplained, at its joint
         for site in applicable(effect, machine):
             extent = effect.extent(site, machine)
             assert extent is not None  # noqa: S101 - applicable
