@@ -2,7 +2,8 @@
 
 Cases are drawn with fixed seeds (`diagnosis_cases.py`): the nominal model with effects in it,
 stepped eight times finer, seen through noisy joint positions. Each figure is a share,
-the number of its cases and its 95 % interval; "singles" and "pairs" count sizes from 2 sigma up.
+the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
+50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up.
 """
 
 import time
@@ -183,6 +184,8 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),
+        "logs": share(seen(of("log")), right),
+        "forecast_logs_80ms": share(of("log"), good),
         "forecast_lugre_80ms": share(of("lugre"), good),
         "lugre_right": share(of("lugre"), right),
         "cpu_median_s": round(float(np.median([r["cpu"] for r in rows])), 1) if rows else None,

@@ -1,5 +1,6 @@
 """What is not in the catalogue is flagged, located and described; what is there is not flagged."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -105,3 +106,15 @@ def test_contact_is_seen_where_geoms_touch() -> None:
     heights = np.array([[0.09], [0.5], [0.095], [1.0]])
     assert touching(ball, heights) == 0.5
     assert touching(arm().compile(), np.zeros((3, 2))) == 0.0
+
+
+def test_in_contact_what_is_left_is_flagged_only_where_a_law_predicts_it(
+    magnet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ready, nominal = magnet
+    rng = np.random.default_rng(0)
+    loud = replace(nominal, residual=3 * rng.normal(size=nominal.residual.shape), rms=3.0)
+    assert examine(ready.problem, settled(loud)).flagged
+    monkeypatch.setattr("bo_sysid.diagnosis.unknown.in_contact", lambda problem: True)
+    assert not examine(ready.problem, settled(loud)).flagged
+    assert examine(ready.problem, settled(nominal)).joint == "elbow"

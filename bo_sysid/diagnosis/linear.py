@@ -27,6 +27,7 @@ from bo_sysid.simulation import (
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
 _BATCH = 24  # columns propagated at once
+_FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges
 
 
 def project(
@@ -124,7 +125,8 @@ class Linear:
                 forced = np.concatenate([w for w, _ in waiting], axis=-1)
                 shown = np.concatenate([s for _, s in waiting], axis=-1)
                 response = self._shown(self._propagate(forced)) + shown
-                out.append(project(self.Q, response).astype(np.float32))
+                response = np.clip(np.nan_to_num(project(self.Q, response)), -_FAR, _FAR)
+                out.append(response.astype(np.float32))
                 waiting.clear()
 
         for candidate in candidates:

@@ -209,7 +209,7 @@ def _descend(
 
 def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, "W R p"]:
     columns = []
-    for k, (value, probe) in enumerate(zip(point.theta, space.probe, strict=True)):
+    for k, (value, probe) in enumerate(zip(point.theta, np.abs(space.probe), strict=True)):
         h = max(0.1 * probe if abs(value) < probe else 0.02 * abs(value), 0.05 * probe)
         if value + h > space.high[k]:
             h = -h

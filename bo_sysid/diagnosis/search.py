@@ -130,8 +130,23 @@ class Search:
             if found is None or made.rss < found.rss:
                 found = made
         assert found is not None  # noqa: S101 - there is always a first start
-        self.fits[key] = found
-        return found
+        self.fits[key] = self._not_worse(found, labels, effort)
+        return self.fits[key]
+
+    def _not_worse(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+        """Fit once more from the best smaller set inside it, where that one is nearer."""
+        inside = [f for f in self.fits.values() if f.key < fit.key and f.rss < fit.rss]
+        if not inside or not effort.final:
+            return fit
+        best = min(inside, key=lambda f: f.rss)
+        known = {set_key([c]): x for c, x in zip(best.members, best.x, strict=True)}
+        x = [known.get(set_key([c]), np.zeros(c.size)) for c in fit.members]
+        frame = linearise(self.prepared.problem, best.hypothesis, best.start)
+        made = refit(
+            frame, fit.members, x, groups=labels, start=best.start, guess=best.hypothesis,
+            effort=effort,
+        )  # fmt: skip
+        return made if made.rss < fit.rss else fit
 
     def _afresh(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
         """Fit on with the model linearised at the fit itself, where it is far from the data.

@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import settle
 from bo_sysid.diagnosis.rules import MARGIN
+from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force
 from bo_sysid.simulation import State
@@ -25,6 +26,7 @@ from bo_sysid.simulation import State
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
+_BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _RIDGES = (1e-3, 3e-2, 0.3, 2.0)
 _NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
@@ -95,8 +97,12 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     linear = linearise(problem, best.hypothesis, best.start)
     clues = tuple(sorted(_clues(linear, best), key=lambda c: -c.gain))
     most = clues[0].gain if clues else 0.0
-    loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
-    flagged = loose or (most > _GAIN and most > _RELATIVE * nominal.excess)
+    need = max(_GAIN, _RELATIVE * nominal.excess)
+    if in_contact(problem):  # impacts leave something whatever the model: no size of it tells
+        loose, need = False, max(need, _BETWEEN_IMPACTS * best.excess)
+    else:
+        loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
+    flagged = loose or most > need
     return Unknown(bool(flagged), share, clues)
 
 
