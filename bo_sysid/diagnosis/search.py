@@ -7,14 +7,14 @@ to longer ones.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.linear import Linear, linearise, project
+from bo_sysid.diagnosis.linear import Linear, linearise
 from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.rules import (
     CLEAN,
@@ -25,7 +25,8 @@ from bo_sysid.diagnosis.rules import (
     clean,
     ranked,
 )
-from bo_sysid.diagnosis.subsets import Gram, Scored, clashes, gram, groups, search
+from bo_sysid.diagnosis.screen import Screen
+from bo_sysid.diagnosis.subsets import Scored, clashes, groups, search
 from bo_sysid.diagnosis.units import alone, grouped_labels, subset, units_of, with_group
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.simulation import State
@@ -59,8 +60,7 @@ class Search:
     prior: Prior
     frame: Linear
     fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
-    _columns: dict[int, np.ndarray] = field(default_factory=dict)
-    _signatures: np.ndarray | None = None
+    _screen: Screen | None = None
 
     @classmethod
     def on(
@@ -90,7 +90,7 @@ class Search:
     @property
     def begun(self) -> bool:
         """Whether anything was tried yet."""
-        return self._signatures is not None
+        return self._screen is not None
 
     def fit(
         self,
@@ -173,9 +173,9 @@ class Search:
         self.simplify(base)
         self._vary(base)
         self._refine(base)
-        table = self._linearise(base)
+        screen = self._screened(base)
         if not base.members:
-            self._first(table)
+            self._first(screen)
             return
         if not clean(base):  # with the response to the start at this fit
             again = self.fit(
@@ -183,13 +183,13 @@ class Search:
             )  # fmt: skip
             if again.rms < 0.97 * base.rms:
                 return self.round(again)
-        self._add(table, base)
+        self._add(screen, base)
         for unit in units_of(base):
-            self._exchange(table, base, unit)
+            self._exchange(screen, base, unit)
             self._drop(base, unit)
 
-    def _first(self, table: "_Table") -> None:
-        found = search(table.gram((), {}), self.most, groups(self.candidates))
+    def _first(self, screen: Screen) -> None:
+        found = search(screen.gram((), {}), self.most, groups(self.candidates))
         self._run(alone(found.get(1, [])), _TOP[1], None)
         for size in (1, 2, 3):
             if self.least**2 - 1 <= CLEAN:
@@ -199,27 +199,27 @@ class Search:
             if size > 1:
                 self._run(alone(sets), _TOP[size], None)
 
-    def _add(self, table: "_Table", base: Fit) -> None:
+    def _add(self, screen: Screen, base: Fit) -> None:
         room = self.most - base.size
         if room <= 0:
             return
         fixed = [self.candidates.index(c) for c in base.members]
         now = dict(zip(fixed, base.x, strict=True))
         units = groups(self.candidates) if not clean(base) else ()
-        found = search(table.gram(fixed, now), room, units, deepest=2, paired=60)
+        found = search(screen.gram(fixed, now), room, units, deepest=2, paired=60)
         need = max(0.7 * MARGIN, 0.5 * SHARE * np.sqrt(base.excess))
         self._run(alone(found[1]), 3, base, need=need)
         self._run(with_group(found[1]), 2, base, need=need)
         if room > 1 and not clean(base):
             self._run(alone(found.get(2, [])), 2, base, need=need)
 
-    def _exchange(self, table: "_Table", base: Fit, unit: tuple[int, ...]) -> None:
+    def _exchange(self, screen: Screen, base: Fit, unit: tuple[int, ...]) -> None:
         """Try others in the place of one unit of a fit."""
         rest = [k for k in range(len(base.members)) if k not in unit]
         members, x = subset(base, rest)
         fixed = [self.candidates.index(c) for c in members]
         now = dict(zip(fixed, x, strict=True))
-        without = table.without([base.members[k] for k in unit], [base.x[k] for k in unit])
+        without = screen.without([base.members[k] for k in unit], [base.x[k] for k in unit])
         many = len(units_of(base)) < 3 and not clean(base)
         units = groups(self.candidates) if not clean(base) else ()
         room = self.most - base.size + base.members[unit[0]].effect.weight
@@ -232,14 +232,14 @@ class Search:
 
     def substitute(self, base: Fit) -> None:
         """Fit what could stand in the place of a member and explain as much."""
-        table = self._linearise(base)
+        screen = self._screened(base)
         near = _ALIKE * max(1.0, base.rms**2)
         rough = _ROUGHLY if base.rms > ROUGH else 0.0
         for k, member in enumerate(base.members):
             rest = [i for i in range(len(base.members)) if i != k]
             members, x = subset(base, rest)
             fixed = [self.candidates.index(c) for c in members]
-            without = table.without([member], [base.x[k]])
+            without = screen.without([member], [base.x[k]])
             found = search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
             own = max((s.gain for s in found if self.candidates[s.members[0]] is member), default=0)
             alike = [s for s in found if s.gain > own - max(near, rough * own)]
@@ -334,30 +334,15 @@ class Search:
                 if set_key([made]) not in present:
                     self.candidates.append(made)
 
-    def _linearise(self, base: Fit) -> "_Table":
-        problem = self.prepared.problem
-        if base.members or self._signatures is not None:
-            self.frame = linearise(problem, base.hypothesis, base.start)
-        held = [*self.candidates, *problem.nuisances]
-        S = self.frame.signatures(held)
-        owner = np.repeat(np.arange(len(held)), [c.size for c in held])
-        owner[owner >= len(self.candidates)] = np.where(base.hypothesis.bound, -2, -1)
-        if problem.correction is not None:
-            column = project(self.frame.Q, problem.correction).astype(np.float32)
-            S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, -1)
-        self._signatures = S
-        self._columns = {id(c): np.flatnonzero(owner == i) for i, c in enumerate(self.candidates)}
-        self._columns[-1] = np.flatnonzero(owner < 0)
-        A = S.reshape(-1, S.shape[-1])
-        y = project(self.frame.Q, base.residual).astype(np.float32)
-        G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)
-        return _Table(self.candidates, G, b, owner)
+    def _screened(self, base: Fit) -> Screen:
+        """Linearise the model at a fit, and return what every candidate would do there."""
+        if base.members or self.begun:
+            self.frame = linearise(self.prepared.problem, base.hypothesis, base.start)
+        self._screen = Screen.at(base, self.frame, self.candidates)
+        return self._screen
 
     def _first_jacobian(self, members: Sequence[Candidate]) -> np.ndarray | None:
-        if self._signatures is None or any(id(c) not in self._columns for c in members):
-            return None
-        columns = [*(self._columns[id(c)] for c in members), self._columns[-1]]
-        return self._signatures[..., np.concatenate(columns)]
+        return None if self._screen is None else self._screen.jacobian(members)
 
     def _begin(self, c: Candidate, x: np.ndarray) -> np.ndarray:
         """Return where a fit begins: thresholds act near the point of their grid only."""
@@ -373,24 +358,3 @@ class Search:
             for s in c.extent.starts:
                 found.append([*x[:k], np.array(s[: c.size], float), *x[k + 1 :]])
         return found
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Inner products of all signatures and the residual of a fit."""
-
-    candidates: list[Candidate]
-    G: Float[np.ndarray, "p p"]
-    b: Float[np.ndarray, " p"]
-    owner: np.ndarray
-
-    def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
-        return gram(self.candidates, self.G, self.b, self.owner, now, fixed)
-
-    def without(self, members: Sequence[Candidate], x: Sequence[np.ndarray]) -> "_Table":
-        """Return the table for the residual before some members explained their part of it."""
-        b = self.b.copy()
-        for c, z in zip(members, x, strict=True):
-            own = np.flatnonzero(self.owner == self.candidates.index(c))
-            b = b + self.G[:, own] @ z
-        return replace(self, b=b)

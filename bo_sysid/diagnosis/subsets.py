@@ -125,13 +125,11 @@ def gram(
         candidates: the candidates.
         G: inner products of all columns.
         b: inner products with the residual.
-        owner: candidate of each column; -1 for a nuisance, -2 for one that cannot give way.
+        owner: candidate of each column; -1 for a nuisance.
         now: present magnitudes of candidates that the residual already contains.
         fixed: candidates whose magnitudes adapt as nuisances do.
     """
-    able = owner > -2
-    G, b, owner = G[np.ix_(able, able)], b[able], owner[able]
-    out = (owner == -1) | np.isin(owner, fixed)
+    out = (owner < 0) | np.isin(owner, fixed)
     rest = ~out
     norm = np.diag(G)[rest]
     if out.any():

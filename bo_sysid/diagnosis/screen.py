@@ -1,0 +1,76 @@
+"""Screening: what every candidate would do at a fit, so that sets are scored by linear algebra."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.linear import Linear, project
+from bo_sysid.diagnosis.subsets import Gram, gram
+
+_NUISANCE, _AT_BOUND = -1, -2  # owners of columns that belong to no candidate
+
+
+@dataclass(frozen=True)
+class Screen:
+    """The signatures of all candidates and nuisances at a fit, and their inner products.
+
+    Attributes:
+        candidates: what may be missing.
+        signatures: `W x R x a` projected responses, nuisances last.
+        owner: number of the candidate of each column, negative for nuisances.
+        G: inner products of the columns.
+        b: inner products with the fit's residual.
+    """
+
+    candidates: tuple[Candidate, ...]
+    signatures: Float[np.ndarray, "W R a"]
+    owner: Int[np.ndarray, " a"]
+    G: Float[np.ndarray, "a a"]
+    b: Float[np.ndarray, " a"]
+
+    @classmethod
+    def at(cls, fit: Fit, frame: Linear, candidates: Sequence[Candidate]) -> "Screen":
+        """Return the screen of a fit; `frame` is the linear model there.
+
+        A parameter at its bound gives way no further: its column takes nothing over.
+        """
+        problem = frame.problem
+        held = [*candidates, *problem.nuisances]
+        S = frame.signatures(held)
+        owner = np.repeat(np.arange(len(held)), [c.size for c in held])
+        owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _AT_BOUND, _NUISANCE)
+        if problem.correction is not None:
+            column = project(frame.Q, problem.correction).astype(np.float32)
+            S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, _NUISANCE)
+        A = S.reshape(-1, S.shape[-1])
+        y = project(frame.Q, fit.residual).astype(np.float32)
+        G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)
+        return cls(tuple(candidates), S, owner, G, b)
+
+    def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
+        """Return the table that sets are scored from; see `subsets.gram`."""
+        able = self.owner != _AT_BOUND
+        G, b, owner = self.G[np.ix_(able, able)], self.b[able], self.owner[able]
+        return gram(self.candidates, G, b, owner, now, fixed)
+
+    def without(self, members: Sequence[Candidate], x: Sequence[np.ndarray]) -> "Screen":
+        """Return the screen for the residual before some members explained their part of it."""
+        b = self.b.copy()
+        for c, z in zip(members, x, strict=True):
+            b = b + self.G[:, self._columns(c)] @ z
+        return replace(self, b=b)
+
+    def jacobian(self, members: Sequence[Candidate]) -> Float[np.ndarray, "W R p"] | None:
+        """Return the columns of members and nuisances, None where a member is not among them."""
+        known = {id(c) for c in self.candidates}
+        if any(id(c) not in known for c in members):
+            return None
+        columns = [*(self._columns(c) for c in members), np.flatnonzero(self.owner < 0)]
+        return np.asarray(self.signatures[..., np.concatenate(columns)])
+
+    def _columns(self, candidate: Candidate) -> Int[np.ndarray, " k"]:
+        return np.flatnonzero(self.owner == self.candidates.index(candidate))
