@@ -56,7 +56,7 @@ class Evidence:
 
 def _window(machine: Machine) -> float:
     """Return the length of a window: short where contact soon decides, else long."""
-    return min(_WINDOW, _CONTACT_WINDOW) if touches(machine.model) else _WINDOW
+    return _CONTACT_WINDOW if touches(machine.model) else _WINDOW
 
 
 def make_evidence(

@@ -13,11 +13,9 @@ from bo_sysid.mjcf import Edit, Model, address_edit
 from bo_sysid.mjcf.address import Address
 from bo_sysid.parameters import Parameter
 
+_AT_BOUND = 1e-6  # of a parameter's range, within which it is at its end
 _EXACT = 1e-6  # how far the magnitude of a discrete effect may lie from 1
 PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
-
-
-_AT_BOUND = 1e-6  # of its range
 
 
 @dataclass(frozen=True, eq=False)

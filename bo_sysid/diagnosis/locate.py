@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import admissible, ranked
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare, touches
+from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
 
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
 _SHORTEST = 1 / 6  # of the full horizon
@@ -26,9 +26,8 @@ _LEAST = 6  # instants in the shortest window
 _GROWTH = 2.2
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _HALVINGS = 3
-_LONG = 0.3  # [s] window for which that number is meant; shorter ones are more
-_MOST = 10  # times that number in the final fits
-_WINDOWS = 24  # in the search; all of them in the final fits
+_WINDOWS = 24  # in the search
+_MOST = 10  # times that number in the final fits, all of them where they are no more
 _FINALISTS = 5
 _POLISH = 2  # times that the leader is linearised anew on all windows
 _CARRIED = 4
@@ -120,9 +119,7 @@ def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared,
 def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
-    short = max(round(_LONG / max(evidence.window, 1e-9)), 1)
-    wanted = _WINDOWS * (short if not touches(evidence.machine.model) else 1)
-    stride = 1 if everything and count <= _MOST * wanted else max(round(count / wanted), 1)
+    stride = 1 if everything and count <= _MOST * _WINDOWS else max(round(count / _WINDOWS), 1)
     return pose(
         evidence.model,
         evidence.machine,

@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.subsets import Gram, gram
 
-_NUISANCE, _AT_BOUND = -1, -2  # owners of columns that belong to no candidate
+_NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Screen:
         held = [*candidates, *problem.nuisances]
         S = frame.signatures(held)
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
-        owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _AT_BOUND, _NUISANCE)
+        owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:
             column = project(frame.Q, problem.correction).astype(np.float32)
             S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, _NUISANCE)
@@ -53,7 +53,7 @@ class Screen:
 
     def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
         """Return the table that sets are scored from; see `subsets.gram`."""
-        able = self.owner != _AT_BOUND
+        able = self.owner != _SPENT
         G, b, owner = self.G[np.ix_(able, able)], self.b[able], self.owner[able]
         return gram(self.candidates, G, b, owner, now, fixed)
 
