@@ -14,6 +14,10 @@ _SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _TIME = 0.3e-3  # [s] the same for times
+_OPPOSITE = {  # what a sentence says instead of a negative value
+    "too much": "too little",
+    "larger forwards than backwards": "larger backwards than forwards",
+}
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
 
 def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
     """Return a finding in words: what, where, how much, how sure."""
-    site, amount = spoken(candidate.site), _amount(quantity)
+    site = spoken(candidate.site)
     if before and candidate.effect.kind == "joint":
         now = _amount(
             Quantity(
@@ -137,8 +141,20 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
         )
         text = f"{candidate.effect.noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
-        text = candidate.effect.sentence.format(site=site, value=amount, interval="")
+        text = candidate.effect.sentence
+        for said, opposite in _OPPOSITE.items():
+            if said in text and quantity.value < 0:
+                text, quantity = text.replace(said, opposite), _negated(quantity)
+        amount = _amount(quantity)
+        if any(words in text for both in _OPPOSITE.items() for words in both):
+            amount = amount.removeprefix("+")
+        text = text.format(site=site, value=amount, interval="")
     return text[0].upper() + text[1:]
+
+
+def _negated(quantity: Quantity) -> Quantity:
+    low, high = quantity.interval
+    return Quantity(-quantity.value, quantity.unit, (-high, -low))
 
 
 def spoken(site: Site) -> str:
