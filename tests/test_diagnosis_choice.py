@@ -105,6 +105,16 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     assert outcome.sessions.table.empty
 
 
+@pytest.mark.parametrize(("late", "names"), [(0.4e-3, []), (3e-3, ["sensor_delay"])])
+def test_a_delay_within_the_models_own_error_is_no_finding(late: float, names: list[str]) -> None:
+    recorded = record(duration=4.0, seed=3)
+    shown = recorded.channels["qpos.elbow"]
+    moved = np.interp(shown.time - late, shown.time, shown.values)
+    channels = {**recorded.channels, "qpos.elbow": replace(shown, values=moved)}
+    outcome = explain(located(replace(recorded, channels=channels), effects=("sensor_delay",)))
+    assert [c.effect.id for c in outcome.fit.members] == names
+
+
 @pytest.mark.parametrize(
     ("after", "said"),
     [(1.1, ""), (4.0, "The floor is not reached"), (30.0, "does not confirm the repair")],
