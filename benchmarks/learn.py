@@ -9,6 +9,7 @@ Arms, each with the same simulated steps a policy, on paired seeds:
 - zhu: argmax P, the search ended by values, the loop by time out: after as many real trajectories
   as the method needed with the same seed, so that both have the same data to spend.
 - uniform: TRPO with a model drawn from all of B in every episode (domain randomisation).
+- nominal: TRPO on the model as it is, on the sets with 50 %.
 
 Every policy is evaluated on the plant from the same starts. Figures: interquartile means over
 seeds, and the paired ratio to the reference with its bootstrap interval. Seeds are run in turn, so
@@ -50,7 +51,7 @@ from bo_sysid.study import Study
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-ARMS = ("true", "worst", "method", "zhu", "uniform")
+ARMS = ("true", "worst", "method", "zhu", "uniform", "nominal")
 STUDIES = ("cheetah", "hopper", "swimmer", "cheetah-wide", "hopper-wide", "swimmer-wide")
 SEEDS, EPISODES, EVALUATION = 5, 100, 900_001
 MORE = 10  # seeds of the reference and the method, whose ratio's interval is wide, on B by 10 %
@@ -125,6 +126,8 @@ def single(task: str, arm: str, seed: int, quick: bool, folder: Path) -> dict[st
     centre, spread = truth(scene), None
     if arm == "worst":
         centre = worst(scene)
+    elif arm == "nominal":
+        centre = np.ones(len(scene.parameters))  # every parameter of these studies is a scale
     elif arm == "uniform":
         spread = np.full(len(scene.candidates), 1 / len(scene.candidates))
     started = time.perf_counter()
@@ -246,7 +249,10 @@ def told(found: Mapping[str, list[dict[str, Any]]]) -> dict[str, Any]:
 
 def seeds_of(task: str, arm: str) -> int:
     """Return how many paired seeds an arm has on a task."""
-    return MORE if arm in ("true", "method") and not task.endswith("-wide") else SEEDS
+    wide = task.endswith("-wide")
+    if arm == "nominal":
+        return SEEDS if wide else 0
+    return MORE if arm in ("true", "method") and not wide else SEEDS
 
 
 def run(quick: bool, cases: Cases) -> dict[str, Any]:
@@ -256,7 +262,7 @@ def run(quick: bool, cases: Cases) -> dict[str, Any]:
     # seed by seed, so that after any interruption every task has about as many
     for arms, seed, task in itertools.product((ARMS[:3], ARMS[3:]), range(MORE), tasks):
         for arm in arms:
-            if seed >= (1 if quick else seeds_of(task, arm)):
+            if seed >= (int(arm != "nominal") if quick else seeds_of(task, arm)):
                 continue
             key = f"{task} {arm} {seed}"
             if cases.stored and key not in cases:

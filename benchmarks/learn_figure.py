@@ -14,6 +14,7 @@ from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, SECOND
 LOOK = {
     "true": (RECORDED, "true parameters (reference)"),
     "worst": (NOMINAL, "worst candidate of B"),
+    "nominal": ("#CC79A7", "nominal model"),
     "uniform": (SECOND, "all of B at random"),
     "method": (IDENTIFIED, "method"),
     "zhu": ("#009E73", "Zhu's variant"),
@@ -50,7 +51,7 @@ def _title(task: str, figures: Mapping[str, Any]) -> str:
 
 
 def _panel(axes: Axes, figures: Mapping[str, Any], curves: Mapping[str, Any]) -> None:
-    for arm in (a for a in ("true", "worst", "uniform") if a in figures):
+    for arm in (a for a in ("true", "worst", "nominal", "uniform") if a in figures):
         colour, label = LOOK[arm]
         axes.axhline(figures[arm]["return"], color=colour, linestyle="--", label=label)
     for k, (x, y) in enumerate(curves.get("true", ())):
