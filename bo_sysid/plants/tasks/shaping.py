@@ -30,23 +30,21 @@ def tolerance(
         shape: how the value falls.
         at_margin: value at the margin.
     """
-    inside = (low <= x) & (x <= high)
+    outside = np.maximum(low - x, x - high)
     if margin == 0.0:
-        return inside.astype(float)
-    d = np.where(x < low, low - x, x - high) / margin
-    return np.where(inside, 1.0, _falling(d, at_margin, shape))
+        return (outside <= 0).astype(float)
+    return _falling(np.maximum(outside, 0.0) / margin, at_margin, shape)
 
 
 def _falling(d: np.ndarray, at_margin: float, shape: Shape) -> np.ndarray:
+    """Return 1 at d = 0, `at_margin` at d = 1."""
     if shape == "gaussian":
-        return np.asarray(np.exp(-0.5 * (d * np.sqrt(-2 * np.log(at_margin))) ** 2))
+        return np.asarray(np.exp(np.log(at_margin) * d**2))
     if shape == "long_tail":
-        return np.asarray(1 / ((d * np.sqrt(1 / at_margin - 1)) ** 2 + 1))
+        return np.asarray(1 / (d**2 * (1 / at_margin - 1) + 1))
     if shape == "linear":
-        scaled = d * (1 - at_margin)
-        return np.where(abs(scaled) < 1, 1 - scaled, 0.0)
-    scaled = d * np.sqrt(1 - at_margin)
-    return np.where(abs(scaled) < 1, 1 - scaled**2, 0.0)
+        return np.maximum(1 - d * (1 - at_margin), 0.0)
+    return np.maximum(1 - d**2 * (1 - at_margin), 0.0)
 
 
 def random_joints(model: mujoco.MjModel, rng: np.random.Generator) -> np.ndarray:
