@@ -15,7 +15,7 @@ from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.motion import channel_flags, excitation, excitation_flags, sampling_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.sensitivity import Information, in_words, information
-from bo_sysid.checks.wraps import find_wraps, unwrapped
+from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -75,6 +75,22 @@ def test_an_angle_that_wraps(period: float) -> None:
     (right,) = unwrapped([log], wraps)
     assert np.ptp(right.channels["qpos.x"].values - true) == pytest.approx(0.0, abs=1e-9 * period)
     assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
+
+
+def test_a_register_that_was_read_without_its_sign() -> None:
+    duty = np.rint(400 * np.sin(5 * TIME))
+    log = Recording.from_arrays(TIME, ctrl={"m": duty % 2**16}, qpos={"x": TIME})
+    wraps = find_wraps([log])
+    assert {n: w.signed for n, w in wraps.items()} == {"ctrl.m": 16}
+    (right,) = unwrapped([log], wraps)
+    np.testing.assert_array_equal(right.channels["ctrl.m"].values, duty)
+    assert proposed_columns({"ctrl.m": {"from": "load"}}, {}, wraps) == {
+        "ctrl.m": {"from": "load", "signed": 16}
+    }
+    (flag,) = wrap_flags(wraps)
+    assert "a register of 16 bits that was read without its sign" in flag.sentence
+    for plain in (np.abs(duty), duty, np.linspace(0, 65535, len(TIME)).round()):
+        assert find_wraps([Recording.from_arrays(TIME, ctrl={"m": plain})]) == {}
 
 
 def test_a_proposal_continues_the_rules_that_are_there() -> None:

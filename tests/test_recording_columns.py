@@ -68,6 +68,14 @@ def test_rule_order_is_unit_scale_unwrap_sign_offset():
         assert word in note
 
 
+def test_a_register_keeps_its_sign():
+    true = np.tile([-32768.0, -3.0, 0.0, 7.0, 32767.0], 10)
+    rule = {"from": "load", "signed": 16, "scale": 0.5}
+    recording = read({"ctrl.m": rule}, load=true % 2**16)
+    np.testing.assert_array_equal(recording.channels["ctrl.m"].values, true / 2)
+    assert "read as a signed number of 16 bits" in " ".join(recording.notes)
+
+
 def test_unwrap_leaves_a_move_of_less_than_half_a_turn():
     angle = np.where(np.arange(50) % 10 < 5, 0.0, 3.0)
     recording = read({"qpos.b": {"from": "enc", "unwrap": True}}, enc=angle)
@@ -133,13 +141,17 @@ def test_a_rule_of_none_values_is_the_default_rule():
         ({"qpos.b": {"from": "theta", "unit": "rpm"}}, "'rpm' measures angular velocity.*angle"),
         ({"time": {"from": "theta", "unit": "mm"}}, "columns: time: unit 'mm' measures length"),
         ({"qpos.b": {"from": "theta", "unit": "ticks"}}, "needs `scale`.*4096"),
-        ({"qpos.b": {"from": "theta", "sine": -1}}, "unknown key 'sine'; did you mean 'sign'"),
+        (
+            {"qpos.b": {"from": "theta", "sine": -1}},
+            "unknown key 'sine'; did you mean 'signed' or 'sign'",
+        ),
         ({"qpos.b": {"from": "theta", "sign": -2}}, "sign is -2; it must be 1 or -1"),
         ({"qpos.b": {"from": "theta", "sign": "-1"}}, "sign is '-1'; it must be a number"),
         ({"qpos.b": {"from": 3}}, "from is 3; it must be text"),
         ({"qpos.b": {"from": "theta", "scale": 0}}, "scale is 0.0; it must be finite, not 0"),
         ({"qpos.b": {"from": "theta", "offset": np.inf}}, "offset is inf; it must be finite"),
         ({"qpos.b": {"from": "theta", "unwrap": -1}}, "unwrap is -1"),
+        ({"qpos.b": {"from": "theta", "signed": 12}}, "signed is 12"),
         ({"qpos.b": {"from": "theta", "hold": "zeros"}}, "hold is 'zeros'; did you mean 'zero'"),
         ({"qpos.b": {"from": "theta", "missing": "skipp"}}, "did you mean 'skip'"),
         ({"pos.b": {"from": "theta"}}, "columns: pos.b.*did you mean 'qpos'"),

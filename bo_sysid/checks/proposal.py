@@ -9,6 +9,7 @@ from bo_sysid.checks.wraps import Wrap
 from bo_sysid.recording.units import UNITS
 
 Rule = dict[str, Any]
+_KEPT = ("unit", "signed", "hold", "clock", "missing")
 
 
 def proposed_columns(
@@ -42,7 +43,7 @@ def proposed_columns(
             if wire.unit == "ticks":
                 rule["unit"] = "ticks"
         made: Rule = {} if column == name else {"from": column}
-        made |= {k: v for k, v in rule.items() if k in ("unit", "hold", "clock", "missing")}
+        made |= {k: v for k, v in rule.items() if k in _KEPT}
         if sign * wire.sign < 0:
             made["sign"] = -1
         if scale != 1:
@@ -50,7 +51,9 @@ def proposed_columns(
         shift = wire.sign * wire.scale * offset + wire.offset
         if shift:
             made["offset"] = _rounded(shift, 4)
-        if wire.source in wraps or rule.get("unwrap"):
+        if wire.source in wraps and wraps[wire.source].signed:
+            made["signed"] = wraps[wire.source].signed
+        elif wire.source in wraps or rule.get("unwrap"):
             period = wraps[wire.source].period * wire.scale if wire.source in wraps else 2 * pi
             made["unwrap"] = True if isclose(period, 2 * pi, rel_tol=1e-3) else _rounded(period)
         out[name] = made

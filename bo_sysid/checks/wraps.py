@@ -1,4 +1,4 @@
-"""Angles that jump by a turn: found in the samples, before anything else is looked at."""
+"""Angles that jump by a turn, and registers read without their sign: found in the samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,13 @@ import numpy as np
 
 from bo_sysid.checks.flags import Flag
 from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.mapping import two_complement
 
 PERIODS = (2 * pi, pi, 360.0, 1.0, 256.0, 1024.0, 4096.0, 65536.0)
 """Jumps that are a turn: in radians, degrees, turns, encoder ticks."""
 _NEAR = 0.12  # relative difference of a jump from a turn
 _CLEAR = 4.0  # times the largest step that is no jump
+_WORDS = (16, 32)  # bits; of eight, 0 and 255 alone may be a motor switched on and off
 
 
 @dataclass(frozen=True)
@@ -22,15 +24,29 @@ class Wrap:
     Attributes:
         period: size of the jump, in the channel's unit.
         jumps: how often it jumps.
+        signed: bits of the register, where it is one that was read without its sign; else 0.
     """
 
     period: float
     jumps: int
+    signed: int = 0
+
+    def removed(self, values: np.ndarray) -> np.ndarray:
+        """Return samples without the jumps."""
+        if self.signed:
+            return two_complement(values, self.signed)
+        return np.asarray(np.unwrap(values, period=self.period))
 
 
 def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:
-    """Return the position channels that jump by a turn."""
+    """Return the position channels that jump by a turn, and registers without their sign."""
     found: dict[str, Wrap] = {}
+    others = (n for r in recordings for n in r.channels if not n.startswith("qpos."))
+    for name in dict.fromkeys(others):
+        values = [r.channels[name].values for r in recordings if name in r.channels]
+        word = _word(np.concatenate(values))
+        if word is not None:
+            found[name] = word
     for name in dict.fromkeys(n for r in recordings for n in r.channels if n.startswith("qpos.")):
         steps = np.concatenate(
             [np.diff(r.channels[name].values) for r in recordings if name in r.channels]
@@ -51,6 +67,19 @@ def _wrap(steps: np.ndarray) -> Wrap | None:
     return None
 
 
+def _word(values: np.ndarray) -> Wrap | None:
+    """Return the register that integers come from which lie at both ends of its range alone."""
+    values = values[np.isfinite(values)]
+    if not values.size or values.min() < 0 or (values != np.rint(values)).any():
+        return None
+    for bits in _WORDS:
+        share = values / 2.0**bits
+        ends = (share < 0.25).any() and (share > 0.75).any() and share.max() < 1.0
+        if ends and not ((share > 0.25) & (share < 0.75)).any():
+            return Wrap(2.0**bits, int(np.count_nonzero(np.diff(share > 0.5))), bits)
+    return None
+
+
 def unwrapped(recordings: Sequence[Recording], wraps: Mapping[str, Wrap]) -> tuple[Recording, ...]:
     """Return the recordings with the jumps taken out."""
     if not wraps:
@@ -61,8 +90,7 @@ def unwrapped(recordings: Sequence[Recording], wraps: Mapping[str, Wrap]) -> tup
         for name, wrap in wraps.items():
             if name in channels:
                 c = channels[name]
-                values = np.unwrap(c.values, period=wrap.period)
-                channels[name] = Channel(c.time, values, c.unit, c.source, c.hold)
+                channels[name] = Channel(c.time, wrap.removed(c.values), c.unit, c.source, c.hold)
         out.append(Recording(r.name, channels, r.notes))
     return tuple(out)
 
@@ -74,8 +102,12 @@ def wrap_flags(wraps: Mapping[str, Wrap]) -> list[Flag]:
             "wrong",
             "wrap",
             (name,),
-            f"{name} jumps by {wrap.period:g} {wrap.jumps} time{'s' * (wrap.jumps > 1)}: an angle "
-            "that wraps round.",
+            f"{name} jumps by {wrap.period:g} {wrap.jumps} time{'s' * (wrap.jumps > 1)}: "
+            + (
+                f"a register of {wrap.signed} bits that was read without its sign."
+                if wrap.signed
+                else "an angle that wraps round."
+            ),
             {"period": wrap.period, "jumps": wrap.jumps},
         )
         for name, wrap in wraps.items()

@@ -17,7 +17,8 @@ from bo_sysid.recording.value import KINDS, Hold
 
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
-_NUMBERS = ("sign", "scale", "offset", "unwrap", "shift")
+_NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed")
+WORDS = (8, 16, 32)  # bits of integers
 _CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 
 
@@ -25,7 +26,7 @@ _CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 class ColumnRule:
     """How a channel is read from a column.
 
-    The value is sign · unwrap(scale · factor(unit) · raw) + offset, in SI units.
+    The value is sign · unwrap(scale · factor(unit) · signed(raw)) + offset, in SI units.
 
     Attributes:
         source: name of the column (``from`` in a study); None for the channel's own name.
@@ -34,6 +35,8 @@ class ColumnRule:
         scale: factor beside the unit's own; for encoder ticks the SI value of one tick.
         offset: added last, in SI units.
         unwrap: True for an angle that jumps by a turn, or the size of the jump in SI units.
+        signed: bits of an unsigned integer that holds a signed one, as registers do: above half of
+            its range it is negative; 0 for a number as it stands.
         hold: "zero" or "none"; None for what the kind of channel says.
         clock: column of the time stamps in [s]; None for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
@@ -45,6 +48,7 @@ class ColumnRule:
     scale: float = 1.0
     offset: float = 0.0
     unwrap: bool | float = False
+    signed: int = 0
     hold: Hold | None = None
     clock: str | None = None
     missing: Missing = "error"
@@ -55,6 +59,8 @@ class ColumnRule:
         _require(bool(np.isfinite(self.offset)), "offset", self.offset, "finite")
         positive = bool(np.isfinite(self.unwrap)) and self.unwrap >= 0
         _require(positive, "unwrap", self.unwrap, "true, or the size of the jump in SI units")
+        bits = ", ".join(map(str, WORDS))
+        _require(self.signed in (0, *WORDS), "signed", self.signed, f"a number of bits: {bits}")
 
     @classmethod
     def parse(cls, channel: str, rule: "ColumnRule | Mapping[str, Any] | str") -> "ColumnRule":
@@ -150,7 +156,7 @@ def _checked(where: str, key: str, value: object) -> object:
     if key in _NUMBERS:
         if not isinstance(value, int | float):
             raise RecordingError(f"{where} is {value!r}; it must be a number")
-        return value if isinstance(value, bool) or key == "sign" else float(value)
+        return value if isinstance(value, bool) or key in ("sign", "signed") else float(value)
     if not isinstance(value, str):
         raise RecordingError(f"{where} is {value!r}; it must be text")
     if value not in _CHOICES.get(key, (value,)):

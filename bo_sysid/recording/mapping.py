@@ -185,8 +185,11 @@ class _Mapper:
             si, factor = found.si, found.factor or 1.0
         else:
             si, factor = written, 1.0
-        values = raw if factor * rule.scale == 1.0 else factor * rule.scale * raw
         done = []
+        if rule.signed:
+            raw = two_complement(raw, rule.signed)
+            done.append(f"read as a signed number of {rule.signed} bits")
+        values = raw if factor * rule.scale == 1.0 else factor * rule.scale * raw
         if factor != 1.0:
             done.append(f"converted from {written} to {si or 'a plain number'}")
         if rule.scale != 1.0:
@@ -205,6 +208,11 @@ class _Mapper:
         if done or column != name:
             self.notes.append(f"{name} is " + ", ".join([f"column {column!r}", *done]) + ".")
         return values, si
+
+
+def two_complement(values: np.ndarray, bits: int) -> np.ndarray:
+    """Return what unsigned integers mean where they hold signed ones."""
+    return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
 
 
 def _kind(channel: str) -> str:

@@ -54,7 +54,7 @@ class ModelSource(Section):
 
 
 class Column(Section):
-    """How a channel is read: sign · unwrap(scale · factor(unit) · column) + offset."""
+    """How a channel is read: sign · unwrap(scale · factor(unit) · signed(column)) + offset."""
 
     source: Annotated[Name | None, Field(alias="from")] = None
     """Name of the column in the log; the channel's own name where left out."""
@@ -68,6 +68,8 @@ class Column(Section):
     """Added last, in SI units."""
     unwrap: bool | Positive = False
     """true for an angle that jumps by a turn, or the size of the jump in SI units."""
+    signed: Literal[0, 8, 16, 32] = 0
+    """Bits of an unsigned integer that holds a signed one, as the registers of servos do."""
     hold: Literal["none", "zero"] | None = None
     """zero: a value applies until the next stamp; none: it was measured at the stamp."""
     clock: Name | None = None
