@@ -352,3 +352,13 @@ def test_importing_recordings_is_light():
     code = f"import sys, bo_sysid.recording; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
     assert done.stdout.strip() == "[]"
+
+
+def test_a_recording_without_a_name_takes_that_of_its_file(tmp_path):
+    time = np.linspace(0.0, 1.0, 11)
+    for name in ("first", "second"):
+        nameless = Recording.from_arrays(time, qpos={"x": time})
+        write_recording(nameless, tmp_path / f"{name}.parquet")
+        assert read_recording(tmp_path / f"{name}.parquet").name == name
+    named = Recording.from_arrays(time, qpos={"x": time}, name="swing")
+    assert read_recording(write_recording(named, tmp_path / "a.parquet")).name == "swing"

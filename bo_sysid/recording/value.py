@@ -18,6 +18,8 @@ HELD_KINDS = frozenset({"act", "ctrl", "goal", "aux"})
 _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 
 Hold = Literal["none", "zero"]
+UNNAMED = "recording"
+"""Name of a recording that was given none; written to a file, it takes that file's."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Recording:
         cls,
         time: ArrayLike,
         *,
-        name: str = "recording",
+        name: str = UNNAMED,
         units: Mapping[str, str] | None = None,
         **kinds: Mapping[str, ArrayLike],
     ) -> "Recording":
@@ -140,7 +142,7 @@ class Recording:
         return cls(name, channels)
 
     @classmethod
-    def from_frame(cls, frame: pd.DataFrame, *, name: str = "recording") -> "Recording":
+    def from_frame(cls, frame: pd.DataFrame, *, name: str = UNNAMED) -> "Recording":
         """Make a recording from a DataFrame with a ``time`` column in [s] and channel columns."""
         if "time" not in frame.columns:
             raise RecordingError(

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.recording.value import HELD_KINDS, Recording
+from bo_sysid.recording.value import HELD_KINDS, UNNAMED, Recording
 from bo_sysid.runs import atomic
 
 Writer = Callable[[Recording, Path], None]
@@ -56,8 +56,10 @@ def _write_parquet(recording: Recording, path: Path) -> None:
         unit, hold = (channel.unit, channel.hold) if channel else ("s", "none")
         fields.append(pa.field(name, pa.float64(), metadata={"unit": unit, "hold": hold}))
         arrays.append(pa.array([*values, *[None] * (length - len(values))], pa.float64()))
-    about = json.dumps({"format": 1, "name": recording.name, "notes": recording.notes})
-    schema = pa.schema(fields, metadata={"bo_sysid": about})
+    about: dict[str, object] = {"format": 1, "notes": recording.notes}
+    if recording.name != UNNAMED:  # else it takes the file's name
+        about["name"] = recording.name
+    schema = pa.schema(fields, metadata={"bo_sysid": json.dumps(about)})
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
 
 
