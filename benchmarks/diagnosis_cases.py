@@ -24,6 +24,7 @@ from bo_sysid.simulation import Engine
 
 MODELS = Path(__file__).parents[1] / "studies" / "diagnosis"
 _STEP = 2.5e-4  # [s] of a plant, an eighth of the models'; less where the log is faster
+_BRISTLES = 8  # times finer still, where bristles bend by .2 mrad within a step
 _WINDOW = 0.3  # [s] in which an effect is sized
 _TRIES = 40  # draws until every effect of a case can be sized
 
@@ -158,7 +159,7 @@ def simulate(
             effect = CATALOGUE[p.effect]
             parts.extend(effect.parts(spec, Site(p.kind, p.site), np.array(p.x), machine))
 
-    finer = max(round(log.sampling / _STEP), 8)
+    finer = max(round(log.sampling / _STEP), 8) * (_BRISTLES if lugre else 1)
     compiled = model.compile([edit], timestep=log.sampling / finer)
     data = mujoco.MjData(compiled)
     tick = np.arange(round(duration / log.sampling)) * finer

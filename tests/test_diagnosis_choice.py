@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.explain import explain
 from bo_sysid.diagnosis.forecast import AHEAD
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.tables import doubts
+from bo_sysid.diagnosis.tables import doubts, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.study.outer import Limit
 
@@ -128,3 +128,14 @@ def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> No
     first, *more = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences
     assert first.startswith("Forecast error on the unseen recording")
     assert [said in m for m in more] == ([True] if said else [])
+
+
+def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(friction) -> None:
+    recorded = record([("dry_friction", "joint", "elbow", [0.02])], duration=6.0)
+    evidence = make_evidence(arm(), [recorded], noise={"qpos": SIGMA}, threads=1)
+    joints = missing_force(evidence, explain(friction))
+    assert set(joints["joint"]) == {"shoulder", "elbow"}
+    thrown = replace(evidence, machine=replace(evidence.machine, joints={}))
+    nothing = missing_force(thrown, explain(friction))
+    assert nothing.empty
+    assert list(nothing.columns) == list(joints.columns)

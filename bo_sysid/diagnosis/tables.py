@@ -28,6 +28,9 @@ _SHARES = (1.0, 0.3, 0.09)  # of a Gauss-Newton step on the starts
 _PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical force
 _SETS = 12
 _POSES = 2_000  # instants among which the pose is chosen
+_FORCE_COLUMNS = (
+    "recording", "time", "joint", "position", "speed", "unit", "nominal", "repaired", "sigma",
+)  # fmt: skip
 
 
 def traces(
@@ -74,9 +77,12 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
 
     Returns:
         Columns recording, time [s], joint, position, speed, unit, nominal, repaired, and sigma, the
-        standard deviation of the force; one row a piece and a joint, forces in `unit`.
+        standard deviation of the force; one row a piece and a joint, forces in `unit`. No rows
+        for a machine without hinges and slides.
     """
     machine = evidence.machine
+    if not machine.joints:
+        return pd.DataFrame(columns=list(_FORCE_COLUMNS))
     horizon = max(round(_PIECE / machine.sampling), _LEAST)
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / machine.sampling
     problem = pose(

@@ -54,9 +54,10 @@ def write_diagnosis_figures(run: Run) -> list[Path]:
     pieces = run.read_frame("forces.parquet")
     drawn = {
         "robot": robot(posed, sites),
-        "forces": diagnosis_figures.forces(pieces),
         "evidence": diagnosis_figures.evidence(run.read_frame("sets.parquet")),
     }
+    if len(pieces):
+        drawn["forces"] = diagnosis_figures.forces(pieces)
     traces = run.read_frame("traces.parquet")
     if len(traces):
         drawn["held_out"] = diagnosis_figures.held_out(traces, channel_units(pieces))
