@@ -116,6 +116,24 @@ def test_a_delay_within_the_models_own_error_is_no_finding(late: float, names: l
 
 
 @pytest.mark.parametrize(
+    ("nominal", "after", "words"),
+    [
+        (20.0, 1.1, "falls from 20 to 1.1 sensor sigmas"),
+        (60.0, 1.1, "falls from 60 (20 with the study's parameters fitted) to 1.1 sensor"),
+        (60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
+        (20.0, 20.0, "goes from 20 to 20 sensor sigmas"),
+    ],
+)
+def test_what_parameters_do_is_said(nominal: float, after: float, words: str) -> None:
+    models = {"nominal": nominal, "refitted": 20.0, "repaired": after, "noise_floor": 1.0}
+    rows = [
+        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
+        for m, e in models.items()
+    ]
+    assert words in Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[0]
+
+
+@pytest.mark.parametrize(
     ("after", "said"),
     [(1.1, ""), (4.0, "The floor is not reached"), (30.0, "does not confirm the repair")],
 )

@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
-from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, sets
+from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, parameters_sentence, sets
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
@@ -76,11 +76,25 @@ class Diagnosis:
         return self.holdout.table
 
     @property
+    def parameters(self) -> pd.DataFrame:
+        """The study's parameters beside the findings: name, unit, model, fitted, at_bound."""
+        h, machine = self.outcome.fit.hypothesis, self.evidence.machine
+        columns = ["name", "unit", "model", "fitted", "at_bound"]
+        rows = []
+        for c, x, bound in zip(h.nuisances, h.nuisance_x, h.bound, strict=True):
+            model = c.effect.nominal(c.site, machine)
+            rows.append((c.site.name, c.effect.unit, model, model + float(x[0]), bound))
+        return pd.DataFrame(rows, columns=columns)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The answer in words."""
+        fitted = parameters_sentence(self.parameters)
         said = [f.sentence for f in self.answer.findings] + list(self.answer.unexplained.sentences)
         if not said:
-            said = ["Nothing that these recordings could show is missing from the model."]
+            once = ", once its parameters are fitted" if fitted else ""
+            said = [f"Nothing that these recordings could show is missing from the model{once}."]
+        said += [fitted] if fitted else []
         said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
             said.append("The machine is in contact, where names are hints and not yet findings.")

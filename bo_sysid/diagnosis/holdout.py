@@ -50,10 +50,14 @@ class Holdout:
         floor = self.error("forecast", AHEAD, "noise_floor")
         if before is None or after is None or floor is None:
             return (self.note,) if self.note else ()
-        confirmed = after < 0.98 * before
-        verb = "falls" if confirmed else "goes"
+        nominal = self.error("forecast", AHEAD, "nominal") or before
+        refitted = nominal > 1.02 * before  # the study's parameters do some of it
+        verb = "falls" if after < 0.98 * max(nominal, before) else "goes"
+        first = _figure(nominal if refitted else before)
+        if refitted and after != before:
+            first += f" ({_figure(before)} with the study's parameters fitted)"
         text = (
-            f"Forecast error on the unseen recording {verb} from {_figure(before)} to "
+            f"Forecast error on the unseen recording {verb} from {first} to "
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
         if after > max(1.02 * before, _AT_FLOOR * floor):

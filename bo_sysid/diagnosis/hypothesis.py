@@ -151,6 +151,7 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
     effect = Effect(
         id=PARAMETER, kind="world", components=(Component(p.name, p.unit),), apply=apply,
         extent=lambda s, m: extent, noun=p.name, sentence="", evidence="", separation="",
+        nominal=lambda s, m: nominal,
     )  # fmt: skip
     return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe))
 

@@ -139,6 +139,24 @@ def _forces(
     return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
 
 
+def parameters_sentence(parameters: pd.DataFrame, most: int = 8) -> str:
+    """Return what the study's parameters were fitted to, in words; empty where it has none.
+
+    Args:
+        parameters: columns name, unit, model, fitted and at_bound.
+        most: how many are told.
+    """
+    if parameters.empty:
+        return ""
+    told = []
+    for p in parameters.head(most).itertuples():
+        bound = ", at its bound" if p.at_bound else ""
+        unit = "" if p.unit in ("", "1") else f" {p.unit}"
+        told.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
+    more = f" and {len(parameters) - most} more" if len(parameters) > most else ""
+    return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
+
+
 def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFrame:
     """Return the sets between which was decided, most probable first, "nothing" among them.
 
