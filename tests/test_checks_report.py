@@ -5,6 +5,7 @@ import sys
 from math import pi
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,9 +13,16 @@ import yaml
 
 from bo_sysid.checks.check import check
 from bo_sysid.checks.hypothesis import Wire
-from bo_sysid.checks.motion import channel_flags, excitation, excitation_flags, sampling_flags
+from bo_sysid.checks.motion import (
+    channel_flags,
+    excitation,
+    excitation_flags,
+    range_flags,
+    sampling_flags,
+)
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.sensitivity import Information, in_words, information
+from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
@@ -29,6 +37,12 @@ SLIDE = """
   </body></worldbody>
   <actuator><motor name="m" joint="x" ctrlrange="-1 1"/></actuator></mujoco>
 """
+PENDULUM = """
+<mujoco><option timestep="0.005"/>
+  <worldbody><body><joint name="a" axis="0 1 0" range="-1.5 1.5"/>
+    <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass="1"/></body></worldbody>
+  <actuator><motor name="m" joint="a" ctrlrange="-1 1"/></actuator></mujoco>
+"""
 
 
 def test_how_a_joint_moved() -> None:
@@ -36,13 +50,34 @@ def test_how_a_joint_moved() -> None:
     still = Recording.from_arrays(
         TIME, qpos={"b": 1e-4 * np.random.default_rng(0).standard_normal(len(TIME))}
     )
-    table = excitation([log], ["a"])
+    model = Model.from_xml(SLIDE.replace('"x"', '"b"')).compile()
+    table = excitation([log], Model.from_xml(PENDULUM).compile())
     assert table["range"].iloc[0] == pytest.approx(2.0, rel=1e-3)
     assert table["speed"].iloc[0] == pytest.approx(2 * pi / np.sqrt(2), rel=0.02)
     assert table["reversals"].iloc[0] in (15, 16)
     assert table["low_hz"].iloc[0] <= 1.0 <= table["high_hz"].iloc[0]
-    (flag,) = excitation_flags(excitation([still], ["b"]))
-    assert "nothing can be said about it" in flag.sentence
+    assert table["unit"].iloc[0] == "rad"
+    (flag,) = excitation_flags(excitation([still], model))
+    assert "mm: nothing can be said about it" in flag.sentence
+
+
+@pytest.mark.parametrize(("angle", "flagged"), [("degree", True), ("radian", False)])
+def test_a_range_in_the_wrong_unit_is_named_and_disturbs_nothing(angle: str, flagged: bool) -> None:
+    compiler = f'<compiler angle="{angle}"/>'
+    model = Model.from_xml(PENDULUM.replace("<worldbody>", compiler + "<worldbody>"))
+    plant = Model.from_xml(PENDULUM.replace("<worldbody>", '<compiler angle="radian"/><worldbody>'))
+    compiled = plant.compile()
+    data, q, u = mujoco.MjData(compiled), [], 0.6 * np.sin(2.1 * TIME) * np.sin(0.9 * TIME)
+    for now in u:
+        q.append(data.qpos[0])
+        data.ctrl[:] = now
+        mujoco.mj_step(compiled, data, 2)
+    log = Recording.from_arrays(TIME, qpos={"a": np.array(q)}, ctrl={"m": u})
+    wiring = find_wiring(model.compile(), [log])
+    assert wiring.wires == {}
+    flags = range_flags(model.compile(), [log])
+    assert bool(flags) is flagged
+    assert all('<compiler angle="radian"/>' in f.sentence for f in flags)
 
 
 def test_saturated_and_frozen_channels() -> None:

@@ -8,7 +8,13 @@ import pandas as pd
 
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Laws
-from bo_sysid.checks.motion import channel_flags, excitation, excitation_flags, sampling_flags
+from bo_sysid.checks.motion import (
+    channel_flags,
+    excitation,
+    excitation_flags,
+    range_flags,
+    sampling_flags,
+)
 from bo_sysid.checks.numerics import contact_flags, step_effect, step_flags
 from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
@@ -84,7 +90,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     wiring = find_wiring(compiled, whole, laws)
     kind = "goal" if laws else "ctrl"
     right = rewired(whole, wiring.wires, wiring.delay, kind)
-    motion = excitation(right, model.joints)
+    motion = excitation(right, compiled)
     noise = _noise(study, right)
     windows = _windows(model, right, laws, None)
     parameters = study.parameter_set(model)
@@ -97,7 +103,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     )
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
     flags = [*wrap_flags(wraps), *wiring.flags, *excitation_flags(motion), *weak]
-    flags += [*channel_flags(compiled, read), *sampling_flags(read)]
+    flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
     flags += [*step_flags(step, noise, windows.timestep), *contact_flags(compiled, right)]
     written = study.resolved()["recordings"]
     return Checked(

@@ -18,13 +18,14 @@ _STUCK = 0.25  # [s] of one and the same value while the channel otherwise chang
 _RUNS = 15.0  # so many times its typical run
 _THAW = 3.0  # times the usual step, that a frozen channel jumps at least
 _JITTER = 0.2  # of the interval
+_BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MOTION = [
     "recording", "joint", "range", "speed", "fastest", "reversals", "low_hz", "high_hz", "noise",
     "unit",
 ]  # fmt: skip
 
 
-def excitation(recordings: Sequence[Recording], joints: Sequence[str]) -> pd.DataFrame:
+def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.DataFrame:
     """Return one row a recording and joint: how it moved.
 
     Columns: recording, joint, range, speed (root mean square), fastest, reversals, low_hz and
@@ -32,10 +33,14 @@ def excitation(recordings: Sequence[Recording], joints: Sequence[str]) -> pd.Dat
     """
     rows = []
     for r in recordings:
-        for joint in joints:
-            channel = r.channels.get(f"qpos.{joint}")
+        for j in range(model.njnt):
+            joint = model.joint(j)
+            channel = r.channels.get(f"qpos.{joint.name}")
             if channel is not None:
-                rows.append({"recording": r.name, "joint": joint, **_moved(channel)})
+                slides = int(joint.type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+                unit = channel.unit or ("m" if slides else "rad")
+                moved = {**_moved(channel), "unit": unit}
+                rows.append({"recording": r.name, "joint": joint.name, **moved})
     return pd.DataFrame(rows, columns=_MOTION)
 
 
@@ -58,7 +63,6 @@ def _moved(channel: Channel) -> dict[str, object]:
         "low_hz": low,
         "high_hz": high,
         "noise": noise,
-        "unit": channel.unit,
     }
 
 
@@ -105,6 +109,42 @@ def excitation_flags(table: pd.DataFrame) -> list[Flag]:
                     {"reversals": 0},
                 )
             )
+    return flags
+
+
+def beyond_range(
+    model: mujoco.MjModel, recordings: Sequence[Recording]
+) -> dict[str, tuple[float, float]]:
+    """Return the joints that moved farther than the model lets them, and from where to where."""
+    found = {}
+    for j in range(model.njnt):
+        name = model.joint(j).name
+        moved = [r.channels[n].values for r in recordings if (n := f"qpos.{name}") in r.channels]
+        if not model.jnt_limited[j] or not moved:
+            continue
+        low, high = model.jnt_range[j]
+        least, most = min(float(q.min()) for q in moved), max(float(q.max()) for q in moved)
+        if max(low - least, most - high) > _BEYOND * (high - low):
+            found[name] = (least, most)
+    return found
+
+
+def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
+    """Return the joints that moved farther than the model lets them."""
+    flags = []
+    for name, (least, most) in beyond_range(model, recordings).items():
+        low, high = (float(v) for v in model.joint(name).range)
+        hinge = int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        sentence = (
+            f"{name} moved from {least:.3g} to {most:.3g}, but the model's range is {low:.3g} to "
+            f"{high:.3g} {'rad' if hinge else 'm'}: its stops would act on it."
+        )
+        if hinge and low * 180 / np.pi <= least and most <= high * 180 / np.pi:
+            sentence += (
+                ' A range that is written in radians needs <compiler angle="radian"/> in the MJCF.'
+            )
+        evidence = {"low": low, "high": high, "least": least, "most": most}
+        flags.append(Flag("wrong", "range", (f"qpos.{name}",), sentence, evidence))
     return flags
 
 

@@ -99,7 +99,9 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
 
 
 def _floating(model: mujoco.MjModel) -> list[Flag]:
-    if not model.geom_contype.any():
+    moving = model.body_weldid[model.geom_bodyid] != 0
+    touching = (model.geom_contype | model.geom_conaffinity) > 0
+    if not (moving & touching).any() or int((touching).sum()) < 2:
         return []
     sentence = "The model floats and can touch: windows with contact tell less about it."
     return [Flag("note", "contact", (), sentence)]

@@ -11,6 +11,7 @@ import pandas as pd
 from bo_sysid.checks import estimate
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
+from bo_sysid.checks.motion import beyond_range
 from bo_sysid.checks.search import search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, twin_flags, wire_flags
@@ -64,6 +65,9 @@ def find_wiring(
     traces = Traces(recordings, measured, _MOST)
     if traces.count < _LEAST:
         return _untested("the recordings are too short")
+    model = copy.copy(model)
+    for joint in beyond_range(model, recordings):  # its stops did not act
+        model.jnt_limited[model.joint(joint).id] = 0
     coarse = Evidence(copy.copy(model), traces, laws=laws)
     fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()

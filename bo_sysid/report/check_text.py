@@ -11,6 +11,7 @@ _TITLES = {
     "look": "To be looked at:",
     "note": "Good to know:",
 }
+_EXPLAINED = 0.5  # share of a joint's forces left over, below which its channels were tested
 _MOST = 12  # remarks of one level that are shown
 
 
@@ -36,9 +37,15 @@ def checked_text(found: Checked) -> str:
     if found.proposal:
         indented = "\n".join(f"  {line}" for line in found.proposal.splitlines())
         parts += ["", "Put this into the study:", "recordings:", indented]
-    elif not any(f.level == "wrong" for f in found.flags):
+    elif not any(f.level == "wrong" for f in found.flags) and _tested(found):
         parts += ["", "Signs, units, order, zeros and clocks: nothing to correct."]
     return "\n".join(parts)
+
+
+def _tested(found: Checked) -> bool:
+    """Whether the motion could show a wrong channel: the model explains most of its forces."""
+    used = found.wiring.balance[found.wiring.balance["used"].astype(bool)]
+    return len(used) > 0 and float(used["after"].max()) < _EXPLAINED
 
 
 def _motion(found: Checked) -> pd.DataFrame:

@@ -112,8 +112,9 @@ def _driven(model: Model, source: Path, out: Path) -> tuple[Model, Path, list[st
 
 def _scales(model: Model, recording: Recording) -> pd.DataFrame:
     """Return bounds of what a joint may lack, and how it moved."""
-    machine = survey(model.compile(), [recording])
-    motion = excitation([recording], list(machine.joints)).set_index("joint")
+    compiled = model.compile()
+    machine = survey(compiled, [recording])
+    motion = excitation([recording], compiled).set_index("joint")
     rows = []
     for name, joint in machine.joints.items():
         values = recording.channels[f"qpos.{name}"].values
