@@ -16,6 +16,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.simulation import Engine, State
 from bo_sysid.starter.columns import derivatives, describe, words
+from bo_sysid.starter.guess import guess_rules
 from bo_sysid.starter.init import init
 from bo_sysid.study import Study
 
@@ -191,6 +192,50 @@ def test_rates_are_told_from_positions_by_behaviour() -> None:
     assert kinds == {
         "clock": "time", "a": "position", "b": "position", "c": "velocity", "d": "velocity",
     }  # fmt: skip
+
+
+HAND = """
+<mujoco><worldbody><body><joint name="yaw"/><geom size=".1"/><body><joint name="shoulder"/>
+  <geom size=".1"/><body><joint name="elbow"/><geom size=".1"/><body>
+  <joint name="gripper" type="slide"/><geom size=".1"/></body></body></body></body></worldbody>
+  <actuator><position name="ma" joint="yaw"/><position name="mb" joint="shoulder"/>
+  <position name="mc" joint="elbow"/><position name="md" joint="gripper"/></actuator></mujoco>
+"""
+TIMES = 1e6 * np.arange(0.0, 2.0, 0.01)
+WAVE = np.sin(1e-6 * TIMES)
+
+
+def test_columns_between_known_ones_are_matched_by_their_order() -> None:
+    names = [f"J{k + 1}_{n} {w} (deg)" for k, n in enumerate(("Yaw", "Pitch", "Elbow"))
+             for w in ("pos", "cmd")]  # fmt: skip
+    table = RawTable("log", {"stamp_us": TIMES, **dict.fromkeys(names, 30 * WAVE)})
+    rules = guess_rules(Model.from_xml(HAND), table)
+    assert rules.held == ("gripper",)
+    assert rules.unmatched == ("md",)
+    assert rules.columns["time"] == {"from": "stamp_us", "unit": "us"}
+    assert rules.columns["qpos.shoulder"] == {"from": "J2_Pitch pos (deg)", "unit": "deg"}
+    assert rules.columns["ctrl.mb"] == {"from": "J2_Pitch cmd (deg)", "unit": "deg"}
+    assert rules.guesses["ctrl.mb"].confidence < 0.5
+    swapped = ["J3_Elbow pos (deg)", "J2_Pitch pos (deg)", "J1_Yaw pos (deg)"]
+    other = RawTable("log", {"t": 1e-6 * TIMES, **dict.fromkeys(swapped, 30 * WAVE)})
+    assert guess_rules(Model.from_xml(HAND), other).held == ("shoulder", "gripper")
+
+
+def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control() -> None:
+    joints = ("yaw", "shoulder", "elbow", "gripper")
+    told = {f"qpos.{j}": (k + 1) * WAVE for k, j in enumerate(joints)}
+    ctrl = {"ctrl.ma": WAVE, "ctrl.mb": WAVE, "ctrl.mc": WAVE, "grip": 2 * WAVE}
+    rules = guess_rules(Model.from_xml(HAND), RawTable("log", {"time": TIMES, **told, **ctrl}))
+    assert rules.columns["ctrl.ma"] == {}
+    assert rules.columns["ctrl.md"] == {"from": "grip"}
+    assert rules.guesses["ctrl.md"].confidence == pytest.approx(0.3)
+
+
+def test_a_model_without_hinges_and_slides_is_refused_in_words() -> None:
+    body = '<body><joint name="b" type="ball"/><geom size=".1"/></body>'
+    ball = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
+    with pytest.raises(RecordingError, match=r"hinges and slides.*'qpos.b.0'"):
+        guess_rules(Model.from_xml(ball), RawTable("log", {"time": TIMES, "qpos.b.0": WAVE}))
 
 
 def test_names_are_split() -> None:

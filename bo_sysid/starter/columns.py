@@ -37,6 +37,7 @@ UNITS = {
     "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "ma": "mA", "mnm": "mN m", "percent": "%",
 }  # fmt: skip
 """Units that names of columns carry."""
+_CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
 _PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
 """Units of positions: a column that carries one and says nothing else is a position."""
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
@@ -95,10 +96,14 @@ def words(name: str) -> tuple[str, ...]:
 
 def _named(name: str, unit: str) -> Column:
     parts = words(name)
+    by_channel = _CONVENTION.get(name.split(".", 1)[0]) if "." in name else None
+    if by_channel is not None:  # the rest is the name of an element, and says nothing
+        return Column(name, by_channel, parts, unit, "its name")
     said = {kind for kind, known in WORDS.items() if known & set(parts)}
     unit = unit or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    bare = tuple(w for w in parts if w not in UNITS)
     kind: Kind = "other"
-    if (parts and parts[-1] in WORDS["time"]) or parts[:1] == ("time",):
+    if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"
     elif "command" in said:
         kind = "command"
@@ -110,8 +115,6 @@ def _named(name: str, unit: str) -> Column:
         kind, unit = "velocity", f"{unit}/s"
     elif "position" in said or unit in _PLACES:
         kind = "position"
-    if name.split(".", 1)[0] in ("qpos", "qvel", "ctrl") and "." in name:
-        kind = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}[name.split(".", 1)[0]]  # type: ignore[assignment]
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
 
 

@@ -59,6 +59,12 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     columns = describe(table)
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
+    if not joints:
+        raise RecordingError(
+            f"{table.source}: init matches columns with hinges and slides, and {model.source} has "
+            "none; write the study by hand, with columns like "
+            + ", ".join(repr(n) for n in model.qpos_channels[:4])
+        )
     positions = match(
         "qpos", joints, [c for c in columns if c.kind == "position" or named_after(joints, c)]
     )
@@ -73,6 +79,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
     )
     commands = _commands(model, compiled, columns)
+    commands += _last_one(model, table, columns, (*positions, *velocities, *commands))
     guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
     time = _time(table, columns)
     rules = {n: _rule(table, compiled, g) for n, g in guesses.items()}
@@ -85,7 +92,8 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         tuple(j for j in joints if f"qpos.{j}" not in guesses),
         tuple(a for a in model.actuators if f"ctrl.{a}" not in guesses),
         tuple(c.name for c in columns if c.kind != "time"
-              and c.name not in {g.column for g in guesses.values()}),
+              and c.name not in {g.column for g in guesses.values()}
+              and c.name not in (*model.qpos_channels, *model.qvel_channels)),
     )  # fmt: skip
     return found
 
@@ -157,6 +165,19 @@ def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column])
     return found
 
 
+def _last_one(
+    model: Model, table: RawTable, columns: Sequence[Column], known: Sequence[Guess]
+) -> list[Guess]:
+    """Match the only column that is left and changes with the only actuator that has none."""
+    used, told = {g.column for g in known}, {g.channel for g in known}
+    without = [a for a in model.actuators if f"ctrl.{a}" not in told]
+    left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
+    left = [c for c in left if np.ptp(table.column(c.name)) > 0]
+    if len(without) != 1 or len(left) != 1:
+        return []
+    return [Guess(f"ctrl.{without[0]}", left[0].name, left[0].unit, "nothing else is left", 0.3)]
+
+
 def _is_goal(column: Column) -> bool:
     return column.kind == "command" and not _is_effort(column)
 
@@ -179,7 +200,7 @@ def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> Rule:
     fits = {
         "qpos": ("deg", "mrad", "ticks", "mm"),
         "qvel": ("rpm", "deg/s", "mm/s"),
-        "ctrl": ("mA", "mN m", "%"),
+        "ctrl": ("mA", "mN m", "%", "deg", "mrad", "mm"),
     }
     if guess.unit in fits.get(kind, ()) and table.units.get(guess.column) is None:
         rule["unit"] = guess.unit

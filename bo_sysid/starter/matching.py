@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -71,7 +72,27 @@ def match(
         guesses += [
             _guess(kind, e, c, reason, confidence) for e, c in zip(left, family, strict=True)
         ]
-    return guesses
+    return guesses if family else [*guesses, *_in_order(kind, elements, columns, guesses)]
+
+
+def _in_order(
+    kind: str, elements: Sequence[str], columns: Sequence[Column], known: Sequence[Guess]
+) -> list[Guess]:
+    """Match what lies between two matches, or beyond the last, in the log as in the model."""
+    place = {c.name: i for i, c in enumerate(columns)}
+    at = [(elements.index(g.channel.split(".", 1)[1]), place[g.column]) for g in known]
+    at = [(-1, -1), *sorted(at), (len(elements), len(columns))]
+    if not known or any(b[1] <= a[1] for a, b in pairwise(at)):
+        return []  # another order
+    found = []
+    for (first, before), (last, after) in pairwise(at):
+        between, told = elements[first + 1 : last], columns[before + 1 : after]
+        if len(between) == len(told):
+            reason = "the order: the columns beside it are known"
+            found += [
+                _guess(kind, e, c, reason, _ORDER) for e, c in zip(between, told, strict=True)
+            ]
+    return found
 
 
 def named_after(elements: Sequence[str], column: Column) -> bool:
