@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from diagnosis_helpers import SIGMA, arm, record
 
+from bo_sysid.diagnosis.answer import leaves_much, left_sentence, make_answer
 from bo_sysid.diagnosis.argmin import argmin_sets
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
@@ -103,6 +104,22 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     assert outcome.fit.members == ()
     assert outcome.unexplained.flagged
     assert outcome.sessions.table.empty
+
+
+def test_names_that_leave_much_are_hints(friction) -> None:
+    best = friction.decision.best
+    assert not leaves_much(best)
+    poor = replace(best, rms=3.0)
+    assert leaves_much(poor)
+    assert "3 sensor sigmas are left" in left_sentence(poor, 3)
+    assert "no further effect" in left_sentence(poor, 3)
+    assert "all 1 effects" in left_sentence(poor, 1)
+    machine, outcome = friction.prepared.problem.machine, explain(friction)
+    sure, hint = (
+        make_answer(friction.decision, outcome, machine, doubtful=d).findings[0].probability
+        for d in (False, True)
+    )
+    assert hint == pytest.approx(sure * 0.7 / 0.98)
 
 
 @pytest.mark.parametrize(("late", "names"), [(0.4e-3, []), (3e-3, ["sensor_delay"])])

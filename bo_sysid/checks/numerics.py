@@ -9,6 +9,7 @@ import pandas as pd
 
 from bo_sysid.arrays import Point
 from bo_sysid.checks.flags import Flag
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import MujocoSimulator, Windows
 
@@ -99,9 +100,7 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
 
 
 def _floating(model: mujoco.MjModel) -> list[Flag]:
-    moving = model.body_weldid[model.geom_bodyid] != 0
-    touching = (model.geom_contype | model.geom_conaffinity) > 0
-    if not (moving & touching).any() or int((touching).sum()) < 2:
+    if not can_touch(model):
         return []
     sentence = "The model floats and can touch: windows with contact tell less about it."
     return [Flag("note", "contact", (), sentence)]

@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import CATALOGUE, Machine
 from bo_sysid.runs import plain
 
@@ -22,6 +23,7 @@ _ALTERNATIVES = 5
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
+_LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 
 
 @dataclass(frozen=True)
@@ -97,17 +99,18 @@ def make_answer(
     machine: Machine,
     experiment: Experiment | None = None,
     *,
-    contact: bool = False,
+    doubtful: bool = False,
 ) -> Answer:
     """Freeze a decision into an answer, with what to record next.
 
-    In contact, where names were wrong more often than their fits say, an effect outside the
-    catalogue is as probable as beside something that stays unexplained.
+    Where names are doubtful an effect outside the catalogue is as probable as beside something
+    that stays unexplained: in contact, where they were wrong more often than their fits say, and
+    where they leave much more than noise (`leaves_much`).
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
     best, kept = decision.best, outcome.fit
-    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or contact else _UNHEARD
+    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
     posterior = (1.0 - none_of_these) * decision.probability
     probability = float(posterior[decision.fits.index(best)])
     found = findings(kept, machine, probability, _equivalents(decision, kept, machine))
@@ -126,6 +129,21 @@ def make_answer(
         _located(kept, outcome.unexplained),
         outcome.unexplained,
         experiment,
+    )
+
+
+def leaves_much(best: Fit) -> bool:
+    """Return whether the best set leaves so much that something else must be missing, too."""
+    return best.excess > _LEFT
+
+
+def left_sentence(best: Fit, most: int) -> str:
+    """Return in words that more than noise is left, and what can be done."""
+    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise, so that the names are hints"
+    if len(units_of(best)) < most:
+        return f"{said}: no further effect that was tried explains more."
+    return (
+        f"{said}: all {most} effects that diagnosis.most allows are used, and more may be missing."
     )
 
 

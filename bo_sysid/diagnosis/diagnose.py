@@ -6,7 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.diagnosis.answer import Answer, make_answer
+from bo_sysid.diagnosis.answer import Answer, leaves_much, left_sentence, make_answer
 from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
@@ -98,6 +98,9 @@ class Diagnosis:
         said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
             said.append("The machine is in contact, where names are hints and not yet findings.")
+        best = self.located.decision.best
+        if self.answer.findings and not self.contact and leaves_much(best):
+            said.append(left_sentence(best, self.evidence.most))
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -133,7 +136,8 @@ def diagnose(
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    answer = make_answer(located.decision, outcome, evidence.machine, experiment, contact=contact)
+    doubtful = contact or leaves_much(located.decision.best)
+    answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=doubtful)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))

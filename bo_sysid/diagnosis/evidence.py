@@ -12,10 +12,10 @@ from bo_sysid.diagnosis.hypothesis import (
     parameter_candidates,
 )
 from bo_sysid.diagnosis.scales import channel_noise
-from bo_sysid.diagnosis.windowing import touches
 from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -56,7 +56,7 @@ class Evidence:
 
 def _window(machine: Machine) -> float:
     """Return the length of a window: short where contact soon decides, else long."""
-    return _CONTACT_WINDOW if touches(machine.model) else _WINDOW
+    return _CONTACT_WINDOW if can_touch(machine.model) else _WINDOW
 
 
 def make_evidence(

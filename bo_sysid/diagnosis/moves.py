@@ -9,7 +9,8 @@ from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import MARGIN, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.units import subset
-from bo_sysid.diagnosis.windowing import Prepared, touches
+from bo_sysid.diagnosis.windowing import Prepared
+from bo_sysid.mjcf.touching import can_touch
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -60,7 +61,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
     Where contact bends the response, that is known of a set only once it was fitted without each
     of its members.
     """
-    bent = touches(search.prepared.problem.machine.model)
+    bent = can_touch(search.prepared.problem.machine.model)
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
             before = len(search.fits)

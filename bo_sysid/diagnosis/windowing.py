@@ -16,6 +16,7 @@ from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import FINER, Problem
 from bo_sysid.diagnosis.refit import settle
 from bo_sysid.errors import ModelError
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
@@ -55,7 +56,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
         linear = linearise(problem, at, start)
         start, _ = settle(problem, linear, at, start, 1, _SHARES)
     linear = linearise(problem, at, start)
-    if touches(problem.machine.model):
+    if can_touch(problem.machine.model):
         problem = weighted_by_chaos(linear, at, start)
         linear = linearise(problem, at, start)
     correction = correction_at(problem, linear, at, start)
@@ -87,14 +88,6 @@ def nothing(problem: Problem) -> Hypothesis:
     return Hypothesis(nuisances=problem.nuisances, nuisance_x=zeros)
 
 
-def touches(model: mujoco.MjModel) -> bool:
-    """Whether geoms of the model can come into contact."""
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
-        return False
-    active = (model.geom_contype | model.geom_conaffinity) != 0
-    return bool(active.sum() > 1 and (active & (model.geom_bodyid > 0)).any()) or model.npair > 0
-
-
 def in_contact(problem: Problem) -> bool:
     """Whether geoms touch at the beginning of more than a few windows."""
     return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
@@ -102,7 +95,7 @@ def in_contact(problem: Problem) -> bool:
 
 def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
     """Return the share of poses in which geoms of the model touch."""
-    if not touches(model):
+    if not can_touch(model):
         return 0.0
     data, count = mujoco.MjData(model), 0
     for pose in poses:

@@ -199,6 +199,7 @@ def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     form="filter; delay in a file",
     evidence="a shift in time that is the same at every frequency",
     separation="commands over two decades of frequency; a sensor with another clock",
+    grouped=True,
     written=_write_delay,
 )
 def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:

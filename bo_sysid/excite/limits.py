@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
 
@@ -62,8 +63,7 @@ class Limits:
         joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
         if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, joint).all():
             raise StudyError("limits: effort is known only for actuators that drive one joint each")
-        can_touch = bool((compiled.geom_contype > 0).any() and compiled.ngeom > 1)
-        return cls(position, velocity, effort, model.joints, can_touch)
+        return cls(position, velocity, effort, model.joints, can_touch(compiled))
 
     def violation(
         self,
