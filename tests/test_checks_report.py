@@ -24,6 +24,7 @@ from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.sensitivity import Information, in_words, information
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -110,6 +111,19 @@ def test_an_angle_that_wraps(period: float) -> None:
     (right,) = unwrapped([log], wraps)
     assert np.ptp(right.channels["qpos.x"].values - true) == pytest.approx(0.0, abs=1e-9 * period)
     assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
+
+
+@pytest.mark.parametrize(("unit", "fits"), [("m", True), ("", True), ("rad", False)])
+def test_an_angle_on_a_slide_is_refused(unit: str, fits: bool) -> None:
+    ctrl = {"m": np.zeros(len(TIME))}
+    units = {"qpos.x": unit} if unit else {}
+    log = Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)}, ctrl=ctrl, units=units)
+    model = Model.from_xml(SLIDE)
+    if fits:
+        assert len(cut(model, [log], horizon=10))
+    else:
+        with pytest.raises(RecordingError, match=r"qpos.x was read in rad, but the joint slides"):
+            cut(model, [log], horizon=10)
 
 
 def test_a_register_that_was_read_without_its_sign() -> None:

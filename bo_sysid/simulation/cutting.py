@@ -76,6 +76,7 @@ def _cut_one(
 ) -> Windows:
     known = {**layout.qpos, **layout.qvel, **layout.sensor}
     channels = [n for n in recording.channels if n in known]
+    _require_units(compiled, recording)
     _require(recording, [n for n in layout.qpos if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
     first = np.arange(0, len(time) - horizon, stride)
@@ -115,6 +116,20 @@ def _require(recording: Recording, missing: list[str], what: str) -> None:
             f"{recording.name}: no channel {missing[0]!r}, the {what} that the model needs; "
             f"{nearest(missing[0], recording.channels)}"
         )
+
+
+def _require_units(compiled: mujoco.MjModel, recording: Recording) -> None:
+    """Refuse an angle on a slide and a length on a hinge, where units are said."""
+    si = {int(mujoco.mjtJoint.mjJNT_HINGE): "rad", int(mujoco.mjtJoint.mjJNT_SLIDE): "m"}
+    for j in range(compiled.njnt):
+        name, unit = f"qpos.{compiled.joint(j).name}", si.get(int(compiled.jnt_type[j]))
+        channel = recording.channels.get(name)
+        if unit is not None and channel is not None and channel.unit in {"rad", "m"} - {unit}:
+            kind, like = ("slides", "m, mm") if unit == "m" else ("turns", "rad, deg")
+            raise RecordingError(
+                f"{recording.name}: {name} was read in {channel.unit}, but the joint {kind}; "
+                f"columns: {{{name}: {{unit: …}}}} needs a unit like {like}"
+            )
 
 
 def _channel(recording: Recording, name: str) -> Channel:
