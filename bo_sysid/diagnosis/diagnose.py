@@ -22,7 +22,7 @@ from bo_sysid.identify.problem import study_laws
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_holdout, load_model, load_train
+from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train
 
 _STAGES = 6
 
@@ -150,7 +150,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        (*(n for r in evidence.recordings for n in r.notes), *notes),
+        (*notes, *held_notes(study), *(n for r in evidence.recordings for n in r.notes)),
         contact,
     )
     if run is not None:

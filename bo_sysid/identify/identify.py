@@ -21,7 +21,7 @@ from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.check import described
-from bo_sysid.study.inputs import load_holdout
+from bo_sysid.study.inputs import held_notes, load_holdout
 
 
 def identify(
@@ -69,7 +69,7 @@ def identify(
         errors=errors,
         traces=shown,
         reason=outcome.reason.sentence,
-        notes=_notes(problem),
+        notes=(*held_notes(study), *_notes(problem)),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)

@@ -1,5 +1,6 @@
 """Figures of a run, as Matplotlib objects; they show what was stored and compute nothing."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +104,9 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure; the ending says as what (png, pdf, svg)."""
-    figure.savefig(path, dpi=140)
+    with warnings.catch_warnings():  # a panel too small for its labels is drawn all the same
+        warnings.filterwarnings("ignore", "constrained_layout not applied")
+        figure.savefig(path, dpi=140)
 
 
 def _label(name: str, unit: str) -> str:

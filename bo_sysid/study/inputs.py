@@ -33,6 +33,19 @@ def load_model(study: Study) -> Model:
     return Model.from_file(file, base=source.base, hold=source.hold)
 
 
+def held_notes(study: Study) -> tuple[str, ...]:
+    """Return what the models that a run writes lack of the study's own, in words."""
+    gone = [f"joint {name}" for name in study.model.hold]
+    gone += ["the free joint of the base"] if study.model.base == "fixed" else []
+    if not gone:
+        return ()
+    own = study.model.file or study.model.menagerie
+    return (
+        f"The model that is written lacks what was held, with what drives it: {', '.join(gone)}. "
+        f"What was found can be put into {own} as it stands in the tables.",
+    )
+
+
 def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
     """Return what stands beside the model of a study: forces, filters and readings.
 
