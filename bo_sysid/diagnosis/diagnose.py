@@ -141,6 +141,7 @@ def diagnose(
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
+    said = (note for recording in evidence.recordings for note in recording.notes)
     result = Diagnosis(
         study.name,
         answer,
@@ -150,7 +151,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        (*notes, *held_notes(study), *(n for r in evidence.recordings for n in r.notes)),
+        tuple(dict.fromkeys((*notes, *held_notes(study), *said))),
         contact,
     )
     if run is not None:

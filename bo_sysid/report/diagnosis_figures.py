@@ -76,8 +76,9 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     margin = 0.5 * max(high - low, 1e-9)  # a forecast that leaves is cut off
     view = top.get_ylim()
     top.set_ylim(max(view[0], low - margin), min(view[1], high + margin))
-    top.set_ylabel(f"{name}\n[{unit}]")
-    below.set_ylabel(f"recorded -\nforecast [{unit}]", fontsize="small")
+    said = f"[{unit}]" if unit else ""
+    top.set_ylabel(f"{name}\n{said}")
+    below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
     below.legend(fontsize="x-small", ncols=3, loc="upper center", framealpha=0.9)
     low, high = below.get_ylim()
