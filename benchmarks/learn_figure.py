@@ -20,6 +20,7 @@ LOOK = {
     "zhu": ("#009E73", "Zhu's variant"),
 }
 LOOPS = ("method", "zhu")
+_BESIDE = {"method": 1.0, "zhu": 1.15}
 
 
 def draw(figures: Mapping[str, Any], curves: Mapping[str, Any], path: Path) -> None:
@@ -37,8 +38,12 @@ def draw(figures: Mapping[str, Any], curves: Mapping[str, Any], path: Path) -> N
         axes.set_title(_title(task, figures[task]), fontsize="medium")
         axes.set_xlabel("real trajectories")
     panels[0].set_ylabel("return on the plant")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize="small")
+    told = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(told.values(), told.keys(), loc="outside lower center", ncols=4, fontsize="small")
     path.parent.mkdir(exist_ok=True)
     save(figure, path)
 
@@ -60,8 +65,9 @@ def _panel(axes: Axes, figures: Mapping[str, Any], curves: Mapping[str, Any]) ->
     for arm in (a for a in LOOPS if a in figures):
         colour, label = LOOK[arm]
         for k, (x, y) in enumerate(curves[arm]):
+            beside = np.array(x) * _BESIDE[arm]  # both have the same numbers of trajectories
             axes.plot(
-                x, y, color=colour, marker="o", markersize=4, linewidth=1, alpha=0.8,
+                beside, y, color=colour, marker="o", markersize=4, linewidth=1, alpha=0.8,
                 label=f"{label}, after each trajectory" if k == 0 else None,
             )  # fmt: skip
     axes.set_xscale("log")
