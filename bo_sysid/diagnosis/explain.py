@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from bo_sysid.diagnosis.decide import Decision
-from bo_sysid.diagnosis.findings import TIME_ERROR
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
@@ -117,8 +116,7 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
     """Return the fit without what the recordings disagree on, and the magnitudes by recording.
 
     Its intervals hold the differences between recordings. An effect whose magnitude differs so
-    much between them that nothing remains of it on the whole is none of the machine's, and a delay
-    within the model's own error of times is none at all.
+    much between them that nothing remains of it on the whole is none of the machine's.
     """
     sessions = by_recording(located.prepared.problem, fit)
     while fit.members:
@@ -131,16 +129,13 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
 
 
 def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
-    """Return for each member whether it is there in spite of what widens its interval."""
+    """Return for each member whether the recordings agree that it is there."""
     found, first = [], 0
     for c, x in zip(fit.members, fit.x, strict=True):
         own = slice(first, first + c.size)
         first += c.size
-        covariance = sessions.covariance[own, own]
-        if c.effect.unit == "s" and c.effect.family != "numerics":
-            covariance = covariance + TIME_ERROR**2 * np.eye(c.size)
-        widened = np.diag(covariance) > np.diag(fit.covariance)[own]
-        distance = x @ np.linalg.pinv(covariance, hermitian=True) @ x
+        widened = np.diag(sessions.covariance)[own] > np.diag(fit.covariance)[own]
+        distance = x @ np.linalg.pinv(sessions.covariance[own, own], hermitian=True) @ x
         found.append(bool(not widened.any() or distance > chi2.ppf(0.95, c.size)))
     return found
 

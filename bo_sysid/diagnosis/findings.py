@@ -13,7 +13,7 @@ from bo_sysid.effects import Machine, Site, unit_at
 _SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
-TIME_ERROR = 0.3e-3  # [s] the same for times
+_TIME = 0.3e-3  # [s] the same for times
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
     "larger forwards than backwards": "larger backwards than forwards",
@@ -196,7 +196,7 @@ def _value(
 
 
 def _quantity(value: float, variance: float, unit: str) -> Quantity:
-    floor = TIME_ERROR if unit == "s" else 0.0
+    floor = _TIME if unit == "s" else 0.0
     half = _QUANTILE * float(np.sqrt(max(variance, 0.0) + (_RELATIVE * value) ** 2 + floor**2))
     return Quantity(float(value), unit, (float(value) - half, float(value) + half))
 

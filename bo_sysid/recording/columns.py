@@ -18,7 +18,7 @@ from bo_sysid.recording.value import KINDS, Hold
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
 _NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed")
-WORDS = (8, 16, 32)  # bits of integers
+_BITS = (8, 16, 32)  # bits of integers
 _CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 
 
@@ -59,8 +59,8 @@ class ColumnRule:
         _require(bool(np.isfinite(self.offset)), "offset", self.offset, "finite")
         positive = bool(np.isfinite(self.unwrap)) and self.unwrap >= 0
         _require(positive, "unwrap", self.unwrap, "true, or the size of the jump in SI units")
-        bits = ", ".join(map(str, WORDS))
-        _require(self.signed in (0, *WORDS), "signed", self.signed, f"a number of bits: {bits}")
+        bits = ", ".join(map(str, _BITS))
+        _require(self.signed in (0, *_BITS), "signed", self.signed, f"a number of bits: {bits}")
 
     @classmethod
     def parse(cls, channel: str, rule: "ColumnRule | Mapping[str, Any] | str") -> "ColumnRule":

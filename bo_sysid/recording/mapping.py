@@ -187,7 +187,7 @@ class _Mapper:
             si, factor = written, 1.0
         done = []
         if rule.signed:
-            raw = two_complement(raw, rule.signed)
+            raw = twos_complement(raw, rule.signed)
             done.append(f"read as a signed number of {rule.signed} bits")
         values = raw if factor * rule.scale == 1.0 else factor * rule.scale * raw
         if factor != 1.0:
@@ -210,7 +210,7 @@ class _Mapper:
         return values, si
 
 
-def two_complement(values: np.ndarray, bits: int) -> np.ndarray:
+def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
     """Return what unsigned integers mean where they hold signed ones."""
     return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
 

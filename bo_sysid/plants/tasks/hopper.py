@@ -38,7 +38,8 @@ class HopperStand(_Hopper):
     def reward(self, sims: Simulations) -> np.ndarray:
         """Whether it stands, times (4 + small control) / 5."""
         small = tolerance(sims.ctrl, margin=1.0, shape="quadratic", at_margin=0.0)
-        return np.asarray(self._standing(sims) * ((small.sum(axis=1) / small.shape[1] + 4) / 5))
+        mean = small.sum(axis=1) / small.shape[1]  # np.mean takes a percent of a collection
+        return np.asarray(self._standing(sims) * ((mean + 4) / 5))
 
 
 @register("hopper", "hop")
