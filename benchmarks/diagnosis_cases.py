@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, candidates
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import pose
 from bo_sysid.diagnosis.windowing import nothing, prepare
-from bo_sysid.effects import CATALOGUE, Filter, Force, Machine, Reading, Site, survey
+from bo_sysid.effects import CATALOGUE, Filter, Force, Hidden, Machine, Reading, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine
@@ -170,7 +170,7 @@ def simulate(
     goal = excitation(rng, rig, time)
     if rig.middle:
         goal += np.array(rig.middle)
-        data.qpos[: len(rig.middle)] = goal[0]
+        data.qpos[_Encoders(model, compiled, parts).qpos] = goal[0]
     commanded, position = _run(model, compiled, data, rig, tick, goal, parts, rng, sigma)
     shown = _shown(model, compiled.opt.timestep, tick, position, parts)
     shown += sigma * rng.normal(size=shown.shape)
@@ -189,7 +189,8 @@ def _run(model, compiled, data, rig, tick, goal, parts, rng, sigma):
     filters = [p for p in parts if isinstance(p, Filter)]
     offsets = {p.channel: p.offset for p in parts if isinstance(p, Reading)}
     laws = [p for p in parts if hasattr(p, "law")]
-    position = np.zeros((ends[-1], compiled.nq))
+    encoders = _Encoders(model, compiled, parts)
+    position = np.zeros((ends[-1], len(model.joints)))
     commanded = np.zeros((len(tick), len(model.actuators)))
     applied = None
     if rig.gains is None:
@@ -202,29 +203,54 @@ def _run(model, compiled, data, rig, tick, goal, parts, rng, sigma):
         zero = np.array([offsets.get(f"qpos.{n}", 0.0) for n in model.joints])
     for k, (begin, end) in enumerate(zip(tick, ends, strict=True)):
         if applied is None:
-            seen = data.qpos + zero + sigma * rng.normal(size=compiled.nq)
-            u = (kp * (goal[k] - seen) - kd * data.qvel) / gear
+            shown, speed = encoders.read(data)
+            seen = shown + zero + sigma * rng.normal(size=len(shown))
+            u = (kp * (goal[k] - seen) - kd * speed) / gear
             commanded[k] = u
         for at in range(begin, end):
-            position[at] = data.qpos
+            position[at] = encoders.read(data)[0]
             now = applied[at] if applied is not None else past(commanded, k, at)
             data.ctrl[: len(now)] = now
             data.qfrc_applied[:] = 0
-            view = _View(model, data, at * fine, fine)
+            view = _View(model, encoders, data, at * fine, fine)
             for law in laws:
-                j = model.joints.index(law.joint)
+                j = encoders.qvel[model.joints.index(law.joint)]
                 data.qfrc_applied[j] += float(np.asarray(law.law(view)).ravel()[0])
             mujoco.mj_step(compiled, data)
     return commanded, position
 
 
+class _Encoders:
+    """Where a plant, which may have more joints, keeps those of the model, and what is read."""
+
+    def __init__(self, model: Model, compiled: mujoco.MjModel, parts: Sequence[object]) -> None:
+        self.qpos = [int(compiled.joint(n).qposadr[0]) for n in model.joints]
+        self.qvel = [int(compiled.joint(n).dofadr[0]) for n in model.joints]
+        added = [p for p in parts if isinstance(p, Hidden)]
+        self.added = [(model.joints.index(p.of), compiled.joint(p.joint), p.shown) for p in added]
+
+    def read(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+        qpos, qvel = data.qpos[self.qpos], data.qvel[self.qvel]
+        for i, joint, shown in self.added:
+            qpos[i] += shown * data.qpos[joint.qposadr[0]]
+            qvel[i] += shown * data.qvel[joint.dofadr[0]]
+        return qpos, qvel
+
+
 class _View:
     """What a law sees of the plant."""
 
-    def __init__(self, model: Model, data: mujoco.MjData, time: float, timestep: float) -> None:
+    def __init__(
+        self,
+        model: Model,
+        encoders: _Encoders,
+        data: mujoco.MjData,
+        time: float,
+        timestep: float,
+    ) -> None:
         self.time, self.timestep = np.array([time]), timestep
-        self.qpos = {n: data.qpos[i : i + 1] for i, n in enumerate(model.joints)}
-        self.qvel = {n: data.qvel[i : i + 1] for i, n in enumerate(model.joints)}
+        self.qpos = {n: data.qpos[[i]] for n, i in zip(model.joints, encoders.qpos, strict=True)}
+        self.qvel = {n: data.qvel[[i]] for n, i in zip(model.joints, encoders.qvel, strict=True)}
         self.ctrl = {n: data.ctrl[i : i + 1] for i, n in enumerate(model.actuators)}
 
 

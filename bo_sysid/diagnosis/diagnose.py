@@ -209,14 +209,23 @@ def _repair(
     if run is None:
         return ()
     folder = Path(run.path(MODEL)).parent
-    said = write_model(evidence.model, evidence.machine, outcome.repaired, folder)
-    run.write_text(STUDY, study_text(study, answer.findings, run.folder))
+    written = write_model(evidence.model, evidence.machine, outcome.repaired, folder)
+    text = study_text(study, answer.findings, run.folder, written.unrecorded)
+    run.write_text(STUDY, text)
     if answer.next_experiment is not None and answer.next_experiment.controls is not None:
         text = answer.next_experiment.controls.to_csv(index=False)
         run.write_text(EXPERIMENT, text)
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
-    return tuple(
-        f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}" for what in said
+    return (
+        *(
+            f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}"
+            for what in written.beside
+        ),
+        *(
+            f"{joint} is a joint of {MODEL} that nothing measures"
+            + (f"; the encoder of {shown_by} shows it as well" if shown_by else "")
+            for joint, shown_by in written.unrecorded.items()
+        ),
     )
 
 

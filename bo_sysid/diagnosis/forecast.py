@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem, finer_step, pose
@@ -27,6 +28,8 @@ _SHARES = (1.0, 0.3, 0.06)
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
 _TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
+_ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
+_LEAST = 1e-12  # of that prior
 _DIVERGING = 1e9  # response to the start above which a window's simulation diverges
 _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
 
@@ -93,7 +96,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     at_rest = _at_rest(problem, start)
     if at_rest is not None:
         other, cost = _estimated(problem, plain, at_rest, known.ravel(), finer)
-        start = _picked(cost < best, other, start)
+        start = start.picked(cost < best, other)
     r = problem.residual(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
     good = np.abs(r).max(axis=(1, 2)) < 1e6
     return Errors(
@@ -131,15 +134,21 @@ def _estimated(
 ) -> tuple[State, Float[np.ndarray, " W"]]:
     """Fit the starts to the known observations, window by window; return them and their cost."""
     model = problem.machine.model
-    spread = _prior(problem)
-    anchor = start
     r = problem.residual(hypothesis, start, finer)[:, known]
     cost = (r**2).sum(axis=1)
-    away = np.zeros((len(start), 2 * model.nv))
-    gain = None
+    for other in problem.starts(hypothesis, start, moving=True):
+        rn = problem.residual(hypothesis, other, finer)[:, known]
+        better = (rn**2).sum(axis=1) < cost
+        start, r = start.picked(better, other), np.where(better[:, None], rn, r)
+        cost = (r**2).sum(axis=1)
+    anchor = start
+    spread, away, gain = np.zeros(0), np.zeros((len(start), 0)), None
     for k in range(_ROUNDS):
         if k in (0, 2, 4):
-            J = linearise(problem, hypothesis, start).J[:, known]
+            linear = linearise(problem, hypothesis, start)
+            spread = _prior(problem, linear.points.coordinates)
+            away = away if k else np.zeros((len(start), len(spread)))
+            J = linear.J[:, known]
             J = np.where((np.abs(J) < _DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
             N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / spread**2)
             gain = np.linalg.pinv(N, rcond=1e-15, hermitian=True)
@@ -158,7 +167,7 @@ def _estimated(
             better = ~done & (new < cost)
             pick = better[:, None]
             away, r = np.where(pick, try_away, away), np.where(pick, rn, r)
-            start, cost = _picked(better, moved, start), np.where(better, new, cost)
+            start, cost = start.picked(better, moved), np.where(better, new, cost)
             done, moved_any = done | better, moved_any or bool(better.any())
             if done.all():
                 break
@@ -167,8 +176,11 @@ def _estimated(
     return start, cost
 
 
-def _prior(problem: Problem) -> Float[np.ndarray, " n"]:
-    """Return how far the start may lie from a smoother's estimate, position then velocity."""
+def _prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]:
+    """Return how far the start may lie from a smoother's estimate, position then velocity.
+
+    What a hypothesis added may lie as far from where it rests, and no further than it can go.
+    """
     nv = problem.machine.model.nv
     position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
     layout, windows = problem.layout, problem.windows
@@ -181,7 +193,10 @@ def _prior(problem: Problem) -> Float[np.ndarray, " n"]:
             dof = int(layout.velocity[layout.qpos[name]])
             if dof >= 0:
                 position[dof] = _POSITION * scale[k] + travel[dof]
-    return np.concatenate([position, speed])
+    own = [s.qvel for s in coordinates.second]
+    most = np.array([s.most for s in coordinates.second])
+    places = np.minimum(travel[own] / _TRAVEL * _ADDED, np.maximum(most, _LEAST))
+    return np.concatenate([position, speed, places, speed[own]])
 
 
 def _at_rest(problem: Problem, start: State) -> State | None:
@@ -193,13 +208,6 @@ def _at_rest(problem: Problem, start: State) -> State | None:
     return None if (qvel == start.qvel).all() else replace(start, qvel=qvel)
 
 
-def _picked(pick: Bool[np.ndarray, " W"], yes: State, no: State) -> State:
-    p = pick[:, None]
-    return replace(
-        no, qpos=np.where(p, yes.qpos, no.qpos), qvel=np.where(p, yes.qvel, no.qvel), warmstart=None
-    )
-
-
 def _floor(
     problem: Problem,
     hypothesis: Hypothesis,
@@ -208,16 +216,17 @@ def _floor(
     good: Bool[np.ndarray, " W"],
 ) -> float:
     """Return the forecast error of sensor noise alone: √(1 + tr(Jₐ Cov Jₐᵀ)/n)."""
-    J = linearise(problem, hypothesis, start).J
+    linear = linearise(problem, hypothesis, start)
+    J, spread = linear.J, _prior(problem, linear.points.coordinates)
     J = J[good & (np.abs(J) < _DIVERGING).all(axis=(1, 2))]
     if not len(J):
         return 1.0
     past, ahead = J[:, known], J[:, ~known]
     # what noise leaves of the start: ahead·(past'past + prior)⁻¹·ahead', by least squares
-    prior = np.broadcast_to(np.diag(1 / _prior(problem)), (len(J), *[J.shape[-1]] * 2))
+    prior = np.broadcast_to(np.diag(1 / spread), (len(J), *[J.shape[-1]] * 2))
     R = np.linalg.qr(np.concatenate([past, prior], axis=1), mode="r")
-    spread = ahead @ np.linalg.pinv(R, rcond=1e-12)
-    return float(np.sqrt(1.0 + np.mean((spread**2).sum(axis=(1, 2)) / ahead.shape[1])))
+    noise = ahead @ np.linalg.pinv(R, rcond=1e-12)
+    return float(np.sqrt(1.0 + np.mean((noise**2).sum(axis=(1, 2)) / ahead.shape[1])))
 
 
 def _by_channel(problem: Problem, r: Float[np.ndarray, "W H c"], first: int) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """What is supposed to be missing: effects at sites, and how large they are."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -57,6 +57,11 @@ class Candidate:
         return self.effect.id, self.site.name
 
     @property
+    def takes(self) -> frozenset[tuple[str, str]]:
+        """What no other candidate of a set can have: its key, the place of a joint that it adds."""
+        return frozenset({self.key, *([("joint", self.site.name)] if self.effect.hidden else [])})
+
+    @property
     def shapes(self) -> Float[np.ndarray, " s"]:
         """The shapes, held fixed."""
         return self.point[self.size :]
@@ -108,6 +113,12 @@ class Hypothesis:
         )
 
     @property
+    def rigid(self) -> "Hypothesis":
+        """The same without members that add a joint."""
+        pairs = [p for p in zip(self.members, self.x, strict=True) if not p[0].effect.hidden]
+        return replace(self, members=tuple(c for c, _ in pairs), x=tuple(x for _, x in pairs))
+
+    @property
     def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " _"]], ...]:
         """Candidates with magnitudes, parameters first: their edits set what effects change."""
         pairs = zip((*self.nuisances, *self.members), (*self.nuisance_x, *self.x), strict=True)
@@ -118,8 +129,8 @@ def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, 
     """Return every effect at every site where it applies, once for each point of its grid."""
     found = []
     for effect in effects:
-        if effect.hidden or effect.family == "learned":
-            continue  # a state that no recording shows: it stays unexplained, at its joint
+        if effect.family == "learned":
+            continue
         for site in applicable(effect, machine):
             extent = effect.extent(site, machine)
             assert extent is not None  # noqa: S101 - applicable

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.points import Points, differ, matrices, points_along
 from bo_sysid.diagnosis.problem import Problem, observe
@@ -27,6 +28,8 @@ from bo_sysid.simulation import (
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
 _BATCH = 24  # columns propagated at once
+_OFF = 0.1  # of a joint's travel and speed, by which an added joint's start may be off
+_UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
 _FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges
 
 
@@ -64,14 +67,16 @@ class Linear:
         parts: of the hypothesis.
         macro: simulation steps in a macro step.
         hold: macro steps over which the matrices are held; K = M / hold, rounded up.
-        A: `W x K x n x n` with n = 2 nv + na.
-        B: `W x K x n x nv` per unit of force.
+        A: `W x K x n x n` with n = 2 nv + na of the edited model.
+        B: `W x K x n x nv` per unit of force on a nominal coordinate.
         E: `W x K x n x nu` per unit of control.
         ctrl: `W x S x nu` controls of the hypothesis, before controllers write theirs.
         points: the states at which it was linearised.
-        J: `W x R x 2 nv` response to the start, in sigma.
-        Q: `W x R x 2 nv` orthonormal basis of the response to the start.
-        start_gain: `W x 2 nv x R` least-squares change of start per residual.
+        J: `W x R x k` response to the start, in sigma: 2 nv nominal coordinates, and those of
+            joints that the hypothesis added.
+        Q: `W x R x k` orthonormal basis of the response to the start, zero where an added
+            joint's start does nothing that could be seen.
+        start_gain: `W x k x R` least-squares change of start per residual.
     """
 
     problem: Problem
@@ -171,6 +176,8 @@ class Linear:
             return self._by_force(joint, force), np.zeros(self.Q.shape[:2])
         h = self.hypothesis
         added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
+        if candidate.effect.hidden and any(candidate.takes & c.takes for c in h.members):
+            return self._nothing, np.zeros(self.Q.shape[:2])  # another joint is added there
         if candidate.effect.hidden or candidate.secant:
             return self._nothing, self._simulated(added)
         model, parts = self.problem.compiled(added)
@@ -231,6 +238,8 @@ class Linear:
     def _shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
         """Return what the channels show of a change of state, in sigma."""
         p = self.problem
+        if not self.points.coordinates.same:
+            s = self.points.coordinates.seen() @ s
         at = (p.windows.step + p.windows.fraction) / self.macro
         node = np.minimum(np.floor(at + 1e-9).astype(int), self.macros)
         after = np.minimum(node + 1, self.macros)
@@ -267,18 +276,36 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     ctrl = np.pad(s.ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
     points = points_along(problem, s, ctrl, macro, hold)
     A, B, E = matrices(problem, points, len(start))
-    W, nv = len(start), problem.machine.model.nv
+    W = len(start)
     empty = np.zeros((W, problem.count, 0))
     linear = Linear(
         problem, hypothesis, start, s.trajectory, s.parts, macro, hold, A, B, E, ctrl, points,
         empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
-    identity = np.broadcast_to(np.eye(A.shape[-1], 2 * nv), (W, A.shape[-1], 2 * nv)).copy()
-    J = linear._shown(linear._propagate(None, identity))
-    J = np.clip(np.nan_to_num(J), -1e12, 1e12)
+    moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
+    J = np.clip(np.nan_to_num(linear._shown(linear._propagate(None, moves))), -1e12, 1e12)
+    J = J * _smooth(s.coordinates)
     Q, R = np.linalg.qr(J)
+    if s.coordinates.second:
+        own = np.abs(np.diagonal(R, axis1=1, axis2=2)) * _reach(problem, s.coordinates)
+        Q = Q * (own > _UNSEEN)[:, None, :]
     gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
     return replace(linear, J=J, Q=Q, start_gain=gain)
+
+
+def _smooth(coordinates: Coordinates) -> Float[np.ndarray, " k"]:
+    """Return 1 for each number of a start that can be linearised, 0 for a place in a gap."""
+    smooth = [float(np.isinf(s.most)) for s in coordinates.second]
+    return np.array([1.0] * 2 * len(coordinates.qvel) + smooth + smooth)
+
+
+def _reach(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " k"]:
+    """Return how far each number of a start may be off: nominal ones without bound."""
+    joints = {j.dof: j for j in problem.machine.joints.values()}
+    added = [joints[s.qvel] for s in coordinates.second]
+    places = [min(_OFF * j.travel, s.most) for j, s in zip(added, coordinates.second, strict=True)]
+    speeds = [_OFF * j.speed for j in added]
+    return np.array([np.inf] * 2 * len(coordinates.qvel) + places + speeds)
 
 
 def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:

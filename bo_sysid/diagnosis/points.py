@@ -19,6 +19,8 @@ _FORCE = 1e-2  # of the joint's typical force
 class Points:
     """The states, one each `hold` macro steps, at which the model is stepped for differences.
 
+    A state has n = 2 nv + na numbers: positions, speeds and activations of the edited model.
+
     Attributes:
         model: of the hypothesis.
         coordinates: where it keeps the nominal coordinates.
@@ -46,7 +48,7 @@ class Points:
         ctrl: np.ndarray | None = None,
         force: np.ndarray | None = None,
     ) -> Float[np.ndarray, "P n"]:
-        """Return the nominal coordinates after one macro step, positions from where it began."""
+        """Return the states after one macro step, positions from where it began."""
         model = model or self.model
         t = self.engine.rollout(
             model,
@@ -56,25 +58,18 @@ class Points:
             laws=self.laws,
             signals=self.signals,
         )
-        at, c = self.state, self.coordinates
-        moved = tangent_difference(model, t.qpos[:, -1], at.qpos)
-        speed = t.qvel[:, -1]
-        shown_moved, shown_speed = moved[:, c.qvel], speed[:, c.qvel]
-        for _, v, _, hidden, share in c.shown:
-            shown_moved[:, v] += share * moved[:, hidden]
-            shown_speed[:, v] += share * speed[:, hidden]
-        return np.concatenate([shown_moved, shown_speed, t.act[:, -1][:, c.act]], axis=1)
+        moved = tangent_difference(model, t.qpos[:, -1], self.state.qpos)
+        return np.concatenate([moved, t.qvel[:, -1], t.act[:, -1]], axis=1)
 
     def perturbed(self, k: int, size: float) -> State:
-        """Return the states with one nominal coordinate changed: position, velocity, activation."""
-        nv = len(self.coordinates.qvel)
+        """Return the states with one number changed: position, speed or activation."""
+        nv = self.model.nv
         if k >= 2 * nv:
             act = self.state.act.copy()
-            act[:, self.coordinates.act[k - 2 * nv]] += size
+            act[:, k - 2 * nv] += size
             return replace(self.state, act=act)
-        tangent = np.zeros((len(self.state), 2 * self.model.nv))
-        column = int(self.coordinates.qvel[k % nv])
-        tangent[:, column if k < nv else self.model.nv + column] = size
+        tangent = np.zeros((len(self.state), 2 * nv))
+        tangent[:, k] = size
         return self.state.moved(self.model, tangent)
 
 
@@ -101,7 +96,7 @@ def points_along(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, h
         state,
         ctrl[:, inputs].reshape(len(state), macro, ctrl.shape[-1]),
         signals,
-        np.zeros((len(state), 2 * len(s.coordinates.qvel) + len(s.coordinates.act))),
+        np.zeros((len(state), 2 * s.model.nv + s.model.na)),
     )
     return replace(points, base=points.stepped())
 
@@ -110,14 +105,15 @@ def matrices(problem: Problem, points: Points, W: int) -> tuple[np.ndarray, np.n
     """Return how a macro step changes with the state, a force and a control.
 
     Returns:
-        A `W x K x n x n`, B `W x K x n x nv` and E `W x K x n x nu`, by one-sided differences.
+        A `W x K x n x n`, B `W x K x n x nv` for the nominal coordinates and E `W x K x n x nu`, by
+        one-sided differences.
     """
     c = points.coordinates
     nv, n, P = len(c.qvel), points.base.shape[1], len(points.state)
     A, B = np.empty((P, n, n)), np.empty((P, n, nv))
     E = np.empty((P, n, points.ctrl.shape[-1]))
     for k in range(n):
-        size = _MOVE if k < nv else _TURN
+        size = _MOVE if k < points.model.nv else _TURN
         A[..., k] = (points.stepped(state=points.perturbed(k, size)) - points.base) / size
     scale = {j.dof: j.force for j in problem.machine.joints.values()}
     for k in range(nv):

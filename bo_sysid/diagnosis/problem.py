@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from bo_sysid.diagnosis.coordinates import Coordinates
+from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.effects import Filter, Force, Machine, Part, Reading
 from bo_sysid.effects.learned import ELAPSED
@@ -21,6 +21,7 @@ from bo_sysid.simulation.windows import Layout, Windows, predicted
 BLOCKS = 20
 FINER = 4  # the discretisation is judged against a time step this many times smaller
 _DIVISIONS = (1, 2, 4, 8)
+_SPEEDS = (0.0, -0.1, 0.1, -0.3, 0.3, -1.0, 1.0)  # of the joints', tried for an added one
 _FAR = 1e7  # residuals are cut off here, in sigma
 
 
@@ -134,7 +135,7 @@ class Problem:
         coordinates = Coordinates.between(self.machine.model, model, parts)
         whole = self.engine.rollout(
             model,
-            coordinates.expand(start),
+            coordinates.expand(start, self._transmitted(hypothesis, start, ctrl, coordinates)),
             ctrl,
             laws=(*self.laws, *force_laws(parts)),
             signals=windows.signals,
@@ -142,6 +143,35 @@ class Problem:
         return Simulated(
             coordinates.reduce(whole), whole, tuple(parts), windows, model, coordinates, ctrl
         )
+
+    def _transmitted(
+        self, hypothesis: Hypothesis, start: State, ctrl: np.ndarray, coordinates: Coordinates
+    ) -> Float[np.ndarray, "W nv"] | None:
+        """Return the torques that hold added joints at the start, None where there are none."""
+        if not coordinates.second:
+            return None
+        return transmitted(self.compiled(hypothesis.rigid)[0], start, ctrl[:, 0])
+
+    def starts(self, hypothesis: Hypothesis, start: State, *, moving: bool = False) -> list[State]:
+        """Return other starts, where joints that a hypothesis adds begin elsewhere.
+
+        Args:
+            hypothesis: may add joints.
+            start: of the nominal coordinates.
+            moving: also with speeds of their own.
+        """
+        if not any(c.effect.hidden for c in hypothesis.members):
+            return []
+        model, parts = self.compiled(hypothesis)
+        coordinates = Coordinates.between(self.machine.model, model, parts)
+        torque = self._transmitted(
+            hypothesis, start, self.controls(parts, self.windows), coordinates
+        )
+        if torque is None:
+            return []
+        fast = max(j.speed for j in self.machine.joints.values())
+        speeds = [fast * share for share in (_SPEEDS if moving else (0.0,))]
+        return [replace(start, added=a) for a in coordinates.elsewhere(torque, speeds)]
 
     def residual(
         self, hypothesis: Hypothesis, start: State, finer: int = 1

@@ -6,7 +6,7 @@ response to the start, accepted window by window.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -140,7 +140,7 @@ def refit(
     problem, effort = frame.problem, effort or Effort()
     space = _Space.of(problem, members)
     theta = space.vector(x, guess or frame.hypothesis)
-    first = _better_start(problem, space.hypothesis(theta), start or frame.start)
+    first = first_start(problem, space.hypothesis(theta), start or frame.start)
     begin, r = settle(problem, frame, space.hypothesis(theta), first, 2)
     point = _Point(theta, begin, r, project(frame.Q, r))
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
@@ -153,14 +153,19 @@ def refit(
     return assess(problem, frame.Q, space.hypothesis(point.theta), labels, begin, r, S)
 
 
-def _better_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
+def first_start(
+    problem: Problem, hypothesis: Hypothesis, start: State, *, moving: bool = False
+) -> State:
     """Return for each window the better of the given start and the smoother's.
 
-    Starts fitted to another hypothesis took over part of what that one lacked.
+    Starts fitted to another hypothesis took over part of what that one lacked. Joints that the
+    hypothesis adds are tried in all places where they may begin, `moving` also with speeds.
     """
-    other = problem.windows.start
-    given, smooth = (problem.residual(hypothesis, s) for s in (start, other))
-    return _better(start, given, other, smooth)[0]
+    smooth = problem.windows.start
+    r = problem.residual(hypothesis, start)
+    for other in (smooth, *problem.starts(hypothesis, smooth, moving=moving)):
+        start, r, _ = _better(start, r, other, problem.residual(hypothesis, other))
+    return start
 
 
 @dataclass(frozen=True)
@@ -305,11 +310,4 @@ def _better(
 ) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
     """Return for each window the one of two starts that leaves less, and where it is the second."""
     better = (rn**2).sum(axis=1) < (r**2).sum(axis=1)
-    pick = better[:, None]
-    chosen = replace(
-        start,
-        qpos=np.where(pick, moved.qpos, start.qpos),
-        qvel=np.where(pick, moved.qvel, start.qvel),
-        warmstart=None,
-    )
-    return chosen, np.where(pick, rn, r), better
+    return start.picked(better, moved), np.where(better[:, None], rn, r), better

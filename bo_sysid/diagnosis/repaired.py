@@ -1,7 +1,9 @@
 """The repaired model, and the study on which `identify` and `learn` go on with it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -10,7 +12,7 @@ import yaml
 from bo_sysid.diagnosis.findings import Finding
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.problem import finer_step
-from bo_sysid.effects import Filter, Force, Machine, Part, Reading
+from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
 from bo_sysid.mjcf import Model
 from bo_sysid.study import Study
@@ -29,17 +31,25 @@ _ADDRESS = {
 }
 
 
-def write_model(
-    model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path
-) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Written:
+    """What a model file that was written does not say by itself.
+
+    Attributes:
+        beside: in words, what stands beside it.
+        unrecorded: joints that were added, each with the joint whose encoder shows it as well.
+    """
+
+    beside: tuple[str, ...]
+    unrecorded: Mapping[str, str | None]
+
+
+def write_model(model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path) -> Written:
     """Write the model with the findings in it, and beside it what MJCF cannot express.
 
     Where the recordings show the finer step of a continuous machine, the time step is divided.
-
-    Returns:
-        What stands beside the model, in words.
     """
-    edits, _ = edits_and_parts(hypothesis, machine, written=True)
+    edits, parts = edits_and_parts(hypothesis, machine, written=True)
     division = finer_step(hypothesis.numerics)
     if division > 1:
         edits.append(lambda spec: _finer(spec, division))
@@ -51,7 +61,8 @@ def write_model(
         beside.write(folder / BESIDE)
         text = _MODULE.format(words="\n".join(f"- {w}" for w in words), model=MODEL, beside=BESIDE)
         (folder / MODULE).write_text(text, encoding="utf-8")
-    return words
+    added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
+    return Written(words, added)
 
 
 _MODULE = '''"""What {model} lacks because MJCF cannot say it:
@@ -95,10 +106,16 @@ def _finer(spec: mujoco.MjSpec, division: int) -> None:
     spec.option.timestep = spec.option.timestep / division
 
 
-def study_text(study: Study, found: Sequence[Finding], folder: Path) -> str:
+def study_text(
+    study: Study,
+    found: Sequence[Finding],
+    folder: Path,
+    unrecorded: Mapping[str, str | None] = MappingProxyType({}),
+) -> str:
     """Return the study that goes on with the repaired model: findings become parameters.
 
-    What was written beside the model is named, after what stood beside the model before.
+    What was written beside the model is named, after what stood beside the model before, and the
+    joints that were added, which nothing measures.
     """
     data: dict[str, Any] = study.resolved(relative_to=folder)
     data["name"] = f"{study.name}, repaired"
@@ -106,6 +123,8 @@ def study_text(study: Study, found: Sequence[Finding], folder: Path) -> str:
     if (folder / BESIDE).is_file():
         beside.append(BESIDE)
     data["model"] = {"file": MODEL, **({"beside": beside} if beside else {})}
+    if unrecorded or study.model.unrecorded:
+        data["model"]["unrecorded"] = {**study.model.unrecorded, **unrecorded}
     known = {a for p in data.get("parameters", ()) for a in _list(p["address"])}
     for f in found:
         address = _ADDRESS.get(f.effect, "").format(site=f.site)

@@ -215,9 +215,12 @@ def search(
 
 
 def clashes(candidates: Iterable[Candidate]) -> bool:
-    """Whether a set names one effect twice at a site, or an effect beside one that contains it."""
+    """Whether a set names one effect twice at a site, or an effect beside one that contains it.
+
+    Nor can two joints be added at one: the mass between them would be none.
+    """
     held = list(candidates)
-    keys = [c.key for c in held]
+    keys = [k for c in held for k in c.takes]
     if len(set(keys)) < len(keys):
         return True
     return any(c.effect.nested and (c.effect.nested, c.site.name) in keys for c in held)
@@ -266,7 +269,7 @@ def _clash_matrix(table: Gram, units: Sequence[Unit]) -> Bool[np.ndarray, "u u"]
     within: list[set[tuple[str, str]]] = []
     for u in units:
         held = [table.candidates[i] for i in u.members]
-        keys.append({c.key for c in held})
+        keys.append({k for c in held for k in c.takes})
         within.append({(c.effect.nested, c.site.name) for c in held if c.effect.nested})
     out = np.zeros((len(units), len(units)), bool)
     for i, j in combinations(range(len(units)), 2):

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import FINER, Problem
-from bo_sysid.diagnosis.refit import settle
+from bo_sysid.diagnosis.refit import first_start, settle
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
@@ -50,8 +50,8 @@ class Prepared:
 def prepare(problem: Problem, at: Hypothesis | None = None) -> Prepared:
     """Fit the starts of a hypothesis, by default of nothing, and add the correction there."""
     at = at or nothing(problem)
-    start = problem.windows.start
-    _require_finite(problem, at, start)
+    _require_finite(problem, at, problem.windows.start)
+    start = first_start(problem, at, problem.windows.start, moving=True)
     for _ in range(_ROUNDS):
         linear = linearise(problem, at, start)
         start, _ = settle(problem, linear, at, start, 1, _SHARES)
@@ -114,7 +114,8 @@ def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
     """
     problem, nv = linear.problem, linear.problem.machine.model.nv
     r = problem.residual(at, start)
-    N = np.einsum("wri,wrj->wij", linear.J, linear.J)
+    J = linear.J[..., : 2 * nv]
+    N = np.einsum("wri,wrj->wij", J, J)
     ridge = 1e-6 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(2 * nv) / (2 * nv)
     root = np.linalg.cholesky(np.linalg.inv(N + ridge + 1e-12 * np.eye(2 * nv)))
     rng = np.random.default_rng(0)
@@ -122,7 +123,7 @@ def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
     for _ in range(_DRAWS):
         move = np.einsum("wij,wj->wi", root, rng.normal(size=(len(start), 2 * nv)))
         moved = problem.residual(at, start.moved(problem.machine.model, move))
-        squares += (moved - r + np.einsum("wri,wi->wr", linear.J, move)) ** 2
+        squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
     variance = (squares / _DRAWS).reshape(problem.weight.shape)
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
 

@@ -107,17 +107,22 @@ class Reading:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A joint that an effect added: a coordinate beyond the recorded ones, 0 at the start.
+    """A joint that an effect added: a coordinate beyond the recorded ones.
 
     Attributes:
         joint: its name in the edited model.
         of: the joint whose axis it shares.
         shown: how much of it the encoder of `of` shows: 0 on the motor's side, 1 on the link's.
+        under: from the torque that the motor's side hands to the link, in [N m] or [N], to where
+            the joint comes to rest under it, in [rad] or [m]; a simulation begins there.
+        most: how far from zero it can be, in [rad] or [m].
     """
 
     joint: str
     of: str
     shown: float = 0.0
+    under: Callable[[Signal], Signal] = np.zeros_like
+    most: float = np.inf
 
 
 Part: TypeAlias = Force | Filter | Reading | Hidden

@@ -16,6 +16,7 @@ _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
 _GAPS = (0.01, 0.04, 0.15)  # of a joint's travel, tried as play
+_SOFT = (0.003, 0.02, 0.1, 0.4)  # of the travel, by which the typical force bends a joint
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
@@ -170,7 +171,7 @@ def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     return (_MOTOR_SIDE,) if servo else (_MOTOR_SIDE, _LINK_SIDE)
 
 
-def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine) -> mujoco.MjsJoint:
+def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine, name: str) -> mujoco.MjsJoint:
     """Add a joint on the axis of a driven one, and leave that one with the motor's inertia.
 
     The position of the first is then the motor's, the sum of both the link's. A rotor that the
@@ -184,7 +185,7 @@ def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine) -> mujoco.M
     floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
     joint.armature = max(joint.armature, floor)
     play = joint.parent.add_joint(
-        name=f"{site.name}_play", type=joint.type, axis=joint.axis, pos=joint.pos
+        name=f"{site.name}_{name}", type=joint.type, axis=joint.axis, pos=joint.pos
     )
     if joint.frame is not None:
         play.set_frame(joint.frame)
@@ -228,13 +229,14 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """A gap of x[0] in total; x[1] is 0 with the encoder on the motor, 1 on the link."""
-    play = _second_joint(spec, site, machine)
+    play = _second_joint(spec, site, machine, "play")
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
     play.range = [-half, half]
     play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     play.solref_limit = [2.0 * spec.option.timestep, 1.0]
-    return Hidden(play.name, site.name, float(x[1]))
+    most = 0.5 * float(x[0])
+    return Hidden(play.name, site.name, float(x[1]), lambda torque: -most * np.sign(torque), most)
 
 
 def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
@@ -244,10 +246,10 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
     return Extent(
-        (0.01 * most, sides[0]),
+        (_SOFT[0] * most, sides[0]),
         (0.0, -1e-9),
         (most, 1.0),
-        tuple((0.01 * most, side) for side in sides),
+        tuple((soft * most, side) for side in sides for soft in _SOFT),
     )
 
 
@@ -263,6 +265,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     evidence="a deflection in proportion to torque, and a resonance",
     separation="fast commands; several loads at rest",
     details=_encoder,
+    threshold=True,
     hidden=True,
 )
 def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
@@ -274,21 +277,21 @@ def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Ma
     inverse inertia in the reference pose. T is 2h; the damping of both is felt over 4 r h.
     Impedance has a limit: no joint is stiffer than 1e4/(T² w).
     """
-    play, compliance = _second_joint(spec, site, machine), float(x[0])
-    compiled = compile_spec(stripped(spec), f"joint {play.name!r}")
-    weight = float(compiled.dof_invweight0[compiled.joint(play.name).dofadr[0]])
+    flex, compliance = _second_joint(spec, site, machine, "flex"), float(x[0])
+    compiled = compile_spec(stripped(spec), f"joint {flex.name!r}")
+    weight = float(compiled.dof_invweight0[compiled.joint(flex.name).dofadr[0]])
     slow = (2.0 * spec.option.timestep) ** 2 * weight
     if compliance > 0.5 * slow:
-        play.stiffness[0] = 1.0 / compliance
-        play.damping[0] = 4.0 * _RATIO * spec.option.timestep / compliance
+        flex.stiffness[0] = 1.0 / compliance
+        flex.damping[0] = 4.0 * _RATIO * spec.option.timestep / compliance
     else:
         impedance = min(1.0 - compliance / slow, _HARDEST)
         spec.add_equality(
-            name=play.name,
+            name=flex.name,
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            name1=play.name,
+            name1=flex.name,
             solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
-    return Hidden(play.name, site.name, float(x[1]))
+    return Hidden(flex.name, site.name, float(x[1]), lambda torque: -compliance * torque)

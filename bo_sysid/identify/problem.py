@@ -126,15 +126,17 @@ def _framing(
     """
     asked = study.deviation
     rates = set(model.qvel_channels)
-    if asked.starts == "fitted" or not rates or any(rates & set(r.channels) for r in recordings):
+    measured = not model.unrecorded and any(rates & set(r.channels) for r in recordings)
+    if asked.starts == "fitted" or not rates or measured:
         return asked.starts == "fitted", asked.horizon, ()
-    name = model.qpos_channels[0]
+    name = next(n for n in model.qpos_channels if n in recordings[0].channels)
     interval = float(np.median([np.median(np.diff(r.channels[name].time)) for r in recordings]))
     horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
+    why = "a joint moves unmeasured" if model.unrecorded else "no velocity was recorded"
     note = (
-        f"no velocity was recorded, so that starts cannot be measured: they are fitted, in windows "
-        f"of {horizon} instants ({horizon * interval:.3g} s); deviation: {{starts: fitted, "
-        "horizon: N} says otherwise"
+        f"{why}, so that "
+        f"starts cannot be measured: they are fitted, in windows of {horizon} instants "
+        f"({horizon * interval:.3g} s); deviation: {{starts: fitted, horizon: N}} says otherwise"
     )
     return True, horizon, (note,)
 

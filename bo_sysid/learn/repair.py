@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bo_sysid.effects import CATALOGUE
 from bo_sysid.errors import UserError
 from bo_sysid.execution import Report
 from bo_sysid.learn.scene import Scene
@@ -45,6 +46,9 @@ def repaired(
     folder = run.path(f"diagnosis-{number:02d}")
     data = scene.study.resolved(relative_to=folder)
     data["recordings"] = _relocated(training, run, folder)
+    further = [e.id for e in CATALOGUE.values() if e.hidden]  # joints that no policy could observe
+    asked = data.get("diagnosis", {})
+    data["diagnosis"] = {**asked, "exclude": sorted({*asked.get("exclude", ()), *further})}
     trusted = bool(scene.study.code)
     study = Study.from_dict(data, folder, trust_code=trusted)
     try:

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import mujoco
 
-from bo_sysid.errors import ModelError
+from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import sources
 from bo_sysid.mjcf.compiling import compile_spec, coordinates, refit_keyframes
 from bo_sysid.mjcf.export import write_mjcf
@@ -73,15 +74,23 @@ class Model:
     Attributes:
         name: name of the model.
         source: where it comes from, for messages: a path, or "dm_control cheetah run".
+        unrecorded: hinge and slide joints that nothing measures, each with the joint whose
+            encoder shows it as well, or None.
     """
 
     name: str
     source: str
     _spec: InitVar[mujoco.MjSpec]
+    unrecorded: Mapping[str, str | None] = field(default_factory=dict)
     _forms: "Forms" = field(init=False, repr=False)
 
     def __post_init__(self, _spec: mujoco.MjSpec) -> None:
         object.__setattr__(self, "_forms", Forms.of(_spec, self.source))
+        known = self.qpos_channels
+        for name in (n for pair in self.unrecorded.items() for n in pair if n is not None):
+            if f"qpos.{name}" not in known:
+                near = nearest(name, [n.removeprefix("qpos.") for n in known])
+                raise ModelError(f"{self.source}: unrecorded: no hinge or slide {name!r}; {near}")
 
     @classmethod
     def from_file(
@@ -90,6 +99,7 @@ class Model:
         *,
         base: Literal["free", "fixed"] = "free",
         hold: Sequence[str] = (),
+        unrecorded: Mapping[str, str | None] = MappingProxyType({}),
         name: str = "",
     ) -> "Model":
         """Read an MJCF or URDF file.
@@ -100,6 +110,7 @@ class Model:
                 removed.
             hold: joints that are held where the file puts them, with their actuators and sensors
                 left out: those that a log says nothing about.
+            unrecorded: joints that move though nothing measures them.
             name: name of the model; the file's by default.
 
         Raises:
@@ -109,7 +120,7 @@ class Model:
         if base == "fixed":
             sources.hold_base(spec, str(path))
         sources.hold_joints(spec, hold, str(path))
-        return cls(name or Path(path).stem, str(path), spec)
+        return cls(name or Path(path).stem, str(path), spec, unrecorded)
 
     @classmethod
     def from_xml(

@@ -75,12 +75,13 @@ def _cut_one(
     controlled: Sequence[str],
 ) -> Windows:
     known = {**layout.qpos, **layout.qvel, **layout.sensor}
-    channels = [n for n in recording.channels if n in known]
+    channels = [n for n in recording.channels if n in known and n not in layout.unrecorded]
     _require_units(compiled, recording)
-    _require(recording, [n for n in layout.qpos if n not in recording.channels], "joint position")
+    measured = [n for n in layout.qpos if n not in layout.unrecorded]
+    _require(recording, [n for n in measured if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
     first = np.arange(0, len(time) - horizon, stride)
-    complete = np.isfinite(table[:, [channels.index(n) for n in layout.qpos]]).all(axis=1)
+    complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
     first = first[complete[first]]
     if not first.size:
         raise RecordingError(
@@ -196,20 +197,28 @@ def _start(
     first: Int[np.ndarray, " W"],
     ctrl: Ctrl,
 ) -> tuple[State, tuple[str, ...]]:
-    """Return the recorded states; velocities that were not recorded come from a smoother."""
-    positions = table[:, [channels.index(n) for n in model.qpos_channels]]
+    """Return the recorded states; velocities that were not recorded come from a smoother.
+
+    Joints that nothing measures are at rest where the model puts them.
+    """
+    positions = np.tile(compiled.qpos0, (len(table), 1))
+    for k, name in enumerate(model.qpos_channels):
+        if name in channels:
+            positions[:, k] = table[:, channels.index(name)]
     qpos = positions[first]
     notes: tuple[str, ...] = ()
+    at_rest = [n.removeprefix("qvel.") in model.unrecorded for n in model.qvel_channels]
     recorded = [n in channels for n in model.qvel_channels]
     qvel = np.zeros((len(first), compiled.nv))
     for k, name in enumerate(model.qvel_channels):
         if recorded[k]:
             qvel[:, k] = table[first, channels.index(name)]
-    if not all(recorded) or np.isnan(qvel).any():
+    if not np.logical_or(recorded, at_rest).all() or np.isnan(qvel).any():
         have = np.isfinite(positions).all(axis=1)
         rank = np.cumsum(have) - 1
         fit = smooth(compiled, time[have], positions[have], rank[first])
-        qvel = np.where(np.array(recorded) & np.isfinite(qvel), qvel, fit.velocity)
+        kept = (np.array(recorded) & np.isfinite(qvel)) | np.array(at_rest)
+        qvel = np.where(kept, qvel, fit.velocity)
         if not any(recorded):  # the smoother's position belongs to the smoother's velocity
             zero = np.zeros((len(first), compiled.nv))
             state = State(qpos, zero, np.zeros((len(first), 0)))

@@ -20,12 +20,15 @@ class State:
         act: `W x na` activations of actuators with memory.
         warmstart: `W x nv` accelerations that warm-start the constraint solver; with them a
             prediction repeats the recorded step to the last bit.
+        added: `W x 2 s` how far s joints beyond these coordinates are from where they rest, then
+            their speeds; None where they rest.
     """
 
     qpos: Qpos
     qvel: Qvel
     act: Act
     warmstart: Qvel | None = None
+    added: Float[np.ndarray, "W s2"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.qpos)
@@ -45,6 +48,7 @@ class State:
             qvel=np.tile(self.qvel, (times, 1)),
             act=np.tile(self.act, (times, 1)),
             warmstart=None if self.warmstart is None else np.tile(self.warmstart, (times, 1)),
+            added=None if self.added is None else np.tile(self.added, (times, 1)),
         )
 
     def rows(self, index: np.ndarray | slice) -> "State":
@@ -55,6 +59,28 @@ class State:
             qvel=self.qvel[index],
             act=self.act[index],
             warmstart=None if self.warmstart is None else self.warmstart[index],
+            added=None if self.added is None else self.added[index],
+        )
+
+    def picked(self, pick: Bool[np.ndarray, " W"], other: "State") -> "State":
+        """Return the starts of `other` where `pick` says so, and these elsewhere.
+
+        Where they know of different added joints, those of `other` count.
+        """
+        p = pick[:, None]
+        added = self.added if other.added is None else other.added
+        if added is not None:
+            mine, theirs = (
+                s.added if s.added is not None and s.added.shape == added.shape else 0.0 * added
+                for s in (self, other)
+            )
+            added = np.where(p, theirs, mine)
+        return replace(
+            self,
+            qpos=np.where(p, other.qpos, self.qpos),
+            qvel=np.where(p, other.qvel, self.qvel),
+            warmstart=None,
+            added=added,
         )
 
     def moved(self, model: mujoco.MjModel, tangent: Float[np.ndarray, "W n"]) -> "State":
@@ -62,7 +88,8 @@ class State:
 
         Args:
             model: gives the joints; quaternions are turned as `mj_integratePos` turns them.
-            tangent: `W x 2 nv`, change of position in [m] or [rad], then change of velocity.
+            tangent: `W x 2 nv`, change of position in [m] or [rad], then change of velocity; what
+                follows is a change of `added`, left out where these starts have others.
         """
         nv = model.nv
         plain, moves, turns = _coordinates(model)
@@ -72,7 +99,11 @@ class State:
             at = Rotation.from_quat(qpos[:, q : q + 4], scalar_first=True)
             turned = at * Rotation.from_rotvec(tangent[:, v : v + 3])
             qpos[:, q : q + 4] = turned.as_quat(scalar_first=True)
-        return replace(self, qpos=qpos, qvel=self.qvel + tangent[:, nv:], warmstart=None)
+        added, more = self.added, tangent[:, 2 * nv :]
+        if more.shape[1] and (added is None or added.shape == more.shape):
+            added = more if added is None else added + more
+        qvel = self.qvel + tangent[:, nv : 2 * nv]
+        return replace(self, qpos=qpos, qvel=qvel, warmstart=None, added=added)
 
 
 @dataclass(frozen=True)

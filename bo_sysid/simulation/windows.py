@@ -84,12 +84,16 @@ class Layout:
         sensor: column of `sensordata` by channel name.
         velocity: for each column of `qpos`, the column of `qvel` that is its rate, or -1 for
             the coordinates of a quaternion.
+        unrecorded: channels of the joints that nothing measures.
+        also: columns of the joints that a channel of a position or velocity shows as well.
     """
 
     qpos: Mapping[str, int]
     qvel: Mapping[str, int]
     sensor: Mapping[str, int]
     velocity: Int[np.ndarray, " nq"]
+    unrecorded: frozenset[str] = frozenset()
+    also: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: Model, compiled: mujoco.MjModel) -> "Layout":
@@ -102,11 +106,21 @@ class Layout:
                 rate[q : q + 3] = np.arange(v, v + 3)
             elif kind != int(mujoco.mjtJoint.mjJNT_BALL):
                 rate[q] = v
+        qpos = {name: i for i, name in enumerate(model.qpos_channels)}
+        qvel = {name: i for i, name in enumerate(model.qvel_channels)}
+        also: dict[str, tuple[int, ...]] = {}
+        for hidden, shown_by in model.unrecorded.items():
+            for group, columns in (("qpos", qpos), ("qvel", qvel)):
+                if shown_by is not None:
+                    shows = f"{group}.{shown_by}"
+                    also[shows] = (*also.get(shows, ()), columns[f"{group}.{hidden}"])
         return cls(
-            {name: i for i, name in enumerate(model.qpos_channels)},
-            {name: i for i, name in enumerate(model.qvel_channels)},
+            qpos,
+            qvel,
             {name: i for i, name in enumerate(model.sensor_channels)},
             rate,
+            frozenset(f"{g}.{n}" for n in model.unrecorded for g in ("qpos", "qvel")),
+            also,
         )
 
 
@@ -130,19 +144,27 @@ def predicted(
     between = bool(s.any())
     after = np.minimum(now + 1, trajectory.qpos.shape[1] - 1) if between else now
     for k, name in enumerate(windows.channels):
-        if name in layout.qpos:
-            column = layout.qpos[name]
-            values, rate = trajectory.qpos[..., column], int(layout.velocity[column])
-        elif name in layout.qvel:
-            values, rate = trajectory.qvel[..., layout.qvel[name]], -1
-        else:
-            assert trajectory.sensordata is not None  # noqa: S101 - asked for by the caller
-            values, rate = trajectory.sensordata[..., layout.sensor[name]], -1
+        values, v = _shown(layout, name, trajectory)
         out[..., k] = values[row, now]
         if between:
             out[..., k] += s * (values[row, after] - values[row, now])
-            if rate >= 0:
-                v = trajectory.qvel[..., rate]
+            if v is not None:
                 bend = 0.5 * s * (1 - s) * windows.timestep
                 out[..., k] -= bend * (v[row, after] - v[row, now])
     return out
+
+
+def _shown(
+    layout: Layout, name: str, trajectory: Trajectory
+) -> tuple[Float[np.ndarray, "W S1"], Float[np.ndarray, "W S1"] | None]:
+    """Return what a channel shows at every step, and its rate where that is known."""
+    if name in layout.qpos:
+        columns = [layout.qpos[name], *layout.also.get(name, ())]
+        rates = layout.velocity[columns]
+        rate = trajectory.qvel[..., rates].sum(axis=-1) if (rates >= 0).all() else None
+        return trajectory.qpos[..., columns].sum(axis=-1), rate
+    if name in layout.qvel:
+        columns = [layout.qvel[name], *layout.also.get(name, ())]
+        return trajectory.qvel[..., columns].sum(axis=-1), None
+    assert trajectory.sensordata is not None  # noqa: S101 - asked for by the caller
+    return trajectory.sensordata[..., layout.sensor[name]], None

@@ -145,12 +145,16 @@ def _deaf(model: Model) -> list[str]:
 
 
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
+    silent = {f"qpos.{j}" for j in model.unrecorded}
     for name in (*model.qpos_channels, *model.ctrl_channels):
-        if name not in recording.channels and name not in unrecorded:
+        if name not in recording.channels and name not in unrecorded and name not in silent:
             remedy = ""
             if name.startswith("qpos."):
                 joint = name.removeprefix("qpos.")
-                remedy = f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}"
+                remedy = (
+                    f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to "
+                    f"let it move unmeasured: unrecorded: {{{joint}: null}}"
+                )
             raise RecordingError(
                 f"{recording.name}: no channel {name!r}, which the model needs; "
                 f"{nearest(name, recording.channels)}{remedy}"

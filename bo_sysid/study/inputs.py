@@ -30,7 +30,7 @@ def load_model(study: Study) -> Model:
         return Model.from_menagerie(source.menagerie, base=source.base, hold=source.hold)
     assert source.file is not None  # noqa: S101 - the study has exactly one source
     file = study.file(source.file, ("model",))
-    return Model.from_file(file, base=source.base, hold=source.hold)
+    return Model.from_file(file, base=source.base, hold=source.hold, unrecorded=source.unrecorded)
 
 
 def held_notes(study: Study) -> tuple[str, ...]:

@@ -44,6 +44,9 @@ class ModelSource(Section):
     """Files with forces, filters and readings that MJCF cannot express, as diagnose writes them."""
     hold: tuple[Name, ...] = ()
     """Joints held where the file puts them, as those that were not recorded."""
+    unrecorded: Mapping[Name, Name | None] = {}
+    """Joints that move though nothing measures them, each with the joint whose encoder shows it as
+    well (play that the encoder on a link sees), or null."""
 
     @model_validator(mode="after")
     def _one(self) -> "ModelSource":

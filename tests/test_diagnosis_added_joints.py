@@ -1,0 +1,176 @@
+"""Joints that an effect adds: where they begin, and a diagnosis that names one of them."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from bo_sysid import identify
+from bo_sysid.diagnosis import diagnose
+from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
+from bo_sysid.effects import CATALOGUE, Hidden, Site, survey
+from bo_sysid.errors import ModelError
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.runs import Run
+from bo_sysid.simulation import State
+from bo_sysid.study import Study
+
+JOINT = """
+<mujoco model="geared joint">
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="link">
+      <joint name="hinge" axis="0 1 0" damping="0.05" armature="0.02"/>
+      <geom name="link" type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="hinge" joint="hinge" ctrlrange="-4 4"/></actuator>
+</mujoco>
+"""
+SIGMA, COMPLIANCE = 3e-4, 0.01
+RIVALS = (
+    "joint_compliance",
+    "backlash",
+    "dry_friction",
+    "armature",
+    "link_inertia",
+    "actuator_lag",
+)
+
+
+def tones(seed: int, time: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return sum(
+        rng.uniform(0.3, 0.6) * np.sin(2 * np.pi * f * time + rng.uniform(0, 6))
+        for f in rng.uniform(0.2, 3.0, 6)
+    )
+
+
+def moving() -> Recording:
+    time = np.arange(0, 4, 0.002)
+    return Recording.from_arrays(
+        time, qpos={"hinge": np.sin(3 * time)}, ctrl={"hinge": tones(0, time)}
+    )
+
+
+def plant(effect: str, x: list[float], finer: int) -> tuple[mujoco.MjModel, Hidden]:
+    model = Model.from_xml(JOINT)
+    machine, parts = survey(model.compile(), [moving()]), []
+    site = Site("joint", "hinge")
+    edit = lambda spec: parts.extend(  # noqa: E731
+        CATALOGUE[effect].parts(spec, site, np.array(x), machine)
+    )
+    return model.compile([edit], timestep=0.002 / finer), parts[0]
+
+
+def record(effect: str, x: list[float], seed: int, duration: float) -> Recording:
+    """Return noisy positions on the motor's side of a joint that gives way."""
+    finer = 8
+    compiled, _ = plant(effect, x, finer)
+    data, time = mujoco.MjData(compiled), np.arange(0, duration, 0.002)
+    ctrl, shown = tones(seed, time), np.empty(len(time))
+    for k, u in enumerate(ctrl):
+        shown[k], data.ctrl[0] = data.joint("hinge").qpos[0], u
+        mujoco.mj_step(compiled, data, finer)
+    shown += SIGMA * np.random.default_rng(seed).normal(size=len(time))
+    return Recording.from_arrays(time, qpos={"hinge": shown}, ctrl={"hinge": ctrl})
+
+
+def test_the_transmitted_torque_is_the_weight_of_a_link_at_rest() -> None:
+    model = Model.from_xml(JOINT).compile()
+    angle = 0.5
+    weight = 1 * 9.81 * 0.2 * np.sin(angle)  # the motor holds it: nothing moves
+    start = State(np.array([[angle]]), np.zeros((1, 1)), np.zeros((1, 0)))
+    torque = transmitted(model, start, np.array([[weight]]))
+    assert torque[0, 0] == pytest.approx(weight, rel=1e-6)
+
+
+def test_the_motor_keeps_what_its_own_inertia_needs() -> None:
+    model = Model.from_xml(JOINT).compile()
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    link = 0.02 + 1 / 12 * 0.4**2 + 0.2**2  # roughly a rod about its end, and the rotor
+    share = float(transmitted(model, start, np.array([[2.0]]))[0, 0]) / 2.0
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((1, 1))
+    mujoco.mj_fullM(model, data, inertia)
+    assert share == pytest.approx(1 - 0.02 / inertia[0, 0], rel=1e-6)
+    assert inertia[0, 0] == pytest.approx(link, rel=0.1)
+
+
+def test_a_compliant_joint_begins_where_the_plant_rests() -> None:
+    compiled, hidden = plant("joint_compliance", [COMPLIANCE, 0.0], 1)
+    data = mujoco.MjData(compiled)
+    data.ctrl[0] = 0.8
+    compiled.dof_damping[:] = 0.3
+    mujoco.mj_step(compiled, data, 20_000)  # at rest, bent by the weight that the motor holds
+    nominal = Model.from_xml(JOINT).compile()
+    angle = data.joint("hinge").qpos
+    start = State(angle[None], np.zeros((1, 1)), np.zeros((1, 0)))
+    coordinates = Coordinates.between(nominal, compiled, [hidden])
+    expanded = coordinates.expand(start, transmitted(nominal, start, np.array([[0.8]])))
+    np.testing.assert_allclose(expanded.qpos[0], data.qpos, rtol=0.03)
+
+
+def test_the_encoder_of_a_link_shows_both_joints() -> None:
+    compiled, hidden = plant("backlash", [0.04, 1.0], 1)
+    nominal = Model.from_xml(JOINT).compile()
+    coordinates = Coordinates.between(nominal, compiled, [hidden])
+    start = State(np.array([[0.3]]), np.zeros((1, 1)), np.zeros((1, 0)))
+    expanded = coordinates.expand(start, np.array([[1.0]]))
+    assert expanded.qpos[0].sum() == pytest.approx(0.3)  # motor and play together
+    assert expanded.qpos[0, 1] == pytest.approx(-0.02)  # pushed to the end that carries the link
+    offset = coordinates.elsewhere(np.array([[1.0]]), [0.0])
+    places = sorted(float(-0.02 + o[0, 0]) for o in offset)
+    np.testing.assert_allclose(places, [-0.01, 0.0, 0.01, 0.02], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compliance")
+    for name, seed, duration in (("train", 1, 12.0), ("holdout", 2, 4.0)):
+        recording = record("joint_compliance", [COMPLIANCE, 0.0], seed, duration)
+        recording.to_frame().to_parquet(folder / f"{name}.parquet")
+    (folder / "joint.xml").write_text(JOINT)
+    content = {
+        "version": 1,
+        "name": "geared joint",
+        "model": "joint.xml",
+        "recordings": {"train": ["train.parquet"], "holdout": ["holdout.parquet"]},
+        "diagnosis": {"effects": list(RIVALS)},
+    }
+    (folder / "joint.yaml").write_text(yaml.safe_dump(content))
+    study = Study.load(folder / "joint.yaml")
+    with Run.open(folder / "run", study.resolved(folder / "run"), "diagnose") as run:
+        return diagnose(study, run), folder / "run"
+
+
+def test_compliance_is_named_with_its_side_and_size(diagnosed) -> None:
+    result, _ = diagnosed
+    (finding,) = result.answer.findings
+    assert (finding.effect, finding.site) == ("joint_compliance", "hinge")
+    assert finding.quantity.value == pytest.approx(COMPLIANCE, rel=0.05)
+    floor = result.holdout.error("forecast", 0.08, "noise_floor")
+    assert result.holdout.error("forecast", 0.08, "repaired") < 1.15 * floor
+
+
+def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagnosed) -> None:
+    _, run = diagnosed
+    content = yaml.safe_load((run / "study_repaired.yaml").read_text())
+    assert content["model"]["unrecorded"] == {"hinge_flex": None}
+    change = {"search": {"budget": 6}}
+    content["parameters"] = [
+        {"name": "mass", "address": "geom[link].mass", "low": 0.8, "high": 1.2, "steps": 5}
+    ]
+    (run / "again.yaml").write_text(yaml.safe_dump({**content, **change}))
+    found = identify(Study.load(run / "again.yaml"))
+    assert found.best[0] == pytest.approx(1.0)
+
+
+def test_an_unrecorded_joint_must_be_one_of_the_model(tmp_path: Path) -> None:
+    (tmp_path / "joint.xml").write_text(JOINT)
+    with pytest.raises(ModelError, match=r"unrecorded: no hinge or slide 'hing'.*hinge"):
+        Model.from_file(tmp_path / "joint.xml", unrecorded={"hing": None})
