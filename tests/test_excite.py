@@ -7,8 +7,9 @@ import pytest
 
 from bo_sysid.cli import main
 from bo_sysid.errors import StudyError
+from bo_sysid.excite.designer import Designer
 from bo_sysid.excite.evolution import minimise
-from bo_sysid.excite.excite import Designer, excite
+from bo_sysid.excite.excite import excite
 from bo_sysid.excite.fourier import Series
 from bo_sysid.excite.limits import Limits
 from bo_sysid.mjcf import Model
@@ -42,7 +43,7 @@ def designer() -> Designer:
 def test_a_quadratic_is_minimised() -> None:
     target, scale = np.array([1.0, -2.0, 0.5]), np.array([1.0, 30.0, 0.1])
     best, lowest = minimise(
-        lambda x: float(scale @ (x - target) ** 2), np.zeros(3), 0.5, budget=1500, seed=1
+        lambda x: (x - target) ** 2 @ scale, np.zeros(3), 0.5, budget=1500, seed=1
     )
     np.testing.assert_allclose(best, target, atol=1e-3)
     assert lowest < 1e-6
@@ -50,7 +51,7 @@ def test_a_quadratic_is_minimised() -> None:
 
 def test_controls_start_and_end_at_rest_and_keep_their_range() -> None:
     series = Series(np.array([0.5]), np.array([2.0]), np.array([0.5, 1.5]), 4.0, 0.01)
-    u = series.controls(np.array([3.0, -4.0, 2.0, 1.0, 0.3]))
+    u = series.controls(np.array([[3.0, -4.0, 2.0, 1.0, 0.3, -0.2]]))[0]
     assert u.shape == (400, 1)
     assert u[0] == pytest.approx(0.5)
     assert u[-1] == pytest.approx(0.5, abs=0.02)
@@ -72,13 +73,63 @@ def test_a_limit_is_measured_where_it_is_exceeded() -> None:
     assert d.limits.violation(d._compiled, trajectory, ctrl, 0.0)[0] == pytest.approx(expected)
 
 
-def test_a_plan_tells_more_than_random_tones_and_keeps_the_limits_of_every_machine() -> None:
+def test_series_have_the_frequencies_that_they_say() -> None:
+    series = Series(np.zeros(1), np.ones(1), np.array([1.0, 2.0]), 8.0, 0.01)
+    x = np.array([[0.0, 0.0, 0.0, 0.4, 0.0, 0.5]])  # the cosine of the second tone, shifted up
+    power = np.abs(np.fft.rfft(series.controls(x)[0, :, 0])) ** 2
+    assert np.argmax(power) / 8.0 == pytest.approx(2 * 2 ** np.tanh(0.5), abs=0.07)
+
+
+def test_many_are_judged_as_one_by_one() -> None:
     d = designer()
-    random = [d.safe(d.random(100 + k)) for k in range(5)]
-    before = np.median([d.information(u).sigma.max() for u in random])
-    planned = d.design(budget=80, seed=0)
-    assert d.information(planned).sigma.max() < 0.9 * before
-    assert d.violation(planned, np.vstack([d.point[None], d.draws[:24]]), 1.0) == 0.0
+    tones = d.tones(3, 7, (0.3, 4.0))
+    rows = (0, 3, 9)
+    found = d.judge(rows)(1.5 * tones, 0.9)
+    for u, sigma, over in zip(1.5 * tones, found.sigma, found.over, strict=True):
+        np.testing.assert_allclose(sigma, d.information(u).sigma, rtol=0.05)
+        assert over == pytest.approx(d.violation(u, d.machines[list(rows)], 0.9), abs=0.03)
+
+
+def test_random_tones_are_flat_in_their_band_and_as_large_as_the_limits_allow() -> None:
+    d = designer()
+    tones = d.tones(16, 7, (1.0, 4.0))
+    power = (np.abs(np.fft.rfft(tones[..., 0], axis=1)) ** 2).mean(axis=0)
+    frequency = np.fft.rfftfreq(tones.shape[1], d.series.interval)
+    inside = power[(frequency >= 1.0) & (frequency <= 4.0)]
+    assert power[frequency > 6.0].max() < 0.02 * inside.mean()
+    assert inside.max() < 5 * inside.min()  # 16 draws, faded in and out
+    for u in tones[:3]:
+        assert d.violation(u, d.machines, 1.0) == 0.0
+        assert d.violation(1.15 * u, d.machines, 1.0) > 0.0
+
+
+def test_a_plan_tells_more_than_random_tones_and_keeps_energy_and_the_limits_of_every_machine() -> (
+    None
+):
+    d = designer()
+    tones = d.tones(5, 100, (0.3, 10.0))
+    before = np.median([d.information(u).sigma.max() for u in tones])
+    energy = float(np.median(d.energy(tones)))
+    planned = d.design(budget=200, seed=0, energy=energy)
+    assert d.information(planned).sigma.max() < 0.5 * before
+    assert d.violation(planned, d.machines, 1.0) == 0.0
+    assert d.energy(planned) <= 1.01 * energy
+
+
+def test_little_energy_goes_to_the_resonance_of_what_hardly_swings_elsewhere() -> None:
+    frequency, mass = 2.0, 0.5
+    model = Model.from_xml(f"""
+    <mujoco><option timestep="0.005" integrator="implicitfast" gravity="0 0 0"/>
+    <worldbody><body><joint name="x" type="slide" axis="1 0 0" damping=".2"
+      stiffness="{mass * (2 * np.pi * frequency) ** 2}"/><geom size=".05" mass="{mass}"/></body>
+    </worldbody><actuator><motor name="m" joint="x" ctrlrange="-1 1"/></actuator></mujoco>""")
+    damping = Parameter("damping", ("joint[x].damping",), 0.1, 0.3)
+    d = Designer(
+        model, (damping,), Limits.of(model, {}), {"qpos.x": 1e-3}, seconds=8.0, interval=0.02
+    )
+    planned = d.design(budget=400, seed=0, energy=1e-3)
+    power = np.abs(np.fft.rfft(planned[:, 0])) ** 2
+    assert np.argmax(power) / 8.0 == pytest.approx(frequency, rel=0.1)
 
 
 def test_parts_that_touch_are_seen() -> None:
@@ -119,4 +170,4 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     d = designer()
     object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
     with pytest.raises(StudyError, match="standing still"):
-        d.random(0)
+        d.safe(np.zeros(d.series.size))

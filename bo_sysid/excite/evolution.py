@@ -11,25 +11,28 @@ from jaxtyping import Float
 
 
 def minimise(
-    cost: Callable[[Float[np.ndarray, " p"]], float],
+    cost: Callable[[Float[np.ndarray, "n p"]], Float[np.ndarray, " n"]],
     start: Float[np.ndarray, " p"],
     sigma: float,
     budget: int,
     seed: int,
+    *,
+    offspring: int | None = None,
     report: Callable[[int, float], None] | None = None,
 ) -> tuple[Float[np.ndarray, " p"], float]:
     """Return the best point that was evaluated and its cost.
 
     Args:
-        cost: to be minimised; may be infinite.
+        cost: to be minimised, of n points at once.
         start: the mean at first.
         sigma: standard deviation at first.
         budget: number of evaluations.
         seed: of the draws.
+        offspring: points a generation; by default 4 + 3 log p.
         report: told the number of evaluations and the lowest cost.
     """
     rng, n = np.random.default_rng(seed), len(start)
-    offspring = 4 + int(3 * np.log(n))
+    offspring = offspring or 4 + int(3 * np.log(n))
     parents = offspring // 2
     weight = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
     weight /= weight.sum()
@@ -43,11 +46,11 @@ def minimise(
     expected = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n * n))
     mean, scale = start.copy(), np.ones(n)
     step_path, path = np.zeros(n), np.zeros(n)
-    best, lowest, done = start.copy(), cost(start), 1
+    best, lowest, done = start.copy(), float(cost(start[None])[0]), 1
     while done < budget:
         z = rng.standard_normal((offspring, n))
         points = mean + sigma * np.sqrt(scale) * z
-        costs = np.array([cost(p) for p in points])
+        costs = cost(points)
         done += offspring
         order = np.argsort(costs)
         if costs[order[0]] < lowest:

@@ -6,19 +6,19 @@ import numpy as np
 from jaxtyping import Float
 
 FADE = 0.5  # [s] at both ends
-_SPREAD = 4.0  # largest ratio of highest to lowest base frequency that is tried
 
 
 @dataclass(frozen=True)
 class Series:
     """The form of a trajectory of controls: u_a(t) = m_a + w(t) h_a Σ_k (A sin + B cos)(2π f_k t).
 
-    Frequencies are those of all harmonics times one common stretch, which is optimised too.
+    Coefficients are all A and B, actuator by actuator, and then K shifts that move the frequencies
+    between their neighbours: f_k = f⁰_k r^tanh(shift), r the ratio of two base frequencies.
 
     Attributes:
         middle: `nu` controls at rest.
         half: `nu` half widths of the controls' ranges.
-        frequencies: `K` in [Hz].
+        frequencies: `K` base frequencies in [Hz], in geometric progression.
         seconds: length.
         interval: time between two controls in [s].
     """
@@ -30,22 +30,37 @@ class Series:
     interval: float
 
     @property
+    def waves(self) -> int:
+        """Number of coefficients that scale the motion."""
+        return 2 * len(self.half) * len(self.frequencies)
+
+    @property
     def size(self) -> int:
-        """Number of coefficients: two for each actuator and frequency, and the stretch."""
-        return 2 * len(self.half) * len(self.frequencies) + 1
+        """Number of coefficients: two for each actuator and frequency, and the shifts."""
+        return self.waves + len(self.frequencies)
 
     @property
     def time(self) -> Float[np.ndarray, " R"]:
         """Time of each row of controls, in [s]."""
         return np.arange(round(self.seconds / self.interval)) * self.interval
 
-    def controls(self, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, "R nu"]:
-        """Return the controls of some coefficients, kept within their ranges."""
+    @property
+    def fade(self) -> Float[np.ndarray, " R"]:
+        """What every row is multiplied by: from 0 to 1 and back, smooth at both ends of a ramp."""
         t = self.time
-        stretch = _SPREAD ** np.tanh(x[-1])
-        phase = 2 * np.pi * stretch * self.frequencies * t[:, None]
-        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
-        unit = waves @ x[:-1].reshape(len(self.half), -1).T
-        fade = np.clip(np.minimum(t, self.seconds - t) / FADE, 0.0, 1.0)
-        smooth = fade * fade * (3.0 - 2.0 * fade)
-        return np.asarray(self.middle + self.half * np.clip(smooth[:, None] * unit, -1.0, 1.0))
+        ramp = np.clip(np.minimum(t, self.seconds - t) / FADE, 0.0, 1.0)
+        return np.asarray(ramp * ramp * (3.0 - 2.0 * ramp))
+
+    def controls(self, x: Float[np.ndarray, "K p"]) -> Float[np.ndarray, "K R nu"]:
+        """Return the controls of K rows of coefficients, kept within their ranges."""
+        count, tones = len(x), len(self.frequencies)
+        ratio = self.frequencies[1] / self.frequencies[0] if tones > 1 else 2.0
+        frequency = self.frequencies * ratio ** np.tanh(x[:, self.waves :])
+        phase = 2 * np.pi * self.time[:, None] * frequency[:, None]
+        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=2)
+        size = x[:, : self.waves].reshape(count, len(self.half), 2 * tones)
+        return self.scaled(self.fade[:, None] * (waves @ np.swapaxes(size, 1, 2)))
+
+    def scaled(self, unit: Float[np.ndarray, "*K R nu"]) -> Float[np.ndarray, "*K R nu"]:
+        """Return controls in their units from those between -1 and 1, clipped there."""
+        return np.asarray(self.middle + self.half * np.clip(unit, -1.0, 1.0))
