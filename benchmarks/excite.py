@@ -173,6 +173,8 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
     rows = {}
     for name, effects in todo:
         key = f"{name} {'effects' if effects else 'machine'}"
+        if cases.stored and f"{key} {budget} {plans}" not in cases:
+            continue
         job = partial(compare, name, effects, budget, plans)
         rows[key] = figures(cases.get(f"{key} {budget} {plans}", job))
     return {
@@ -185,4 +187,4 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    benchmark("excite", run)
+    benchmark("excite", run, partial=True)

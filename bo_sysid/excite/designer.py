@@ -9,10 +9,10 @@ drawn parameter vectors exceeds. Searching starts at the best of many random spe
 Wiley, 2012; random-phase multisines: chapter 5.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
@@ -20,8 +20,8 @@ from scipy.stats import qmc
 from bo_sysid.checks.sensitivity import Information, information
 from bo_sysid.errors import StudyError
 from bo_sysid.excite.evolution import minimise
-from bo_sysid.excite.fourier import Series
-from bo_sysid.excite.judge import Judge
+from bo_sysid.excite.fourier import Series, ranges
+from bo_sysid.excite.judge import Judge, largest
 from bo_sysid.excite.limits import Limits
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
@@ -30,12 +30,10 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, MujocoSimulator, State, Trajectory, cut
 from bo_sysid.study.check import nominal
 
-MARGIN = 0.9
-"""Share of each limit that the search uses."""
 PROOF = 24
 """Drawn parameter vectors that must keep the limits at the end."""
 _ROWS: tuple[int, ...] = (0, 1, 2)  # of these, the first to keep them while searching
-_ROUNDS = ((0.6, 0.3), (0.4, 0.15))  # share of the budget and first deviation of each round
+_ROUNDS = ((0.6, 0.3, 0.93), (0.4, 0.15, 0.98))  # of the budget; deviation at first; of limits
 _ADDED = 4  # machines that the next round heeds, too
 _HARMONICS, _BAND = 12, (0.15, 10.0)  # base frequencies, in [Hz]
 _WINDOW = 0.5  # [s]
@@ -46,8 +44,7 @@ _SPREAD, _SLOPE = 1.2, 3.0  # of random spectra: deviation of log amplitudes; mo
 _OFFSPRING = 24  # of a generation
 _FLOOR, _SHIFT = 0.02, 0.3  # of the units, for tones that are hardly there; of frequencies
 _LARGEST = 4.0  # amplitude that random tones are tried from, in half ranges
-_SHRINK = 0.93
-_UNBOUNDED = 1.0  # control range of an actuator that says none
+_SHRINK = 0.98
 
 
 class Designer:
@@ -79,7 +76,7 @@ class Designer:
         compiled = model.compile()
         self._hold = max(round(interval / compiled.opt.timestep), 1)
         step = self._hold * float(compiled.opt.timestep)
-        middle, half = _ranges(compiled)
+        middle, half = ranges(compiled)
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
@@ -161,11 +158,11 @@ class Designer:
         return np.asarray((unit**2).mean(axis=(-2, -1)))
 
     def cost(
-        self, x: Float[np.ndarray, "K p"], energy: float, rows: tuple[int, ...] = _ROWS
+        self, x: Float[np.ndarray, "K p"], energy: float, margin: float, rows: tuple[int, ...]
     ) -> Float[np.ndarray, " K"]:
         """Return the logarithm of the widest interval, with penalties for limits and energy."""
         controls = self.series.controls(x)
-        found = self.judge(rows)(controls, MARGIN)
+        found = self.judge(rows)(controls, margin)
         over = found.over + np.maximum(self.energy(controls) / energy - 1.0, 0.0)
         told = np.log((found.sigma**_NORM).sum(axis=1)) / _NORM
         return np.asarray(_PENALTY * over + np.where(over > 1.0, 0.0, told))
@@ -186,32 +183,37 @@ class Designer:
             energy: most that the controls may have.
             report: told the number of trajectories tried and the lowest cost.
         """
-        best, unit, tried = self._start(budget, seed, energy)
+        best, unit, tried = self._start(budget, seed, energy, report)
         rest, rows = budget - tried, _ROWS
-
-        def cost(z: np.ndarray) -> np.ndarray:
-            return self.cost(z * unit, energy, rows)
-
-        best = best / unit
-        for share, sigma in _ROUNDS:
-            best, _ = minimise(
-                cost,
-                best,
+        for share, sigma, margin in _ROUNDS:
+            z, _ = minimise(
+                partial(self._scaled_cost, unit, energy, margin, rows),
+                best / unit,
                 sigma,
                 int(share * rest),
                 seed,
                 offspring=min(_OFFSPRING, max(budget // 8, 4)),
                 report=report and partial(_later, report, tried),
             )
-            tried += int(share * rest)
-            rows = self._heeded(self.series.controls((best * unit)[None])[0], rows)
-        return self.safe(best * unit)
+            best, tried = z * unit, tried + int(share * rest)
+            rows = self._heeded(self.series.controls(best[None])[0], rows)
+        return self.safe(best)
+
+    def _scaled_cost(
+        self,
+        unit: Float[np.ndarray, " p"],
+        energy: float,
+        margin: float,
+        rows: tuple[int, ...],
+        z: Float[np.ndarray, "K p"],
+    ) -> Float[np.ndarray, " K"]:
+        return self.cost(z * unit, energy, margin, rows)
 
     def _heeded(
         self, controls: Float[np.ndarray, "R nu"], rows: tuple[int, ...]
     ) -> tuple[int, ...]:
         """Return rows of machines, with those that exceed the limits most."""
-        over = self._violations(controls, self.machines, MARGIN)
+        over = self._violations(controls, self.machines, 1.0)
         worst = [int(k) for k in np.argsort(-over)[:_ADDED] if over[k] > 0]
         return tuple(sorted({*rows, *worst}))
 
@@ -241,7 +243,7 @@ class Designer:
         def over(size: np.ndarray) -> np.ndarray:
             return self.judge(everyone)(s.scaled(size[:, None, None] * shape), 1.0, told=False).over
 
-        size = _largest(over, np.full(count, _LARGEST), 10)
+        size = largest(over, np.full(count, _LARGEST), 10)
         unit = size[:, None, None] * shape
         return np.stack([self._kept(partial(self._shrunk, u)) for u in unit])  # judges are coarse
 
@@ -266,7 +268,11 @@ class Designer:
         return scaled(size)
 
     def _start(
-        self, budget: int, seed: int, energy: float
+        self,
+        budget: int,
+        seed: int,
+        energy: float,
+        report: Callable[[int, float], None] | None,
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"], int]:
         """Return the best of random spectra, the units of its coefficients, and what was tried."""
         rng, s = np.random.default_rng(seed), self.series
@@ -281,14 +287,18 @@ class Designer:
         def coefficients(k: np.ndarray) -> np.ndarray:
             return np.concatenate([k[:, None] * shape, shift], axis=1)
 
+        done = itertools.count(count, count)
+
         def over(k: np.ndarray) -> np.ndarray:
             controls = s.controls(coefficients(k))
-            exceeded = self.judge(_ROWS)(controls, MARGIN, told=False).over
+            if report is not None:
+                report(next(done), np.inf)
+            exceeded = self.judge(_ROWS)(controls, _ROUNDS[0][2], told=False).over
             return np.asarray(np.maximum(exceeded, self.energy(controls) - energy))
 
-        amplitude = _largest(over, np.ones(count), _HALVINGS)
+        amplitude = largest(over, np.ones(count), _HALVINGS)
         x = coefficients(amplitude)
-        best = int(np.argmin(self.cost(x, energy)))
+        best = int(np.argmin(self.cost(x, energy, _ROUNDS[0][2], _ROWS)))
         width = np.full(s.size, _SHIFT)
         width[: s.waves] = amplitude[best] * (unit[best] + _FLOOR)
         return x[best], width, (_HALVINGS + 1) * count
@@ -296,24 +306,3 @@ class Designer:
 
 def _later(report: Callable[[int, float], None], before: int, done: int, cost: float) -> None:
     report(before + done, cost)
-
-
-def _largest(
-    over: Callable[[Float[np.ndarray, " K"]], Float[np.ndarray, " K"]],
-    highest: Float[np.ndarray, " K"],
-    halvings: int,
-) -> Float[np.ndarray, " K"]:
-    """Return sizes that exceed nothing, by bisection of their logarithms down to a hundredth."""
-    low, high = 0.01 * highest, highest.copy()
-    for _ in range(halvings):
-        middle = np.sqrt(low * high)
-        kept = over(middle) <= 0
-        low, high = np.where(kept, middle, low), np.where(kept, high, middle)
-    return low
-
-
-def _ranges(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of each control's range; ±1 where it says none."""
-    limited = np.asarray(model.actuator_ctrllimited) > 0
-    ctrl = np.where(limited[:, None], model.actuator_ctrlrange, [-_UNBOUNDED, _UNBOUNDED])
-    return ctrl.mean(axis=1), 0.5 * np.diff(ctrl, axis=1)[:, 0]

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 
 FADE = 0.5  # [s] at both ends
+_UNBOUNDED = 1.0  # control range of an actuator that says none
 
 
 @dataclass(frozen=True)
@@ -64,3 +66,10 @@ class Series:
     def scaled(self, unit: Float[np.ndarray, "*K R nu"]) -> Float[np.ndarray, "*K R nu"]:
         """Return controls in their units from those between -1 and 1, clipped there."""
         return np.asarray(self.middle + self.half * np.clip(unit, -1.0, 1.0))
+
+
+def ranges(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return middle and half width of each control's range; ±1 where it says none."""
+    limited = np.asarray(model.actuator_ctrllimited) > 0
+    ctrl = np.where(limited[:, None], model.actuator_ctrlrange, [-_UNBOUNDED, _UNBOUNDED])
+    return ctrl.mean(axis=1), 0.5 * np.diff(ctrl, axis=1)[:, 0]

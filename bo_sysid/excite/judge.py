@@ -4,7 +4,7 @@ For the search only: the simulation's step is as coarse as the controls', differ
 all candidates share two roll-outs. `checks.sensitivity` says the same for the plan that is chosen.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -146,3 +146,17 @@ class Judge:
         effect = effect - q @ (np.swapaxes(q, 1, 2) @ effect)
         effect[run.diverged.reshape(runs, count).any(axis=0)] = 0.0
         return np.asarray(np.swapaxes(effect, 1, 2) @ effect)
+
+
+def largest(
+    over: Callable[[Float[np.ndarray, " K"]], Float[np.ndarray, " K"]],
+    highest: Float[np.ndarray, " K"],
+    halvings: int,
+) -> Float[np.ndarray, " K"]:
+    """Return sizes that exceed nothing, by bisection of their logarithms down to a hundredth."""
+    low, high = 0.01 * highest, highest.copy()
+    for _ in range(halvings):
+        middle = np.sqrt(low * high)
+        kept = over(middle) <= 0
+        low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+    return low
