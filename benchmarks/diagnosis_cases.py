@@ -3,7 +3,8 @@
 A plant is the nominal model with effects in it, stepped at a quarter of a millisecond; friction
 may be LuGre instead of Coulomb, and the log may be slow, fast or uneven. Sizes are drawn
 log-uniformly by what they do to the predictions: the projected rms difference over windows of
-0.3 s, in units of the sensor noise.
+0.3 s (0.1 s in contact), in units of the sensor noise. What a case counts as is what its effects do
+in its own training recording: a limit that is never reached says nothing.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from bo_sysid.diagnosis.problem import pose
 from bo_sysid.diagnosis.windowing import nothing, prepare
 from bo_sysid.effects import CATALOGUE, Filter, Force, Hidden, Machine, Reading, Site, survey
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine
 
@@ -26,6 +28,7 @@ MODELS = Path(__file__).parents[1] / "studies" / "diagnosis"
 _STEP = 2.5e-4  # [s] of a plant, an eighth of the models'; less where the log is faster
 _BRISTLES = 8  # times finer still, where bristles bend by .2 mrad within a step
 _WINDOW = 0.3  # [s] in which an effect is sized
+_TOUCHING = 0.1  # [s] the same where geoms can touch
 _TRIES = 40  # draws until every effect of a case can be sized
 
 
@@ -34,11 +37,12 @@ class Rig:
     """A machine with the way it is driven.
 
     Attributes:
-        file: its model.
+        file: its model, or domain and task of dm_control.
         drive: amplitude of each control, or of each goal where a loop is closed around motors.
         gains: proportional and derivative gain of that loop, None for open loop.
         fastest: highest frequency of the excitation in [Hz].
         middle: centre of the goals.
+        sampling: seconds between the rows of its logs, where nothing else is asked for.
     """
 
     file: str
@@ -46,6 +50,7 @@ class Rig:
     gains: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     fastest: float = 1.5
     middle: tuple[float, ...] = ()
+    sampling: float = 0.002
 
 
 _SIX = (0.5, 0.4, 0.5, 0.7, 0.6, 0.8)
@@ -62,7 +67,10 @@ RIGS = {
         _POSE,
     ),
     "six_servos": Rig("six_joint_arm_servos.xml", _SIX, None, 1.0, _POSE),
+    "cheetah": Rig("cheetah run", (1.0,) * 6, None, 2.5, sampling=0.01),
+    "hopper": Rig("hopper stand", (1.0,) * 4, None, 2.5, sampling=0.005),
 }
+CONTACT = ("cheetah", "hopper")
 
 
 @dataclass(frozen=True)
@@ -115,6 +123,8 @@ LOGS = {
 
 
 def load(rig: str) -> Model:
+    if rig in CONTACT:
+        return Model.from_dm_control(*RIGS[rig].file.split())
     return Model.from_file(MODELS / RIGS[rig].file)
 
 
@@ -146,7 +156,7 @@ def simulate(
 
     The command changes when a row is written.
     """
-    log = log or Log()
+    log = log or Log(rig.sampling)
     rng = np.random.default_rng(seed)
     parts: list[object] = list(strange)
 
@@ -354,36 +364,48 @@ def _lugre(spec: mujoco.MjSpec, joint: str, level: float) -> None:
     motor.biasprm[3:6] = (level, level, 0.05)
 
 
-def sized(
-    model: Model, machine: Machine, nominal: Recording, sigma: float, c: Candidate, target: float
-) -> np.ndarray | None:
-    """Return the magnitudes at which an effect moves the predictions by `target` sigma, or None."""
-    channels = {n: sigma for n in nominal.channels if n.startswith("qpos.")}
-    horizon = round(_WINDOW / machine.sampling)
-    problem = pose(
-        model, machine, [nominal], channels, (), horizon=horizon, stride=3, engine=Engine(1)
-    )
-    prepared = prepare(problem)
-    problem = replace(prepared.problem, correction=None)
-    base = problem.residual(nothing(problem), prepared.start)
+class Sizes:
+    """Measures what effects do to the predictions of a recording, in sigma.
 
-    def moved(x: np.ndarray) -> float:
-        r = problem.residual(Hypothesis((c,), (x,)), prepared.start)
-        d = project(prepared.linear.Q, r - base)
-        return float(np.sqrt((d**2).sum() / problem.dof))
+    Args:
+        model: the nominal model.
+        machine: its scales.
+        recording: in which the effects act.
+        sigma: noise of the positions.
+    """
 
-    x = c.point[: c.size].copy()
-    for _ in range(8):
-        size = moved(x)
-        if not np.isfinite(size) or size <= 0:
-            x = 2 * x
-            continue
-        factor = np.clip(target / size, 0.2, 5.0)
-        x = x * (np.sqrt(factor) if c.effect.threshold else factor)
-        if abs(factor - 1) < 0.05:
-            break
-    inside = (x >= c.low).all() and (x <= c.high).all()
-    return x if inside and abs(np.log(max(moved(x), 1e-9) / target)) < 0.3 else None
+    def __init__(self, model: Model, machine: Machine, recording: Recording, sigma: float) -> None:
+        channels = {n: sigma for n in recording.channels if n.startswith("qpos.")}
+        window = _TOUCHING if can_touch(machine.model) else _WINDOW
+        horizon = round(window / machine.sampling)
+        problem = pose(
+            model, machine, [recording], channels, (), horizon=horizon, stride=3, engine=Engine(1)
+        )
+        self._prepared = prepare(problem)
+        self._problem = replace(self._prepared.problem, correction=None)
+        self._base = self._problem.residual(nothing(problem), self._prepared.start)
+
+    def of(self, c: Candidate, x: np.ndarray) -> float:
+        """Return the rms projected difference that an effect makes."""
+        r = self._problem.residual(Hypothesis((c,), (x,)), self._prepared.start)
+        d = project(self._prepared.linear.Q, r - self._base)
+        return float(np.sqrt((d**2).sum() / self._problem.dof))
+
+    def scaled(self, c: Candidate, target: float) -> np.ndarray | None:
+        """Return the magnitudes at which an effect makes `target` sigma, None where none do."""
+        x = c.point[: c.size].copy()
+        for _ in range(8):
+            size = self.of(c, x)
+            if not np.isfinite(size) or size <= 0:
+                x = 2 * x
+                continue
+            factor = np.clip(target / size, 0.2, 5.0)
+            x = x * (np.sqrt(factor) if c.effect.threshold else factor)
+            if abs(factor - 1) < 0.05:
+                break
+        inside = (x >= c.low).all() and (x <= c.high).all()
+        near = inside and abs(np.log(max(self.of(c, x), 1e-9) / target)) < 0.3
+        return x if near else None
 
 
 def draw(
@@ -405,6 +427,8 @@ def draw(
     nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma, log=log)
     machine = survey(model.compile(), [nominal])
     found: list[Planted] = []
+    drawn: list[Candidate] = []
+    sizes = Sizes(model, machine, nominal, sigma)
     pool = [c for c in candidates([CATALOGUE[i] for i in ids], machine) if not c.secant]
     ids = list(dict.fromkeys(c.effect.id for c in pool))
     for _ in range(_TRIES if ids else 0):
@@ -416,11 +440,12 @@ def draw(
             continue
         c = options[int(rng.integers(len(options)))]
         target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-        x = sized(model, machine, nominal, sigma, c, target)
+        x = sizes.scaled(c, target)
         if x is not None:
             value = c.effect.reported(c.full(x), machine, c.site)
             full = tuple(c.full(x))
             found.append(Planted(effect, c.site.kind, c.site.name, full, target, value))
+            drawn.append(c)
     if len(found) < count:
         return Case(rig, tuple(found), (), (), sigma)
     train, holdout = (
@@ -437,7 +462,14 @@ def draw(
         )
         for k, d in ((1, duration), (2, 8.0))
     )
-    return Case(rig, tuple(found), (train,), (holdout,), sigma)
+    if _runs_away(train, nominal):
+        return Case(rig, (), (), (), sigma)
+    acting = Sizes(model, machine, train, sigma)
+    shown = [
+        replace(p, size=acting.of(c, np.array(p.x[: c.size])))
+        for p, c in zip(found, drawn, strict=True)
+    ]
+    return Case(rig, tuple(shown), (train,), (holdout,), sigma)
 
 
 def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:

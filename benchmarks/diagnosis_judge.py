@@ -1,0 +1,186 @@
+"""Which cases the benchmark of the diagnosis has, and how an answer is judged."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from diagnosis_cases import (
+    CONTACT,
+    LOGS,
+    RIGS,
+    STRANGE,
+    Case,
+    Planted,
+    draw,
+    draw_group,
+    draw_strange,
+    load,
+)
+
+from bo_sysid.diagnosis.diagnose import make_evidence
+from bo_sysid.diagnosis.explain import Outcome, explain
+from bo_sysid.diagnosis.findings import Finding, findings
+from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, forecast, forecast_problem
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.locate import Evidence, Located, locate
+from bo_sysid.effects import CATALOGUE
+from bo_sysid.execution import threads
+from bo_sysid.parameters import Parameter
+
+SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
+LARGE = ("six_motors", "six_servos")
+ROUNDS, CONTACT_ROUNDS = 10, 2
+TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
+# what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
+SKIPPED = (
+    "channel_swap",
+    "sensor_sign",
+    "timestep",
+    "voltage_sag",
+    "contact_friction",
+    "contact_softness",
+)
+
+
+def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
+    """Yield suite, machines in the order of preference, seed and detail of every case.
+
+    Round by round, each with every id once, so that what is finished is fair to all at any time.
+    """
+    ids = [i for i, e in CATALOGUE.items() if e.family != "learned" and i not in SKIPPED]
+    rigs = SMALL if quick else (*SMALL, *LARGE)
+    for seed in range(1 if quick else ROUNDS):
+        for k, id in enumerate(ids[:: 3 if quick else 1]):
+            yield "single", _turned(rigs, seed + k), seed, id
+        for rig in rigs:
+            yield "pair", (rig,), seed, ""
+            yield "nothing", (rig,), 3 * seed, ""
+        for rig in SMALL:
+            yield "nothing", (rig,), 3 * seed + 1, ""
+            yield "nothing", (rig,), 3 * seed + 2, ""
+        for k, kind in enumerate(STRANGE):
+            yield "unknown", _turned(SMALL, seed + k), seed, kind
+        for rig in rigs:  # a parameter of the study is off, and nothing is missing
+            yield "off", (rig,), seed, "viscous_damping"
+        for k, log in enumerate(LOGS):
+            for j, rig in enumerate(SMALL):
+                chosen = ids[(len(SMALL) * (len(LOGS) * seed + k) + j) % len(ids)]
+                yield "log", (rig, *_turned(SMALL, j + 1)[:2]), seed, f"{chosen} at {log}"
+        yield "lugre", _turned(rigs, seed), seed, "dry_friction"
+        if not quick and seed < 2:
+            for rig in LARGE:
+                for id in ("dry_friction", "armature"):
+                    yield "group", (rig,), seed, id
+    for seed in range(0 if quick else CONTACT_ROUNDS):  # minutes each
+        for rig in CONTACT:
+            for id in TOUCHING:
+                yield "contact", (rig,), seed, id
+            yield "contact_nothing", (rig,), seed, ""
+
+
+def _turned(rigs: tuple[str, ...], by: int) -> tuple[str, ...]:
+    return rigs[by % len(rigs) :] + rigs[: by % len(rigs)]
+
+
+def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
+    """Draw a case; None where the effect does not apply to the machine or cannot be sized."""
+    order = [*sorted(set(RIGS) - set(CONTACT)), *CONTACT]
+    key = [seed, order.index(rig), *detail.encode()]
+    rng = np.random.default_rng(key)
+    ids = [i for i, e in CATALOGUE.items() if e.family != "learned" and i not in SKIPPED]
+    if suite in ("single", "off"):
+        case = draw(rng, rig, [detail], 1)
+    elif suite == "contact":
+        case = draw(rng, rig, [detail], 1, low=3.0)
+    elif suite == "lugre":
+        case = draw(rng, rig, [detail], 1, lugre=True)
+    elif suite == "log":
+        id, log = detail.split(" at ")
+        case = draw(rng, rig, [id], 1, log=LOGS[log])
+    elif suite == "pair":
+        case = draw(rng, rig, ids, 2)
+    elif suite == "unknown":
+        case = draw_strange(rng, rig, detail)
+    elif suite == "group":
+        case = draw_group(rng, rig, detail)
+    else:
+        case = draw(rng, rig, ids, 0)
+    wanted = {"single": 1, "off": 1, "log": 1, "lugre": 1, "contact": 1, "pair": 2}.get(suite, 0)
+    if len(case.truth) < wanted:
+        return None
+    if suite == "off":  # what was planted is a parameter of the study
+        (planted,) = case.truth
+        case = replace(case, truth=(), notes={"damping": planted.site, "off by": planted.value})
+    return case
+
+
+def judged(case: Case) -> dict[str, object]:
+    """Diagnose a case and compare with what was planted."""
+    model, began, cpu = load(case.rig), time.perf_counter(), time.process_time()
+    evidence = make_evidence(model, case.train, parameters=_parameters(case), threads=threads())
+    located = locate(evidence)
+    outcome = explain(located)
+    seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+    found = outcome.fit
+    said = findings(found, evidence.machine, 1.0, ())
+    truth = {(p.effect, p.site) for p in case.truth}
+    got = {c.key for c in found.members}
+    alike = [{c.key for c in f.members} for f in located.decision.equivalents[:2]]
+    return {
+        "truth": [[p.effect, p.site, p.value, p.size] for p in case.truth],
+        "found": [[f.effect, f.site, f.quantity.value] for f in said],
+        "right": got == truth,
+        "class": got == truth or truth in alike,
+        "flagged": outcome.unexplained.flagged,
+        "site": outcome.unexplained.site,
+        "depends_on": list(outcome.unexplained.depends_on),
+        "planted": case.notes,
+        "probability": float(located.decision.probability[0]),
+        "inside": _inside(case.truth, said),
+        "rms": found.rms,
+        "forecasts": _forecasts(evidence, located, outcome, case),
+        "seconds": seconds,
+        "cpu": cpu,
+        "smallest": min((p.size for p in case.truth), default=0.0),
+    }
+
+
+def _parameters(case: Case) -> list[Parameter]:
+    """Return the study's parameters: the damping that is off, where it is."""
+    if "damping" not in case.notes:
+        return []
+    high = 5 * float(str(case.notes["off by"]))
+    return [Parameter("damping", (f"joint[{case.notes['damping']}].damping",), 0.0, high, 11)]
+
+
+def _inside(truth: tuple[Planted, ...], said: Sequence[Finding]) -> list[bool]:
+    """Return for each planted effect that was found whether the 95 % interval holds its value."""
+    intervals = {(f.effect, f.site): f.quantity.interval for f in said}
+    known = [p for p in truth if (p.effect, p.site) in intervals]
+    held = ((p.value, intervals[p.effect, p.site]) for p in known)
+    return [low <= value <= high for value, (low, high) in held]
+
+
+def _forecasts(
+    evidence: Evidence, located: Located, outcome: Outcome, case: Case
+) -> dict[str, list[float]]:
+    out = {}
+    for ahead in (AHEAD, LONGER):
+        problem, past = forecast_problem(
+            evidence.model, evidence.machine, case.holdout, evidence.sigma, past=PAST, ahead=ahead,
+            timestep=outcome.timestep, engine=evidence.engine,
+        )  # fmt: skip
+        errors = [forecast(problem, past, h) for h in (Hypothesis(), outcome.repaired)]
+        out[f"{ahead:g}"] = [errors[0].ahead, errors[1].ahead, errors[1].floor]
+    return out
+
+
+def computed(job: tuple[str, tuple[str, ...], int, str]) -> dict[str, object] | None:
+    """Return the judged case of the first machine that a case can be drawn on, None without one."""
+    suite, machines, seed, detail = job
+    for rig in machines:
+        case = make(suite, rig, seed, detail)
+        if case is not None:
+            return {"suite": suite, "rig": rig, **judged(case)}
+    return None
