@@ -270,3 +270,9 @@ def test_scales_of_a_motion():
     assert found.inertia[0] == pytest.approx(3.0)
     assert found.force[0] == pytest.approx(3 * (2 * np.pi) ** 2 / np.sqrt(2), rel=1e-2)
     assert found.effort[0] == pytest.approx(1.4)
+
+
+def test_machines_of_a_suite_may_be_named_by_absolute_paths(tmp_path: Path) -> None:
+    suite = tmp_path / "suite.yaml"
+    suite.write_text(f"cases: 4\nmachines: ['{FOLDER / 'machines'}/cart_pole.yaml']\n")
+    assert list(load_suite(suite).machines) == ["cart_pole"]

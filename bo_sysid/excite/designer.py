@@ -23,6 +23,7 @@ from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.fourier import Series, ranges
 from bo_sysid.excite.judge import Judge, largest
 from bo_sysid.excite.limits import Limits
+from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
@@ -80,8 +81,8 @@ class Designer:
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
-        self._engine = Engine(0)
-        self._simulator = MujocoSimulator(model, self.parameters, Engine(0))
+        self._engine = Engine(threads())
+        self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()))
         self._compiled = compiled
         self.point = np.array([nominal(model, p) for p in self.parameters])
         sobol = qmc.Sobol(len(self.parameters), seed=seed).random(32)

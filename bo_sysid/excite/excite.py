@@ -44,7 +44,7 @@ def excite(
     *,
     seconds: float = 10.0,
     interval: float = 0.01,
-    budget: int = 400,
+    budget: int = 1200,
     effects: bool = False,
     report: Callable[[int, float], None] | None = None,
 ) -> Excitation:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.excite.limits import Limits
+from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
@@ -77,7 +78,7 @@ class Judge:
         self._varied = [compiled(inside + row) for row in np.diag(_STEP * width)]
         self._machines = [compiled(p) for p in machines]
         self._weight = np.array([1.0 / noise[n] for n in model.qpos_channels])
-        self._whole, self._pieces = Engine(0), Engine(0)
+        self._whole, self._pieces = Engine(threads()), Engine(threads())
 
     def __call__(
         self, controls: Float[np.ndarray, "K R nu"], margin: float, *, told: bool = True

@@ -13,7 +13,7 @@ from bo_sysid.proof.draft import REALISED, find_realised
 from bo_sysid.proof.machine import ProofMachine, load_machine
 from bo_sysid.study.base import Count, Name, Paths, Positive, Section, Seed
 from bo_sysid.study.messages import study_error
-from bo_sysid.study.source import Source, read
+from bo_sysid.study.source import Source, matching, read
 
 LEAST_NOTHING = 0.25
 """Least share of cases that conceal nothing."""
@@ -127,7 +127,7 @@ def load_suite(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 def _machines(suite: Suite, folder: Path, source: Source) -> dict[str, ProofMachine]:
     found: dict[str, ProofMachine] = {}
     for i, pattern in enumerate(suite.machines):
-        files = sorted(folder.glob(pattern))
+        files = matching(folder, pattern)
         if not files:
             raise source.error(("machines", i), f"{pattern!r} matches no file in {folder}")
         for file in files:

@@ -74,6 +74,13 @@ def read(path: Path, overrides: Mapping[str, Any]) -> Source:
     return override(Source(str(path), data, node), overrides)
 
 
+def matching(folder: Path, pattern: str) -> list[Path]:
+    """Return the files that a pattern matches, relative to `folder` unless it is absolute."""
+    anchor = Path(pattern).anchor
+    root = Path(anchor) if anchor else folder
+    return sorted(root.glob(pattern[len(anchor) :]))
+
+
 def override(source: Source, overrides: Mapping[str, Any]) -> Source:
     """Return `source` with values replaced.
 

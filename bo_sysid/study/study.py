@@ -32,7 +32,7 @@ from bo_sysid.study.sections import (
     Recordings,
     Search,
 )
-from bo_sysid.study.source import KeyPath, Source
+from bo_sysid.study.source import KeyPath, Source, matching
 
 if TYPE_CHECKING:
     from bo_sysid.mjcf import Model
@@ -284,14 +284,12 @@ class Study(Section):
     def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
         found: dict[Path, None] = {}
         for i, pattern in enumerate(getattr(self.recordings, part) or ()):
-            anchor = Path(pattern).anchor
-            root = Path(anchor) if anchor else self._folder
-            files = sorted(p for p in root.glob(pattern[len(anchor) :]) if _is_log(p))
+            files = [p for p in matching(self._folder, pattern) if _is_log(p)]
             if not files:
                 made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
                 raise self.error(
                     ("recordings", part, i),
-                    f"{pattern!r} matches no file; {_near(root / pattern)}{made}",
+                    f"{pattern!r} matches no file; {_near(self._folder / pattern)}{made}",
                 )
             found.update(dict.fromkeys(files))
         return tuple(found)
