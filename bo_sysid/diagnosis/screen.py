@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.linear import Linear, project
+from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.subsets import Gram, gram
 
 _NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
@@ -36,12 +37,17 @@ class Screen:
     def at(cls, fit: Fit, frame: Linear, candidates: Sequence[Candidate]) -> "Screen":
         """Return the screen of a fit; `frame` is the linear model there.
 
-        A parameter at its bound gives way no further: its column takes nothing over.
+        A parameter at its bound gives way no further: its column takes nothing over. Joints that
+        are not in the fit are not added to one that leaves nothing: each has to be simulated.
         """
         problem = frame.problem
         held = [*candidates, *problem.nuisances]
-        S = frame.signatures(held)
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
+        left_out = [clean(fit) and c.effect.hidden and c not in fit.members for c in held]
+        S = np.zeros((*frame.Q.shape[:2], len(owner)), np.float32)
+        S[..., ~np.array(left_out)[owner]] = frame.signatures(
+            [c for c, out in zip(held, left_out, strict=True) if not out]
+        )
         owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:
             column = project(frame.Q, problem.correction).astype(np.float32)
@@ -69,7 +75,12 @@ class Screen:
         known = {id(c) for c in self.candidates}
         if any(id(c) not in known for c in members):
             return None
-        columns = [*(self._columns(c) for c in members), np.flatnonzero(self.owner < 0)]
+        own = [self._columns(c) for c in members]
+        if any(
+            c.effect.hidden and not self.G[k, k].any() for c, k in zip(members, own, strict=True)
+        ):
+            return None
+        columns = [*own, np.flatnonzero(self.owner < 0)]
         return np.asarray(self.signatures[..., np.concatenate(columns)])
 
     def _columns(self, candidate: Candidate) -> Int[np.ndarray, " k"]:

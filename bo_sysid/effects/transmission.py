@@ -15,7 +15,7 @@ from bo_sysid.mjcf.strip import stripped
 _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
-_GAPS = (0.01, 0.04, 0.15)  # of a joint's travel, tried as play
+_GAPS = (0.01, 0.1)  # of a joint's travel, tried as play
 _SOFT = (0.003, 0.02, 0.1, 0.4)  # of the travel, by which the typical force bends a joint
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
