@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from bo_sysid import identify
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
 from bo_sysid.effects import CATALOGUE, Hidden, Site, survey
 from bo_sysid.errors import ModelError
+from bo_sysid.identify import identify
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run

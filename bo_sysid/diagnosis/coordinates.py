@@ -11,9 +11,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from bo_sysid.effects import Hidden, Part
+from bo_sysid.effects import Hidden, Machine, Part
 from bo_sysid.simulation import State, Trajectory
 
+_OFF = 0.1  # of a joint's travel and speed, by which an added joint's start may be off
+_ANY = 1e12
 _PLACES = (0.5, 0.0, -0.5)  # of where an added joint rests, tried as its start
 
 
@@ -172,6 +174,20 @@ class Coordinates:
         return Trajectory(
             qpos, qvel, act, trajectory.sensordata, trajectory.diverged, trajectory.ctrl
         )
+
+    @property
+    def smooth(self) -> Float[np.ndarray, " k"]:
+        """1 for each number of a start that can be linearised, 0 for a place in a gap."""
+        own = [float(np.isinf(s.most)) for s in self.second]
+        return np.array([1.0] * 2 * len(self.qvel) + own + own)
+
+    def reach(self, machine: Machine) -> Float[np.ndarray, " k"]:
+        """Return how far each number of a start may be off, nominal ones as far as may be."""
+        joints = {j.dof: j for j in machine.joints.values()}
+        added = [joints[s.qvel] for s in self.second]
+        places = [_OFF * j.travel for j in added]
+        speeds = [_OFF * j.speed for j in added]
+        return np.array([_ANY] * 2 * len(self.qvel) + places + speeds)
 
     def tangent(self) -> Float[np.ndarray, "n k"]:
         """Return how a full state moves with a start: nominal positions and speeds, then added.

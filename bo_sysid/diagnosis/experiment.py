@@ -17,8 +17,9 @@ from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import named
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.locate import Located
-from bo_sysid.diagnosis.problem import Problem, Simulated, observe, pose
+from bo_sysid.diagnosis.problem import Problem, Simulated, pose
 from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.shown import observe
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.errors import UserError
 from bo_sysid.excite.limits import Limits

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.points import Points, differ, matrices, points_along
-from bo_sysid.diagnosis.problem import Problem, observe
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.shown import observe
 from bo_sysid.effects import Force, Part
 from bo_sysid.simulation import (
     State,
@@ -28,7 +28,6 @@ from bo_sysid.simulation import (
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
 _BATCH = 24  # columns propagated at once
-_OFF = 0.1  # of a joint's travel and speed, by which an added joint's start may be off
 _UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
 _FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges
 
@@ -284,28 +283,13 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
     J = np.clip(np.nan_to_num(linear._shown(linear._propagate(None, moves))), -1e12, 1e12)
-    J = J * _smooth(s.coordinates)
+    J = J * s.coordinates.smooth
     Q, R = np.linalg.qr(J)
     if s.coordinates.second:
-        own = np.abs(np.diagonal(R, axis1=1, axis2=2)) * _reach(problem, s.coordinates)
+        own = np.abs(np.diagonal(R, axis1=1, axis2=2)) * s.coordinates.reach(problem.machine)
         Q = Q * (own > _UNSEEN)[:, None, :]
     gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
     return replace(linear, J=J, Q=Q, start_gain=gain)
-
-
-def _smooth(coordinates: Coordinates) -> Float[np.ndarray, " k"]:
-    """Return 1 for each number of a start that can be linearised, 0 for a place in a gap."""
-    smooth = [float(np.isinf(s.most)) for s in coordinates.second]
-    return np.array([1.0] * 2 * len(coordinates.qvel) + smooth + smooth)
-
-
-def _reach(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " k"]:
-    """Return how far each number of a start may be off: nominal ones without bound."""
-    joints = {j.dof: j for j in problem.machine.joints.values()}
-    added = [joints[s.qvel] for s in coordinates.second]
-    places = [min(_OFF * j.travel, s.most) for j, s in zip(added, coordinates.second, strict=True)]
-    speeds = [_OFF * j.speed for j in added]
-    return np.array([np.inf] * 2 * len(coordinates.qvel) + places + speeds)
 
 
 def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:

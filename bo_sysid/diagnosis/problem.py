@@ -9,14 +9,15 @@ from jaxtyping import Float, Int
 
 from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
-from bo_sysid.effects import Filter, Force, Machine, Part, Reading
+from bo_sysid.diagnosis.shown import observe
+from bo_sysid.effects import Filter, Force, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
 from bo_sysid.simulation.cutting import cut
-from bo_sysid.simulation.windows import Layout, Windows, predicted
+from bo_sysid.simulation.windows import Layout, Windows
 
 BLOCKS = 20
 FINER = 4  # the discretisation is judged against a time step this many times smaller
@@ -273,48 +274,6 @@ def finer_step(numerics: float) -> int:
 def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
     """Return the forces among `parts` as laws of the simulation."""
     return tuple(ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force))
-
-
-def observe(
-    layout: Layout, windows: Windows, trajectory: Trajectory, parts: Sequence[Part]
-) -> Float[np.ndarray, "W H c"]:
-    """Return what the channels show of a trajectory, after the readings among `parts`."""
-    shown = predicted(layout, windows, trajectory)
-    for r in parts:
-        if isinstance(r, Reading) and r.channel in windows.channels:
-            k = windows.channels.index(r.channel)
-            source = windows.channels.index(r.source or r.channel)
-            value = (
-                predicted(layout, windows, trajectory)[..., source] if r.source else shown[..., k]
-            )
-            if r.delay:
-                value = value + _delayed(layout, windows, trajectory, source, r.delay)
-            shown[..., k] = (1.0 + r.scale) * value + r.offset
-    return shown
-
-
-def _delayed(
-    layout: Layout, windows: Windows, trajectory: Trajectory, channel: int, delay: float
-) -> Float[np.ndarray, "W H"]:
-    """Return what a channel shows `delay` earlier minus what it shows now.
-
-    Before the start of the window the motion is continued along a straight line.
-    """
-    at = (windows.step + windows.fraction) - delay / windows.timestep
-    inside = np.clip(at, 0.0, windows.steps)
-    step = np.minimum(np.floor(inside).astype(int), windows.steps - 1)
-    now = replace(
-        windows,
-        channels=(windows.channels[channel],),
-        observed=windows.observed[..., channel : channel + 1],
-    )
-    then = replace(now, step=step, fraction=inside - step)
-    late = predicted(layout, then, trajectory)[..., 0]
-    first = replace(now, step=np.zeros_like(step), fraction=np.zeros_like(inside))
-    second = replace(now, step=np.ones_like(step), fraction=np.zeros_like(inside))
-    slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
-    late = late + np.minimum(at, 0.0) * slope[..., 0]
-    return np.asarray(late - predicted(layout, now, trajectory)[..., 0])
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

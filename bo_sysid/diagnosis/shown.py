@@ -1,0 +1,53 @@
+"""What the channels show of a trajectory, after the readings that a hypothesis has of them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.effects import Part, Reading
+from bo_sysid.simulation import Trajectory
+from bo_sysid.simulation.windows import Layout, Windows, predicted
+
+
+def observe(
+    layout: Layout, windows: Windows, trajectory: Trajectory, parts: Sequence[Part]
+) -> Float[np.ndarray, "W H c"]:
+    """Return what the channels show of a trajectory, after the readings among `parts`."""
+    shown = predicted(layout, windows, trajectory)
+    for r in parts:
+        if isinstance(r, Reading) and r.channel in windows.channels:
+            k = windows.channels.index(r.channel)
+            source = windows.channels.index(r.source or r.channel)
+            value = (
+                predicted(layout, windows, trajectory)[..., source] if r.source else shown[..., k]
+            )
+            if r.delay:
+                value = value + _delayed(layout, windows, trajectory, source, r.delay)
+            shown[..., k] = (1.0 + r.scale) * value + r.offset
+    return shown
+
+
+def _delayed(
+    layout: Layout, windows: Windows, trajectory: Trajectory, channel: int, delay: float
+) -> Float[np.ndarray, "W H"]:
+    """Return what a channel shows `delay` earlier minus what it shows now.
+
+    Before the start of the window the motion is continued along a straight line.
+    """
+    at = (windows.step + windows.fraction) - delay / windows.timestep
+    inside = np.clip(at, 0.0, windows.steps)
+    step = np.minimum(np.floor(inside).astype(int), windows.steps - 1)
+    now = replace(
+        windows,
+        channels=(windows.channels[channel],),
+        observed=windows.observed[..., channel : channel + 1],
+    )
+    then = replace(now, step=step, fraction=inside - step)
+    late = predicted(layout, then, trajectory)[..., 0]
+    first = replace(now, step=np.zeros_like(step), fraction=np.zeros_like(inside))
+    second = replace(now, step=np.ones_like(step), fraction=np.zeros_like(inside))
+    slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
+    late = late + np.minimum(at, 0.0) * slope[..., 0]
+    return np.asarray(late - predicted(layout, now, trajectory)[..., 0])
