@@ -30,7 +30,7 @@ JOINT = """
   <actuator><motor name="hinge" joint="hinge" ctrlrange="-4 4"/></actuator>
 </mujoco>
 """
-SIGMA, COMPLIANCE = 3e-4, 0.01
+SIGMA, COMPLIANCE, LOSS = 3e-4, 0.01, 0.004
 RIVALS = (
     "joint_compliance",
     "backlash",
@@ -102,7 +102,7 @@ def test_the_motor_keeps_what_its_own_inertia_needs() -> None:
 
 
 def test_a_compliant_joint_begins_where_the_plant_rests() -> None:
-    compiled, hidden = plant("joint_compliance", [COMPLIANCE, 0.0], 1)
+    compiled, hidden = plant("joint_compliance", [COMPLIANCE, 0.0, 0.0], 1)
     data = mujoco.MjData(compiled)
     data.ctrl[0] = 0.8
     compiled.dof_damping[:] = 0.3
@@ -132,7 +132,7 @@ def test_the_encoder_of_a_link_shows_both_joints() -> None:
 def diagnosed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compliance")
     for name, seed, duration in (("train", 1, 12.0), ("holdout", 2, 4.0)):
-        recording = record("joint_compliance", [COMPLIANCE, 0.0], seed, duration)
+        recording = record("joint_compliance", [COMPLIANCE, LOSS, 0.0], seed, duration)
         recording.to_frame().to_parquet(folder / f"{name}.parquet")
     (folder / "joint.xml").write_text(JOINT)
     content = {
@@ -153,6 +153,8 @@ def test_compliance_is_named_with_its_side_and_size(diagnosed) -> None:
     (finding,) = result.answer.findings
     assert (finding.effect, finding.site) == ("joint_compliance", "hinge")
     assert finding.quantity.value == pytest.approx(COMPLIANCE, rel=0.05)
+    lost = finding.details["damping over stiffness"].value  # a step adds some of its own
+    assert lost == pytest.approx(LOSS + 0.002 / 8, rel=0.3)
     floor = result.holdout.error("forecast", 0.08, "noise_floor")
     assert result.holdout.error("forecast", 0.08, "repaired") < 1.15 * floor
 

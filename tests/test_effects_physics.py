@@ -136,7 +136,7 @@ class TestTransmission:
         self, compliance: float, push: float
     ) -> None:
         rod = pendulum(MOTOR, damping=0.0)
-        model, (hidden,) = rod.edited("joint_compliance", "joint", "hinge", [compliance, 1.0])
+        model, (hidden,) = rod.edited("joint_compliance", "joint", "hinge", [compliance, 0.0, 1.0])
         assert hidden.shown == 1.0
         model.opt.gravity[:] = 0
         data = mujoco.MjData(model)
@@ -153,7 +153,7 @@ class TestTransmission:
 
     def test_a_stiff_joint_moves_as_without_compliance(self) -> None:
         rod = pendulum(MOTOR)
-        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1e-5, 0.0])
+        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1e-5, 0.0, 0.0])
         _, q, _ = rod.run(model, (), 1.0, ctrl=0.3)
         _, rigid, _ = rod.run(rod.model.compile(), (), 1.0, ctrl=0.3)
         np.testing.assert_allclose(q.sum(axis=1), rigid[:, 0], atol=3e-3)
@@ -161,7 +161,7 @@ class TestTransmission:
     def test_compliance_gives_the_resonance_of_link_and_spring(self) -> None:
         rod = pendulum(SERVO.replace("10", "1e4").replace('kv="1"', 'kv="100"'))
         k = 20.0
-        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1 / k, 0.0])
+        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1 / k, 0.0, 0.0])
         model.opt.gravity[:] = 0
         t, q, _ = rod.run(model, (), 1.5, q=[0.0, 0.05])
         inertia = rod.machine.model.dof_M0[0]

@@ -17,6 +17,7 @@ _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
 _GAPS = (0.01, 0.1)  # of a joint's travel, tried as play
 _SOFT = (0.003, 0.02, 0.1, 0.4)  # of the travel, by which the typical force bends a joint
+_LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
@@ -197,7 +198,7 @@ def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine, name: str) 
 
 
 def _encoder(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
-    return {"encoder on the link": (float(x[1]), "–")}
+    return {"encoder on the link": (float(x[-1]), "–")}
 
 
 def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
@@ -246,17 +247,21 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
     return Extent(
-        (_SOFT[0] * most, sides[0]),
-        (0.0, -1e-9),
-        (most, 1.0),
-        tuple((soft * most, side) for side in sides for soft in _SOFT),
+        (_SOFT[0] * most, _LAG, sides[0]),
+        (0.0, 0.0, -1e-9),
+        (most, _LONGEST, 1.0),
+        tuple((soft * most, _LAG, side) for side in sides for soft in _SOFT),
     )
 
 
 @effect(
     "joint_compliance",
     kind="joint",
-    components=(Component("compliance", "rad/(N m)"), Component("encoder", "–")),
+    components=(
+        Component("compliance", "rad/(N m)"),
+        Component("damping over stiffness", "s"),
+        Component("encoder", "–"),
+    ),
     shapes=1,
     extent=_compliance_extent,
     noun="compliance",
@@ -268,22 +273,26 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     threshold=True,
     hidden=True,
 )
-def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """Deflection x[0]·torque between motor and link; x[1] as of backlash.
+def joint_compliance(
+    spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+) -> Part | None:
+    """Deflection x[0]·torque between motor and link; x[2] as x[1] of backlash.
 
-    A spring that the time step h resolves is the stiffness of the second joint. A stiffer one is
-    a soft constraint, which cannot become unstable: MuJoCo's with time constant T/r, damping
-    ratio r and impedance d acts at rest as a spring of stiffness 1/(T² (1 - d) w), w the joint's
-    inverse inertia in the reference pose. T is 2h; the damping of both is felt over 4 r h.
-    Impedance has a limit: no joint is stiffer than 1e4/(T² w).
+    A spring that the time step h resolves is the stiffness k = 1/x[0] of the second joint, with
+    the damping k·(x[1] + h). A stiffer one is a soft constraint, which cannot become unstable:
+    MuJoCo's with time constant T/r, damping ratio r and impedance d acts at rest as a spring of
+    stiffness 1/(T² (1 - d) w), w the joint's inverse inertia in the reference pose. T is 2h; its
+    damping is felt over 4 r h. Impedance has a limit: no joint is stiffer than 1e4/(T² w).
     """
+    if not x[0]:
+        return None
     flex, compliance = _second_joint(spec, site, machine, "flex"), float(x[0])
     compiled = compile_spec(stripped(spec), f"joint {flex.name!r}")
     weight = float(compiled.dof_invweight0[compiled.joint(flex.name).dofadr[0]])
     slow = (2.0 * spec.option.timestep) ** 2 * weight
     if compliance > 0.5 * slow:
         flex.stiffness[0] = 1.0 / compliance
-        flex.damping[0] = 4.0 * _RATIO * spec.option.timestep / compliance
+        flex.damping[0] = (float(x[1]) + 4.0 * _RATIO * spec.option.timestep) / compliance
     else:
         impedance = min(1.0 - compliance / slow, _HARDEST)
         spec.add_equality(
@@ -294,4 +303,4 @@ def joint_compliance(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Ma
             solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
-    return Hidden(flex.name, site.name, float(x[1]), lambda torque: -compliance * torque)
+    return Hidden(flex.name, site.name, float(x[2]), lambda torque: -compliance * torque)
