@@ -120,8 +120,8 @@ class TestCommandRate:
 
     def lost(self, bench: Bench, rate: float) -> float:
         x = np.array([1.0])
-        details = CATALOGUE["command_rate"].details(x, bench.machine, Site("actuator", "drive"))
-        return details["largest rate"][0] + 1.0 - rate
+        told = CATALOGUE["command_rate"].reported(x, bench.machine, Site("actuator", "drive"))
+        return told + 1.0 - rate
 
     def test_a_step_becomes_a_ramp(self, slide, step) -> None:
         out = filtered(slide, "command_rate", self.lost(slide, 0.5), step)

@@ -284,8 +284,8 @@ def _rate_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((lost[0],), (0.0,), (most * (1 - 1e-6),), tuple((x,) for x in lost))
 
 
-def _rate(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
-    return {"largest rate": (_fastest(site, machine) - float(x[0]), "control units/s")}
+def _rate(x: Magnitudes, machine: Machine, site: Site) -> float:
+    return _fastest(site, machine) - float(x[0])
 
 
 @effect(
@@ -294,15 +294,15 @@ def _rate(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float,
     components=(Component("rate lost", "control units/s"),),
     extent=_rate_extent,
     noun="a limit of the command's rate",
-    sentence="{site} follows its command too slowly: it lacks {value} of the largest rate.",
+    sentence="{site} follows its command no faster than {value}.",
     form="filter",
     evidence="large changes of the command arrive as ramps, small ones at once",
     separation="steps of several sizes",
-    details=_rate,
+    absolute=_rate,
 )
 def command_rate(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The command changes no faster than the largest recorded rate less x[0]."""
-    rate = max(_fastest(site, machine) - float(x[0]), 1e-9)
+    rate = max(_rate(x, machine, site), 1e-9)
     return Filter(site.name, lambda channel, dt: limited(channel, rate, dt))
 
 
