@@ -29,12 +29,14 @@ class Holdout:
         free_runs: free-run error by channel for each model.
         traces: what was recorded and what the models forecast, over the longest horizon.
         note: why there is none, where there is none.
+        parameters: whether the study has parameters, which `refitted` differs by.
     """
 
     table: pd.DataFrame
     free_runs: Mapping[str, Mapping[str, float]]
     traces: pd.DataFrame
     note: str = ""
+    parameters: bool = True
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
         """Return one error, None where it was not computed."""
@@ -51,7 +53,7 @@ class Holdout:
         if before is None or after is None or floor is None:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
-        refitted = nominal > 1.02 * before  # the study's parameters do some of it
+        refitted = self.parameters and nominal > 1.02 * before  # they do some of it
         verb = "falls" if after < 0.98 * max(nominal, before) else "goes"
         first = _figure(nominal if refitted else before)
         if refitted and after != before:
@@ -120,7 +122,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
         models.pop("learned_residual", None)  # a law alone is a baseline of forecasts
         made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
         rows, traced = rows + made, traced if longer.empty else longer
-    return Holdout(_table(rows), free_runs, traced)
+    return Holdout(_table(rows), free_runs, traced, parameters=bool(evidence.nuisances))
 
 
 def _table(rows: list[dict[str, Any]]) -> pd.DataFrame:

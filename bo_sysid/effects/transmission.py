@@ -197,10 +197,6 @@ def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine, name: str) 
     return play
 
 
-def _encoder(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
-    return {"encoder on the link": (float(x[-1]), "–")}
-
-
 def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
@@ -217,7 +213,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
 @effect(
     "backlash",
     kind="joint",
-    components=(Component("gap", "rad"), Component("encoder", "–")),
+    components=(Component("gap", "rad"), Component("encoder on the link", "–")),
     shapes=1,
     extent=_backlash_extent,
     noun="backlash",
@@ -225,7 +221,6 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     form="second coaxial joint with a range",
     evidence="a distance after each reversal over which motor and link move apart",
     separation="small reversals, slow and fast",
-    details=_encoder,
     hidden=True,
 )
 def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
@@ -260,7 +255,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     components=(
         Component("compliance", "rad/(N m)"),
         Component("damping over stiffness", "s"),
-        Component("encoder", "–"),
+        Component("encoder on the link", "–"),
     ),
     shapes=1,
     extent=_compliance_extent,
@@ -269,7 +264,6 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     form="second coaxial joint with a soft equality",
     evidence="a deflection in proportion to torque, and a resonance",
     separation="fast commands; several loads at rest",
-    details=_encoder,
     threshold=True,
     hidden=True,
 )
