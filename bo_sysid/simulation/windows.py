@@ -158,13 +158,19 @@ def _shown(
     layout: Layout, name: str, trajectory: Trajectory
 ) -> tuple[Float[np.ndarray, "W S1"], Float[np.ndarray, "W S1"] | None]:
     """Return what a channel shows at every step, and its rate where that is known."""
+    more = layout.also.get(name, ())
     if name in layout.qpos:
-        columns = [layout.qpos[name], *layout.also.get(name, ())]
-        rates = layout.velocity[columns]
-        rate = trajectory.qvel[..., rates].sum(axis=-1) if (rates >= 0).all() else None
-        return trajectory.qpos[..., columns].sum(axis=-1), rate
+        column = layout.qpos[name]
+        values, turns = trajectory.qpos[..., column], int(layout.velocity[column])
+        rate = trajectory.qvel[..., turns] if turns >= 0 else None
+        for k in more:  # hinges and slides, as the joint that shows them
+            values = values + trajectory.qpos[..., k]
+            rate = None if rate is None else rate + trajectory.qvel[..., int(layout.velocity[k])]
+        return values, rate
     if name in layout.qvel:
-        columns = [layout.qvel[name], *layout.also.get(name, ())]
-        return trajectory.qvel[..., columns].sum(axis=-1), None
+        values = trajectory.qvel[..., layout.qvel[name]]
+        for k in more:
+            values = values + trajectory.qvel[..., k]
+        return values, None
     assert trajectory.sensordata is not None  # noqa: S101 - asked for by the caller
     return trajectory.sensordata[..., layout.sensor[name]], None

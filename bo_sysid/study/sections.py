@@ -53,6 +53,8 @@ class ModelSource(Section):
         _exactly_one(self, "file", "dm_control", "menagerie")
         if self.dm_control is not None and self.hold:
             raise ValueError("hold goes with file or menagerie; a task of dm_control moves whole")
+        if self.file is None and self.unrecorded:
+            raise ValueError("unrecorded goes with file")
         return self
 
 
