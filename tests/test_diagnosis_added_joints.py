@@ -1,5 +1,6 @@
 """Joints that an effect adds: where they begin, and a diagnosis that names one of them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -15,7 +16,8 @@ from bo_sysid.identify import identify
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
-from bo_sysid.simulation import State
+from bo_sysid.simulation import Engine, State, cut
+from bo_sysid.simulation.windows import Layout, predicted
 from bo_sysid.study import Study
 
 JOINT = """
@@ -176,3 +178,24 @@ def test_an_unrecorded_joint_must_be_one_of_the_model(tmp_path: Path) -> None:
     (tmp_path / "joint.xml").write_text(JOINT)
     with pytest.raises(ModelError, match=r"unrecorded: no hinge or slide 'hing'.*hinge"):
         Model.from_file(tmp_path / "joint.xml", unrecorded={"hing": None})
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.5])
+def test_a_channel_shows_the_joint_that_its_encoder_sees_as_well(
+    tmp_path: Path, fraction: float
+) -> None:
+    text = JOINT.replace("<geom", '<joint name="play" axis="0 1 0"/><geom')
+    (tmp_path / "joint.xml").write_text(text)
+    seen = Model.from_file(tmp_path / "joint.xml", unrecorded={"play": "hinge"})
+    time = np.arange(0, 0.5, 0.002) + 0.002 * fraction * (np.arange(250) % 2)
+    recording = Recording.from_arrays(
+        time, qpos={"hinge": np.sin(3 * time)}, ctrl={"hinge": tones(0, time)}
+    )
+    windows = cut(seen, [recording], horizon=10)
+    whole = Engine(1).rollout(seen.compile(), windows.start, windows.ctrl)
+    both = predicted(Layout.of(seen, seen.compile()), windows, whole)
+    plain = Model.from_file(tmp_path / "joint.xml")
+    each = replace(windows, channels=("qpos.hinge", "qpos.play"), observed=both.repeat(2, axis=2))
+    apart = predicted(Layout.of(plain, plain.compile()), each, whole)
+    assert np.abs(apart[..., 1]).max() > 1e-3
+    np.testing.assert_allclose(both[..., 0], apart.sum(axis=-1), atol=1e-12)
