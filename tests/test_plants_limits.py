@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bo_sysid.errors import StudyError
+from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.mjcf import Model
-from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.environment import BatchEnvironment, control_range
 from bo_sysid.plants.limits import LimitedTask, limit_edits
 from bo_sysid.plants.tasks import Start, find_task
@@ -80,6 +80,18 @@ def test_an_episode_ends_where_a_limit_of_motion_is_left():
         assert abs(environment.sims.qpos[0, 0]) <= 0.3
         assert abs(environment.sims.qvel[0, 0]) <= 1.0
     assert ended is not None
+
+
+def test_an_excitation_needs_no_control_range_where_an_effort_is_stated(tmp_path):
+    text = ARM.replace(' ctrlrange="-3 3"', "")
+    limits = {"shoulder": {"effort": 2.0}, "elbow": {"position": [-0.5, 1.0]}}
+    bound, model = study(tmp_path, limits), Model.from_xml(text)
+    (tmp_path / "arm.xml").write_text(text)
+    narrowed = limit_edits(bound, model)
+    (recording,) = record(build_plant(bound), model, 1, duration=2.0, limits=narrowed)
+    assert 0.2 < np.abs(recording.channels["ctrl.shoulder"].values).max() <= 0.5
+    with pytest.raises(ModelError, match="an effort under limits"):
+        record(build_plant(bound), model, 1, duration=2.0)
 
 
 @pytest.mark.parametrize(

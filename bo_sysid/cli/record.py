@@ -54,6 +54,7 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
 
     from bo_sysid.execution import Progress
     from bo_sysid.plants.build import build_plant, record
+    from bo_sysid.plants.limits import limit_edits
     from bo_sysid.plants.python_task import PythonTask
     from bo_sysid.recording.writers import write_recording
     from bo_sysid.study.inputs import load_model
@@ -75,6 +76,7 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
             excitation=wanted.excitation,
             seed=study.search.seed + number,
             warmstart=wanted.warmstart,
+            limits=limit_edits(study, model),
         )
         write_recording(recording, run.path(f"{title}.parquet"))
         progress(Progress(number + 1, len(names), title))

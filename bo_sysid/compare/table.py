@@ -15,6 +15,7 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.identify.problem import Problem, make_problem
 from bo_sysid.parameters import Parameter
 from bo_sysid.plants.build import build_plant, record
+from bo_sysid.plants.limits import limit_edits
 from bo_sysid.runs import atomic
 from bo_sysid.simulation import Prediction, Simulator, State, Windows
 from bo_sysid.study import Study
@@ -154,6 +155,7 @@ def recorded(study: Study, seed: int) -> tuple[Problem, Counted]:
             excitation=settings.excitation,
             seed=seed,
             warmstart=settings.warmstart,
+            limits=limit_edits(study, model),
         )
     problem = make_problem(study, recordings, threads=1)
     counter = Counted(problem.deviation.simulator)

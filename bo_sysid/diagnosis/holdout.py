@@ -112,14 +112,14 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
     try:
-        for ahead in (AHEAD, LONGER):
-            made, traced = _forecasts(evidence, outcome, recordings, models, ahead)
-            rows += made
+        rows += _forecasts(evidence, outcome, recordings, models, AHEAD)[0]
         rows += _fits(evidence, outcome, recordings, models)
+        models.pop("learned_residual", None)  # a baseline of what is told first; its law is slow
+        made, traced = _forecasts(evidence, outcome, recordings, models, LONGER)
+        rows += made
     except RecordingError as error:
         return Holdout(_table([]), {}, traced, f"The hold-out is too short to judge: {error}.")
     if length > PAST + free:
-        models.pop("learned_residual", None)  # a law alone is a baseline of forecasts
         made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
         rows, traced = rows + made, traced if longer.empty else longer
     return Holdout(_table(rows), free_runs, traced, parameters=bool(evidence.nuisances))

@@ -120,6 +120,7 @@ def record(
     excitation: str = "random",
     seed: int = 0,
     warmstart: bool = False,
+    limits: Sequence[Edit] = (),
 ) -> tuple[Recording, ...]:
     """Roll a plant out under an excitation and return one recording a trajectory.
 
@@ -131,13 +132,14 @@ def record(
         excitation: "random" or "multisine".
         seed: of the excitations.
         warmstart: also record the solver's warm start, see `Plant.record`.
+        limits: edits that narrow the control ranges, see `limit_edits`.
 
     Raises:
         UserError: there is no such excitation, or the plant refuses.
     """
     if excitation not in EXCITATIONS:
         raise UserError(f"unknown excitation {excitation!r}; {nearest(excitation, EXCITATIONS)}")
-    compiled = model.compile()
+    compiled = model.compile(limits)
     made = EXCITATIONS[excitation]
     return tuple(
         plant.record(

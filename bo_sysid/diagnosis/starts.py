@@ -1,0 +1,195 @@
+"""The start of every window, estimated from what was recorded of it and a wide prior.
+
+The prior lies about a smoother's estimate. Every window is a least-squares problem of its own, and
+is simulated only as long as it has not settled.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bo_sysid.diagnosis.coordinates import Coordinates
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.linear import linearise
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.simulation import State
+
+DIVERGING = 1e9
+"""Response to the start above which a window's simulation diverges."""
+
+_ROUNDS = 5  # every other one linearises anew
+_SHARES = (1.0, 0.3, 0.06)  # of a step
+_SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
+_POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
+_TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
+_ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
+_LEAST = 1e-12  # of that prior
+_STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
+
+
+def estimated(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    known: Bool[np.ndarray, " R"],
+    finer: int,
+    *,
+    resting: bool = False,
+) -> State:
+    """Return the least-squares start of every window.
+
+    Args:
+        problem: its windows begin where a smoother says.
+        hypothesis: simulates.
+        known: the observations of a window that are used.
+        finer: divides the time step.
+        resting: whether joints that hardly move are tried at rest as well: with dry friction no
+            small change of the start leads from one to the other.
+    """
+    found = _Starts(problem, hypothesis, problem.windows.start, known, finer)
+    found.fit()
+    if not resting:
+        return found.start
+    at_rest = _at_rest(problem, found.start)
+    rows = np.flatnonzero((at_rest.qvel != found.start.qvel).any(axis=1))
+    if not rows.size:
+        return found.start
+    other = _Starts(problem.rows(rows), hypothesis, at_rest.rows(rows), known, finer)
+    other.fit()
+    better = other.cost < found.cost[rows]
+    return _placed(found.start, rows[better], other.start.rows(better))
+
+
+def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]:
+    """Return how far the start may lie from a smoother's estimate, position then velocity.
+
+    What a hypothesis added may lie as far from where it rests, and no further than it can go.
+    """
+    nv = problem.machine.model.nv
+    position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
+    layout, windows = problem.layout, problem.windows
+    travel = np.zeros(nv)
+    for joint in problem.machine.joints.values():
+        speed[joint.dof], travel[joint.dof] = _SPEED * joint.speed, _TRAVEL * joint.travel
+    scale = 1 / np.maximum(problem.weight.reshape(-1, len(windows.channels)).max(axis=0), 1e-300)
+    for k, name in enumerate(windows.channels):
+        if name in layout.qpos:
+            dof = int(layout.velocity[layout.qpos[name]])
+            if dof >= 0:
+                position[dof] = _POSITION * scale[k] + travel[dof]
+    own = [s.qvel for s in coordinates.second]
+    most = np.array([s.most for s in coordinates.second])
+    places = np.minimum(travel[own] / _TRAVEL * _ADDED, np.maximum(most, _LEAST))
+    return np.concatenate([position, speed, places, speed[own]])
+
+
+class _Starts:
+    """Starts that are being fitted, with their residuals and costs."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        start: State,
+        known: Bool[np.ndarray, " R"],
+        finer: int,
+    ) -> None:
+        self._problem, self._hypothesis, self._known = problem, hypothesis, known
+        self._finer, self.start = finer, start
+        everything = np.arange(len(start))
+        self._r = self._residual(everything, start)
+        self.cost = (self._r**2).sum(axis=1)
+        for other in problem.starts(hypothesis, start, moving=True):
+            self._take(everything, other)
+        self._anchor = self.start
+
+    def fit(self) -> None:
+        """Gauss-Newton steps about the prior; each window leaves where it has settled.
+
+        That is where a step promises no gain, or where no share of a step keeps one at a point
+        that was just linearised.
+        """
+        busy = np.arange(len(self.start))
+        for k in range(_ROUNDS):
+            fresh = k % 2 == 0
+            if fresh:
+                self._linearise(busy, first=not k)
+            step, gain = self._step(busy)
+            wanted = gain >= _SETTLED
+            moved = self._search(busy[wanted], step[wanted])
+            if not moved.size:
+                return
+            busy = moved if fresh else busy
+
+    def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
+        linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
+        J = linear.J[:, self._known]
+        if first:
+            self._spread = prior(self._problem, linear.points.coordinates)
+            count, n = len(self.start), len(self._spread)
+            self._away = np.zeros((count, n))
+            self._J, self._gain = np.zeros((count, J.shape[1], n)), np.zeros((count, n, n))
+        J = np.where((np.abs(J) < DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
+        N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / self._spread**2)
+        self._J[busy], self._gain[busy] = J, np.linalg.pinv(N, rcond=1e-15, hermitian=True)
+
+    def _step(
+        self, busy: Int[np.ndarray, " B"]
+    ) -> tuple[Float[np.ndarray, "B n"], Float[np.ndarray, " B"]]:
+        """Return the Gauss-Newton step of some windows and the gain that it promises."""
+        g = np.einsum("wri,wr->wi", self._J[busy], self._r[busy])
+        g -= self._away[busy] / self._spread**2
+        step = np.einsum("wij,wj->wi", self._gain[busy], g)
+        return step, np.einsum("wi,wi->w", g, step)
+
+    def _search(
+        self, left: Int[np.ndarray, " L"], step: Float[np.ndarray, "L n"]
+    ) -> Int[np.ndarray, " M"]:
+        """Take the largest share of each step that lowers the cost; return what moved."""
+        moved = np.zeros(len(self.start), bool)
+        for share in _SHARES:
+            if not left.size:
+                break
+            away = self._away[left] + share * step
+            tried = self._anchor.rows(left).moved(self._problem.machine.model, away)
+            better = self._take(left, tried, ((away / self._spread) ** 2).sum(axis=1))
+            self._away[left[better]], moved[left[better]] = away[better], True
+            left, step = left[~better], step[~better]
+        return np.flatnonzero(moved)
+
+    def _take(
+        self,
+        rows: Int[np.ndarray, " L"],
+        tried: State,
+        penalty: Float[np.ndarray, " L"] | float = 0.0,
+    ) -> Bool[np.ndarray, " L"]:
+        """Take other starts of some windows where they cost less; return where."""
+        r = self._residual(rows, tried)
+        cost = (r**2).sum(axis=1) + penalty
+        better = cost < self.cost[rows]
+        won = rows[better]
+        self._r[won], self.cost[won] = r[better], cost[better]
+        self.start = _placed(self.start, won, tried.rows(better))
+        return np.asarray(better)
+
+    def _residual(self, rows: Int[np.ndarray, " L"], start: State) -> Float[np.ndarray, "L R"]:
+        problem = self._problem if len(rows) == len(self.start) else self._problem.rows(rows)
+        return problem.residual(self._hypothesis, start, self._finer)[:, self._known]
+
+
+def _placed(start: State, rows: Int[np.ndarray, " L"], other: State) -> State:
+    """Return the starts with those of some windows replaced."""
+    if not rows.size:
+        return start
+    pick, place = np.zeros(len(start), bool), np.zeros(len(start), int)
+    pick[rows], place[rows] = True, np.arange(len(rows))
+    return start.picked(pick, other.rows(place))
+
+
+def _at_rest(problem: Problem, start: State) -> State:
+    """Return the starts with joints that hardly move at rest."""
+    qvel = start.qvel.copy()
+    for joint in problem.machine.joints.values():
+        slow = np.abs(qvel[:, joint.dof]) < _STUCK * joint.speed
+        qvel[slow, joint.dof] = 0.0
+    return replace(start, qvel=qvel)

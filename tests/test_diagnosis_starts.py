@@ -1,0 +1,76 @@
+"""Starts estimated from the past against SciPy's least squares on plain MuJoCo."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis_helpers import SIGMA, arm, candidate, posed, record
+from scipy.optimize import least_squares
+
+from bo_sysid.diagnosis.coordinates import Coordinates
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.starts import estimated, prior
+
+HORIZON = 60
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return posed(record([("viscous_damping", "joint", "elbow", [0.05])], duration=2.0), HORIZON)
+
+
+@pytest.fixture(scope="module")
+def everything(windows):
+    problem, _ = windows
+    return np.ones(problem.count, bool)
+
+
+def test_starts_are_the_least_squares_ones(windows, everything):
+    problem, _ = windows
+    model = arm().compile()
+    data = mujoco.MjData(model)
+    about = prior(problem, Coordinates.between(model, model, []))
+    found = estimated(problem, Hypothesis(), everything, 1)
+    for w in (0, 5):
+        begin = problem.windows.start
+
+        def misfit(away, w=w, begin=begin):
+            mujoco.mj_resetData(model, data)
+            data.qpos, data.qvel = begin.qpos[w] + away[:2], begin.qvel[w] + away[2:]
+            shown = [data.qpos.copy()]
+            for u in problem.windows.ctrl[w]:
+                data.ctrl = u
+                mujoco.mj_step(model, data)
+                shown.append(data.qpos.copy())
+            steps = problem.windows.step[w]
+            r = (np.array(shown)[steps] - problem.windows.observed[w]) / SIGMA
+            return np.concatenate([r.ravel(), away / about])
+
+        best = least_squares(misfit, np.zeros(4), x_scale=[1e-3, 1e-3, 0.1, 0.1], method="lm")
+        ours = np.concatenate([found.qpos[w] - begin.qpos[w], found.qvel[w] - begin.qvel[w]])
+        assert (misfit(ours) ** 2).sum() < 2 * best.cost + 0.1
+
+
+def test_a_window_is_fitted_as_if_it_were_alone(windows, everything):
+    problem, machine = windows
+    friction = candidate(machine, "dry_friction", "elbow")
+    hypothesis = replace(Hypothesis(), members=(friction,), x=(np.array([0.02]),))
+    together = estimated(problem, hypothesis, everything, 1, resting=True)
+    for w in (0, 7, 12):
+        alone = estimated(problem.rows(np.array([w])), hypothesis, everything, 1, resting=True)
+        np.testing.assert_allclose(alone.qpos[0], together.qpos[w], atol=1e-3 * SIGMA)
+        np.testing.assert_allclose(alone.qvel[0], together.qvel[w], atol=1e-4)
+
+
+def test_only_what_is_known_is_used(windows, everything):
+    problem, _ = windows
+    known = np.zeros(problem.windows.observed.shape[1:], bool)
+    known[:30] = True
+    first = estimated(problem, Hypothesis(), known.ravel(), 1)
+    later = problem.windows.observed.copy()
+    later[:, 30:] += 1.0
+    changed = replace(problem, windows=replace(problem.windows, observed=later))
+    again = estimated(changed, Hypothesis(), known.ravel(), 1)
+    np.testing.assert_array_equal(first.qpos, again.qpos)
+    assert (estimated(changed, Hypothesis(), everything, 1).qpos != first.qpos).any()
