@@ -176,3 +176,14 @@ def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(fric
     nothing = missing_force(thrown, explain(friction))
     assert nothing.empty
     assert list(nothing.columns) == list(joints.columns)
+
+
+def test_a_period_between_those_of_the_grid_needs_no_second_name() -> None:
+    missing = [("cogging", "joint", "elbow", [0.003, -0.068, 1.52])]
+    found = located(
+        record(missing, duration=6.0), effects=("cogging", "constant_force", "joint_spring")
+    )
+    (name,) = found.decision.best.members
+    assert (name.effect.id, name.site.name) == ("cogging", "elbow")
+    assert name.shapes[0] == pytest.approx(1.52, rel=0.02)
+    np.testing.assert_allclose(found.decision.best.x[0], [0.003, -0.068], atol=0.003)

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
-from bo_sysid.diagnosis.moves import carried, eliminate, explore, stripped
+from bo_sysid.diagnosis.moves import carried, eliminate, explore, sharpened, stripped
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import admissible, ranked
@@ -71,6 +71,7 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
         )
         leader = explore(search, rounds=3)
         tell(f"windows of {length} instants: {_said(leader)}")
+    sharpened(search)
     stripped(search)
     tell(f"final fits: {_said(search.best)}")
     final = _final(evidence, search, horizon, step)

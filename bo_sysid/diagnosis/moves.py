@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.refit import FINAL
@@ -11,6 +12,10 @@ from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
+
+_LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
+_SHARPENINGS = 12
+_SHARP = 0.003
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -53,6 +58,50 @@ def stripped(search: Search) -> None:
                 search.fit(*subset(f, rest), start=f.start, again=True)
         if len(search.fits) == before:
             return
+
+
+def sharpened(search: Search) -> None:
+    """Fit the shape of effects that repeat with position between the points of its grid.
+
+    Of the leading set, and of that set without each of its other members: beside a period that is
+    a little off a second effect looks needed.
+    """
+    leader = search.best
+    for k, c in enumerate(leader.members):
+        if c.effect.vector < 2 or len(c.shapes) != 1 or not c.extent.refine:
+            continue
+        everything = range(len(leader.members))
+        for out in (None, *(i for i in everything if i != k)):
+            keep = [i for i in everything if i != out]
+            members, x = subset(leader, keep)
+            begun = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
+            _sharpen(search, begun, keep.index(k))
+
+
+def _sharpen(search: Search, fit: Fit, k: int) -> None:
+    """Minimise the residual over the one shape of a member; the best fit is kept."""
+    joint = search.prepared.problem.machine.joint_of(
+        fit.members[k].site.kind, fit.members[k].site.name
+    )
+    assert joint is not None  # noqa: S101 - what repeats with position is at a joint
+    first, reach = float(fit.members[k].shapes[0]), _LOBE / joint.span
+    best = fit
+
+    def rss(shape: float) -> float:
+        nonlocal best
+        c = fit.members[k].with_shapes(np.array([shape]))
+        members = (*fit.members[:k], c, *fit.members[k + 1 :])
+        made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
+        del search.fits[made.key]
+        best = min(best, made, key=lambda f: f.rss)
+        return made.rss
+
+    minimize_scalar(
+        rss, bounds=(max(first - reach, 0.1 * first), first + reach), method="bounded",
+        options={"maxiter": _SHARPENINGS, "xatol": _SHARP * reach},
+    )  # fmt: skip
+    if best is not fit:
+        search.listed(best)
 
 
 def eliminate(search: Search, steps: int = 14) -> None:

@@ -307,6 +307,12 @@ class Search:
             self.candidates.append(candidate)
         return present.get(set_key([candidate]), candidate)
 
+    def listed(self, fit: Fit) -> None:
+        """Keep a fit, and its members among the candidates."""
+        for c in fit.members:
+            self._known(c)
+        self.fits[fit.key] = fit
+
     def simplify(self, fit: Fit, effort: Effort | None = None) -> None:
         """Fit a set with the simpler effect in the place of each that contains one."""
         for k, c in enumerate(fit.members):
