@@ -26,7 +26,8 @@ from bo_sysid.simulation import State
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
-_BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
+_BETWEEN_IMPACTS = 0.25  # of what is left, that a law must predict in contact
+_STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _RIDGES = (1e-3, 3e-2, 0.3, 2.0)
 _NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
@@ -99,7 +100,8 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     most = clues[0].gain if clues else 0.0
     need = max(_GAIN, _RELATIVE * nominal.excess)
     if in_contact(problem):  # impacts leave something whatever the model: no size of it tells
-        loose, need = False, max(need, _BETWEEN_IMPACTS * best.excess)
+        elsewhere = max((c.gain for c in clues if c.joint != clues[0].joint), default=0.0)
+        loose, need = False, max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)
     else:
         loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
     flagged = loose or most > need
