@@ -104,7 +104,7 @@ def test_the_motor_keeps_what_its_own_inertia_needs() -> None:
 
 
 def test_a_compliant_joint_begins_where_the_plant_rests() -> None:
-    compiled, hidden = plant("joint_compliance", [COMPLIANCE, 0.0, 0.0], 1)
+    compiled, hidden = plant("joint_compliance", [COMPLIANCE, 0.0, 0.0, 0.0], 1)
     data = mujoco.MjData(compiled)
     data.ctrl[0] = 0.8
     compiled.dof_damping[:] = 0.3
@@ -118,7 +118,7 @@ def test_a_compliant_joint_begins_where_the_plant_rests() -> None:
 
 
 def test_the_encoder_of_a_link_shows_both_joints() -> None:
-    compiled, hidden = plant("backlash", [0.04, 1.0], 1)
+    compiled, hidden = plant("backlash", [0.04, 0.0, 0.0, 1.0], 1)
     nominal = Model.from_xml(JOINT).compile()
     coordinates = Coordinates.between(nominal, compiled, [hidden])
     start = State(np.array([[0.3]]), np.zeros((1, 1)), np.zeros((1, 0)))
@@ -134,7 +134,7 @@ def test_the_encoder_of_a_link_shows_both_joints() -> None:
 def diagnosed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compliance")
     for name, seed, duration in (("train", 1, 12.0), ("holdout", 2, 4.0)):
-        recording = record("joint_compliance", [COMPLIANCE, LOSS, 0.0], seed, duration)
+        recording = record("joint_compliance", [COMPLIANCE, LOSS, 0.0, 0.0], seed, duration)
         recording.to_frame().to_parquet(folder / f"{name}.parquet")
     (folder / "joint.xml").write_text(JOINT)
     content = {

@@ -113,22 +113,35 @@ class TestTransmission:
         assert 0.5 * q.max() == pytest.approx(5.0 / 50, rel=1e-2)  # swings about its rest
 
     @pytest.mark.parametrize("side", [0.0, 1.0])
-    def test_backlash_has_a_dead_travel_of_its_gap(self, slide, side) -> None:
-        gap = 0.02
-        model, (hidden,) = slide.edited("backlash", "joint", "x", [gap, side])
+    @pytest.mark.parametrize("soft", [0.0, 0.004])
+    def test_backlash_has_a_dead_travel_of_its_gap(self, slide, side, soft) -> None:
+        gap, force = 0.02, 0.3
+        model, (hidden,) = slide.edited("backlash", "joint", "x", [gap, soft, 0.0, side])
         assert isinstance(hidden, Hidden)
         assert (hidden.of, hidden.shown) == ("x", side)
-        ends = []
+        ends, pushed = [], force * model.actuator_gear[0, 0]
         for push in (1, -1):  # the motor pushes, the link meets a wall: damping on the link
             data = mujoco.MjData(model)
             model.dof_damping[1] = 0.0
             for _ in range(1500):
-                data.ctrl[0] = 0.3 * push
+                data.ctrl[0] = force * push
                 data.qfrc_applied[1] = -1000 * (data.qpos[0] + data.qpos[1]) - 50 * data.qvel[1]
                 data.qfrc_applied[0] = -50 * data.qvel[0] + data.qfrc_applied[1]
                 mujoco.mj_step(model, data)
             ends.append(data.qpos.copy())
-        assert abs(ends[0][1] - ends[1][1]) == pytest.approx(gap, rel=0.02)
+        assert abs(ends[0][1] - ends[1][1]) == pytest.approx(gap + 2 * soft * pushed, rel=0.01)
+
+    @pytest.mark.parametrize("effect", ["backlash", "joint_compliance"])
+    def test_the_damping_of_a_joint_is_shared_by_motor_and_link(self, effect) -> None:
+        rod = pendulum(MOTOR, damping=0.4)
+        model, _ = rod.edited(effect, "joint", "hinge", [0.1, 0.01, 0.25, 0.0])
+        data = mujoco.MjData(model)
+        for motor, link in ((1.0, 0.0), (0.0, 1.0), (0.7, -0.2)):
+            data.qvel[:] = motor, link - motor
+            mujoco.mj_forward(model, data)
+            lost = -data.qvel @ data.qfrc_damper
+            between = model.dof_damping[1] * data.qvel[1] ** 2  # of the spring itself
+            assert lost - between == pytest.approx(0.4 * (0.75 * motor**2 + 0.25 * link**2))
 
     @pytest.mark.parametrize("compliance", [5e-5, 5e-4, 5e-3, 0.05, 0.2, 0.4])
     @pytest.mark.parametrize("push", [0.5, -2.0])
@@ -136,7 +149,7 @@ class TestTransmission:
         self, compliance: float, push: float
     ) -> None:
         rod = pendulum(MOTOR, damping=0.0)
-        model, (hidden,) = rod.edited("joint_compliance", "joint", "hinge", [compliance, 0.0, 1.0])
+        model, (hidden,) = rod.edited("joint_compliance", "joint", "hinge", [compliance, 0.0, 0.0, 1.0])
         assert hidden.shown == 1.0
         model.opt.gravity[:] = 0
         data = mujoco.MjData(model)
@@ -153,7 +166,7 @@ class TestTransmission:
 
     def test_a_stiff_joint_moves_as_without_compliance(self) -> None:
         rod = pendulum(MOTOR)
-        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1e-5, 0.0, 0.0])
+        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1e-5, 0.0, 0.0, 0.0])
         _, q, _ = rod.run(model, (), 1.0, ctrl=0.3)
         _, rigid, _ = rod.run(rod.model.compile(), (), 1.0, ctrl=0.3)
         np.testing.assert_allclose(q.sum(axis=1), rigid[:, 0], atol=3e-3)
@@ -161,7 +174,7 @@ class TestTransmission:
     def test_compliance_gives_the_resonance_of_link_and_spring(self) -> None:
         rod = pendulum(SERVO.replace("10", "1e4").replace('kv="1"', 'kv="100"'))
         k = 20.0
-        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1 / k, 0.0, 0.0])
+        model, _ = rod.edited("joint_compliance", "joint", "hinge", [1 / k, 0.0, 0.0, 0.0])
         model.opt.gravity[:] = 0
         t, q, _ = rod.run(model, (), 1.5, q=[0.0, 0.05])
         inertia = rod.machine.model.dof_M0[0]

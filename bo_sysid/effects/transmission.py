@@ -21,7 +21,10 @@ _LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
-_RATIO = 0.25  # damping ratio of a constraint that stands for a spring
+_TIGHT = 1e-3  # of the travel, by which the typical force bends a gear that plays
+_EVENLY = 0.5  # share of a joint's damping that acts on the link, to begin with
+_SOFTEST = 0.01  # impedance of the ends of a gap
+_RATIO = 0.25  # damping ratio of a constraint that stands for a spring or an end
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
@@ -172,11 +175,14 @@ def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     return (_MOTOR_SIDE,) if servo else (_MOTOR_SIDE, _LINK_SIDE)
 
 
-def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine, name: str) -> mujoco.MjsJoint:
+def _second_joint(
+    spec: mujoco.MjSpec, site: Site, machine: Machine, name: str, on_link: float
+) -> mujoco.MjsJoint:
     """Add a joint on the axis of a driven one, and leave that one with the motor's inertia.
 
     The position of the first is then the motor's, the sum of both the link's. A rotor that the
-    model does not have gets so much inertia as a step can resolve.
+    model does not have gets so much inertia as a step can resolve. The share `on_link` of the
+    joint's damping acts on the link, as that of a fixed tendon along both.
     """
     joint, scale = spec.joint(site.name), machine.joints[site.name]
     drives = [machine.actuators[a] for a in scale.actuators]
@@ -194,6 +200,12 @@ def _second_joint(spec: mujoco.MjSpec, site: Site, machine: Machine, name: str) 
     play.armature = play.frictionloss = play.ref = play.springref = 0.0
     play.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     play.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    if np.any(joint.damping):
+        link = spec.add_tendon(name=f"{site.name}_{name}_link")
+        for turned in (joint, play):
+            link.wrap_joint(turned.name, 1.0)
+        link.damping = on_link * np.array(joint.damping)
+        joint.damping = (1.0 - on_link) * np.array(joint.damping)
     return play
 
 
@@ -201,19 +213,26 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
         return None
-    travel = machine.joints[site.name].travel
+    joint = machine.joints[site.name]
+    most = joint.travel / joint.force
+    tight = _TIGHT * most
     return Extent(
-        (_GAPS[0] * travel, sides[0]),
-        (0.0, -1e-9),
-        (travel, 1.0),
-        tuple((gap * travel, side) for side in sides for gap in _GAPS),
+        (_GAPS[0] * joint.travel, tight, _EVENLY, sides[0]),
+        (0.0, 0.0, 0.0, -1e-9),
+        (joint.travel, _SOFT[-1] * most, 1.0, 1.0),
+        tuple((gap * joint.travel, tight, _EVENLY, side) for side in sides for gap in _GAPS),
     )
 
 
 @effect(
     "backlash",
     kind="joint",
-    components=(Component("gap", "rad"), Component("encoder on the link", "–")),
+    components=(
+        Component("gap", "rad"),
+        Component("compliance", "rad/(N m)"),
+        Component("damping on the link", "–"),
+        Component("encoder on the link", "–"),
+    ),
     shapes=1,
     extent=_backlash_extent,
     noun="backlash",
@@ -223,16 +242,36 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     separation="small reversals, slow and fast",
     hidden=True,
 )
-def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """A gap of x[0] in total; x[1] is 0 with the encoder on the motor, 1 on the link."""
-    play = _second_joint(spec, site, machine, "play")
+def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
+    """A gap of x[0] in total, whose ends give way by x[1]·torque.
+
+    x[2] is the share of the joint's damping that acts on the link; x[3] is 0 with the encoder on
+    the motor, 1 on the link. The ends are limits of the second joint: MuJoCo's constraint with
+    impedance d and solref (-s, -b) acts at rest as a spring of stiffness s/((1 - d) w), w the
+    joint's inverse inertia in the reference pose. A small d adds little inertia; √s·h is kept
+    within what a step h resolves.
+    """
+    if not x[0]:
+        return None
+    play, dt = _second_joint(spec, site, machine, "play", float(x[2])), spec.option.timestep
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
+    weight = _inverse_inertia(spec, play)
     play.range = [-half, half]
     play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    play.solref_limit = [2.0 * spec.option.timestep, 1.0]
-    most = 0.5 * float(x[0])
-    return Hidden(play.name, site.name, float(x[1]), lambda torque: -most * np.sign(torque), most)
+    stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
+    play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
+    play.solref_limit = [-stiff, -2.0 * _RATIO * np.sqrt(stiff)]
+    most, soft = 0.5 * float(x[0]), float(x[1])
+    return Hidden(
+        play.name, site.name, float(x[3]), lambda torque: -most * np.sign(torque) - soft * torque,
+        most,
+    )  # fmt: skip
+
+
+def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
+    compiled = compile_spec(stripped(spec), f"joint {joint.name!r}")
+    return float(compiled.dof_invweight0[compiled.joint(joint.name).dofadr[0]])
 
 
 def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
@@ -242,10 +281,10 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
     return Extent(
-        (_SOFT[0] * most, _LAG, sides[0]),
-        (0.0, 0.0, -1e-9),
-        (most, _LONGEST, 1.0),
-        tuple((soft * most, _LAG, side) for side in sides for soft in _SOFT),
+        (_SOFT[0] * most, _LAG, _EVENLY, sides[0]),
+        (0.0, 0.0, 0.0, -1e-9),
+        (most, _LONGEST, 1.0, 1.0),
+        tuple((soft * most, _LAG, _EVENLY, side) for side in sides for soft in _SOFT),
     )
 
 
@@ -255,6 +294,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     components=(
         Component("compliance", "rad/(N m)"),
         Component("damping over stiffness", "s"),
+        Component("damping on the link", "–"),
         Component("encoder on the link", "–"),
     ),
     shapes=1,
@@ -270,7 +310,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
 def joint_compliance(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> Part | None:
-    """Deflection x[0]·torque between motor and link; x[2] as x[1] of backlash.
+    """Deflection x[0]·torque between motor and link; x[2] and x[3] as of backlash.
 
     A spring that the time step h resolves is the stiffness k = 1/x[0] of the second joint, with
     the damping k·(x[1] + h). A stiffer one is a soft constraint, which cannot become unstable:
@@ -280,10 +320,8 @@ def joint_compliance(
     """
     if not x[0]:
         return None
-    flex, compliance = _second_joint(spec, site, machine, "flex"), float(x[0])
-    compiled = compile_spec(stripped(spec), f"joint {flex.name!r}")
-    weight = float(compiled.dof_invweight0[compiled.joint(flex.name).dofadr[0]])
-    slow = (2.0 * spec.option.timestep) ** 2 * weight
+    flex, compliance = _second_joint(spec, site, machine, "flex", float(x[2])), float(x[0])
+    slow = (2.0 * spec.option.timestep) ** 2 * _inverse_inertia(spec, flex)
     if compliance > 0.5 * slow:
         flex.stiffness[0] = 1.0 / compliance
         flex.damping[0] = (float(x[1]) + 4.0 * _RATIO * spec.option.timestep) / compliance
@@ -297,4 +335,4 @@ def joint_compliance(
             solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
-    return Hidden(flex.name, site.name, float(x[2]), lambda torque: -compliance * torque)
+    return Hidden(flex.name, site.name, float(x[3]), lambda torque: -compliance * torque)
