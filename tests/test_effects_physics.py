@@ -149,7 +149,9 @@ class TestTransmission:
         self, compliance: float, push: float
     ) -> None:
         rod = pendulum(MOTOR, damping=0.0)
-        model, (hidden,) = rod.edited("joint_compliance", "joint", "hinge", [compliance, 0.0, 0.0, 1.0])
+        model, (hidden,) = rod.edited(
+            "joint_compliance", "joint", "hinge", [compliance, 0.0, 0.0, 1.0]
+        )
         assert hidden.shown == 1.0
         model.opt.gravity[:] = 0
         data = mujoco.MjData(model)

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, StudyError
 from bo_sysid.proof.answer import answer, freeze
 from bo_sysid.proof.conceal import SHOWN, concealed_run, seals_of
 from bo_sysid.proof.reveal import reveal
@@ -71,6 +71,28 @@ def test_an_honest_run_is_revealed_and_can_be_revealed_again(folder):
     assert told[0].answer == ANSWER
     assert told[0].truth["tier"] == 2
     assert revealed(folder) == told
+
+
+def test_the_first_cases_are_revealed_alone_and_once(folder):
+    (folder / "answers" / "case-2.json").unlink()
+    (told,) = revealed(folder, first=1)
+    assert told.name == "case-1"
+    freeze(folder, "case-2", 1.0, None)
+    with pytest.raises(RunError, match=r"case-2.json: came after the seals were opened"):
+        revealed(folder)
+    assert revealed(folder, first=1) == (told,)
+
+
+def test_fewer_cases_than_were_opened_are_no_result(folder):
+    revealed(folder)
+    with pytest.raises(RunError, match="says that 2 cases were opened, not 1"):
+        revealed(folder, first=1)
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_there_must_be_so_many_cases(folder, first):
+    with pytest.raises(StudyError, match=f"--first {first}: .* has 2 cases"):
+        revealed(folder, first=first)
 
 
 def _append(path):

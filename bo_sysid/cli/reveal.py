@@ -27,6 +27,12 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "--published", metavar="SHA256", help="the hash that conceal printed, to be compared"
     )
     parser.add_argument(
+        "--first",
+        type=int,
+        metavar="N",
+        help="only the first N cases, in their random order; the others stay sealed for good",
+    )
+    parser.add_argument(
         "--answers-only",
         action="store_true",
         help="diagnose and freeze the answers; open nothing",
@@ -64,12 +70,15 @@ def run(args: argparse.Namespace) -> None:
     ):
         engine = open_engine(args.engine, args.address)
         if args.answers_only:
-            answer(opened, engine=engine, limit=args.limit, progress=progress)
-            print(f"{args.folder}: every case has an answer, frozen; no seal was opened.")
-            print(f"Publish: SHA-256 of the frozen answers is {frozen_digest(args.folder)}")
+            answer(opened, first=args.first, engine=engine, limit=args.limit, progress=progress)
+            which = "every case" if args.first is None else f"each of the first {args.first}"
+            print(f"{args.folder}: {which} has an answer, frozen; no seal was opened.")
+            frozen = frozen_digest(args.folder, args.first)
+            print(f"Publish: SHA-256 of the frozen answers is {frozen}")
             return
         scores = prove(
             opened,
+            first=args.first,
             seals=args.seals,
             published=args.published,
             engine=engine,

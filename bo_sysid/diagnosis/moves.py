@@ -1,18 +1,22 @@
 """What is done with a search: go on to its end, carry sets to longer windows, leave out."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, set_key
-from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rules import MARGIN, ranked, sizes, weak
+from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.refit import FINAL, first_start, settle
+from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.subsets import clashes
 from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
+_TRIED = 2  # joints that are added, by what their grid points leave
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
 _SHARPENINGS = 12
 _SHARP = 0.003
@@ -22,6 +26,15 @@ def explore(search: Search, rounds: int = 5) -> Fit:
     """Go on until the leading set no longer changes; return the leader."""
     if not search.begun:
         search.round(search.nominal)
+    leader = _followed(search, rounds)
+    if not clean(leader) and not can_touch(search.prepared.problem.machine.model):
+        add_joints(search, leader)
+        if search.best.key != leader.key:
+            leader = _followed(search, rounds)
+    return leader
+
+
+def _followed(search: Search, rounds: int) -> Fit:
     leader = search.best
     for _ in range(rounds):
         if not leader.members:
@@ -31,6 +44,34 @@ def explore(search: Search, rounds: int = 5) -> Fit:
             break
         leader = search.best
     return search.best
+
+
+def add_joints(search: Search, leader: Fit) -> None:
+    """Fit sets with each joint that an effect adds, from what its grid points leave.
+
+    A linear estimate says little of a gap: what moves in it is not there in the nominal model. Each
+    is tried alone and beside the leader.
+    """
+    problem = search.prepared.problem
+    added = [c for c in search.candidates if c.effect.hidden]
+    for base in dict.fromkeys((search.nominal, leader)):
+        left: dict[tuple[str, str], tuple[float, Candidate]] = {}
+        for c in added:
+            if clashes([*base.members, c]):
+                continue
+            h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, c.point[: c.size]))
+            start = first_start(problem, h, base.start)
+            r = settle(problem, search.frame, h, start, 1)[1]
+            left[c.key] = min(left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=_first)
+        for _, c in sorted(left.values(), key=_first)[:_TRIED]:
+            search.fit(
+                (*base.members, c), (*base.x, c.point[: c.size]), start=base.start,
+                guess=base.hypothesis, again=True,
+            )  # fmt: skip
+
+
+def _first(pair: tuple[float, Candidate]) -> float:
+    return pair[0]
 
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:

@@ -23,6 +23,7 @@ _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
 _TIGHT = 1e-3  # of the travel, by which the typical force bends a gear that plays
 _EVENLY = 0.5  # share of a joint's damping that acts on the link, to begin with
+_MOST = 10.0  # of a joint's typical force: what bends the ends of a gap
 _SOFTEST = 0.01  # impedance of the ends of a gap
 _RATIO = 0.25  # damping ratio of a constraint that stands for a spring or an end
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
@@ -262,11 +263,14 @@ def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
     play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
     play.solref_limit = [-stiff, -2.0 * _RATIO * np.sqrt(stiff)]
-    most, soft = 0.5 * float(x[0]), float(x[1])
+    open_, soft = 0.5 * float(x[0]), float(x[1])
     return Hidden(
-        play.name, site.name, float(x[3]), lambda torque: -most * np.sign(torque) - soft * torque,
-        most,
-    )  # fmt: skip
+        play.name,
+        site.name,
+        float(x[3]),
+        lambda torque: -open_ * np.sign(torque) - soft * torque,
+        open_ + soft * _MOST * machine.joints[site.name].force,
+    )
 
 
 def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:

@@ -51,6 +51,7 @@ class Job:
 def answer(
     run: Run,
     *,
+    first: int | None = None,
     engine: Engine | None = None,
     limit: float = LIMIT,
     progress: Report = silent,
@@ -59,6 +60,7 @@ def answer(
 
     Args:
         run: with cases and commitments.
+        first: only so many of them, see `judged`.
         engine: where the cases are diagnosed; on a cluster the run folder must be one that all its
             machines see. Processes of this machine by default.
         limit: longest time that a case may take, in [s]; then it counts as unanswered.
@@ -66,11 +68,11 @@ def answer(
 
     Raises:
         RunError: a case is missing, or the seals were opened and a case has no answer.
-        StudyError: the limit is not positive.
+        StudyError: the limit is not positive, or there are fewer cases than `first`.
     """
     if not limit > 0:
         raise StudyError(f"--limit {limit:g}: the time for a case must be positive")
-    names = list(commitments(run.folder)["cases"])
+    names = judged(run.folder, first)
     done = {n for n in names if run.has(record_of(n))}
     if len(done) == len(names):
         return
@@ -100,6 +102,22 @@ def commitments(folder: Path) -> Mapping[str, Any]:
     if not isinstance(found, dict) or not isinstance(found.get("cases"), dict):
         raise RunError(f"{folder / COMMITMENTS}: damaged")
     return found
+
+
+def judged(folder: Path, first: int | None = None) -> list[str]:
+    """Return the names of the cases that are answered and revealed: all, or the first so many.
+
+    They are numbered in random order, so that the first ones are a fair sample; no other choice is
+    offered, since one that is made after an answer was seen would not be.
+
+    Raises:
+        RunError: nothing was published about the run.
+        StudyError: it does not have so many cases.
+    """
+    names = sorted(commitments(folder)["cases"])
+    if first is not None and not 1 <= first <= len(names):
+        raise StudyError(f"--first {first}: {folder} has {len(names)} cases")
+    return names[:first]
 
 
 def record_of(name: str) -> str:
@@ -154,9 +172,9 @@ def answer_files(folder: Path, name: str) -> dict[str, str]:
     return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
 
 
-def frozen_digest(folder: Path) -> str:
+def frozen_digest(folder: Path, first: int | None = None) -> str:
     """Return the hash of all frozen answers, to be published before anything is opened."""
-    names = commitments(folder)["cases"]
+    names = judged(folder, first)
     return digest({name: file_digest(folder / record_of(name)) for name in names})
 
 

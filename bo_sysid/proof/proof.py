@@ -37,6 +37,7 @@ class Job:
 def prove(
     run: Run,
     *,
+    first: int | None = None,
     seals: str | Path | None = None,
     published: str | None = None,
     engine: Engine | None = None,
@@ -50,6 +51,7 @@ def prove(
 
     Args:
         run: made by `conceal`.
+        first: only so many of its cases, see `judged`.
         seals: folder of the seals; beside the run where left out.
         published: SHA-256 of `commitments.json`, where it was published elsewhere.
         engine: where the cases are diagnosed; processes of this machine by default.
@@ -59,8 +61,8 @@ def prove(
     Raises:
         RunError: a hash differs, or an answer came after the seals were opened.
     """
-    answer(run, engine=engine, limit=limit, progress=progress)
-    revealed = reveal(run, seals=seals, published=published)
+    answer(run, first=first, engine=engine, limit=limit, progress=progress)
+    revealed = reveal(run, first=first, seals=seals, published=published)
     scores = _with_oracle(score(revealed), _oracle(run, revealed, engine, progress))
     run.write_frame(CASE_TABLE, scores.cases)
     run.write_frame(EFFECT_TABLE, scores.effects)
@@ -105,7 +107,7 @@ def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
     return {
         "suite": suite["name"],
         "seed": "from the operating system" if suite.get("seed") is None else known,
-        "cases": len(revealed),
+        "cases": f"{len(revealed)} of {len(said['cases'])} that were drawn",
         "seals opened": opened["opened"],
         "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),
         "SHA-256 of the frozen answers": digest(opened["answers"]),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError
-from bo_sysid.proof.answer import ANSWERS, OPENED, answer_files, commitments, record_of
+from bo_sysid.proof.answer import ANSWERS, OPENED, answer_files, commitments, judged, record_of
 from bo_sysid.proof.conceal import CASES, COMMITMENTS, seals_of
 from bo_sysid.proof.seal import Seal, file_digest, write_json
 from bo_sysid.runs import Run, read_json
@@ -38,12 +38,18 @@ class Revealed:
 
 
 def reveal(
-    run: Run, *, seals: str | Path | None = None, published: str | None = None
+    run: Run,
+    *,
+    first: int | None = None,
+    seals: str | Path | None = None,
+    published: str | None = None,
 ) -> tuple[Revealed, ...]:
     """Check a run and open its seals.
 
     Args:
         run: with every case answered.
+        first: only so many of them, see `judged`; the seals of the others stay closed, and no
+            answer to them counts any more.
         seals: folder of the seals; beside the run where left out.
         published: SHA-256 of `commitments.json`, where it was published elsewhere.
 
@@ -57,7 +63,7 @@ def reveal(
     if published is not None and file_digest(folder / COMMITMENTS) != published.strip().lower():
         raise RunError(f"{folder / COMMITMENTS}: not the commitments that were published")
     _check_shown(folder, said["cases"])
-    records = {name: _checked_record(folder, name) for name in said["cases"]}
+    records = {name: _checked_record(folder, name) for name in judged(folder, first)}
     _open(folder, held, records)
     found = []
     for name, record in records.items():
@@ -129,6 +135,10 @@ def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -
     for name, sha256 in frozen.items():
         known = said["answers"].get(name) == sha256
         _require(known, folder / record_of(name), "came after the seals were opened")
+    opened = len(said["answers"])
+    _require(
+        opened == len(frozen), places[0], f"says that {opened} cases were opened, not {len(frozen)}"
+    )
     for place in places:  # one of them is missing where the opening was interrupted
         if not place.is_file():
             write_json(place, said)
