@@ -391,16 +391,26 @@ class Sizes:
         d = project(self._prepared.linear.Q, r - self._base)
         return float(np.sqrt((d**2).sum() / self._problem.dof))
 
-    def scaled(self, c: Candidate, target: float) -> np.ndarray | None:
-        """Return the magnitudes at which an effect makes `target` sigma, None where none do."""
+    def scaled(self, c: Candidate, target: float, share: float) -> np.ndarray | None:
+        """Return the magnitudes at which an effect makes `target` sigma, None where none do.
+
+        Args:
+            c: the effect at its site.
+            target: in sigma.
+            share: of a joint's damping that acts on the link, where the effect adds a joint; of
+                those its gap or compliance alone is sized.
+        """
         x = c.point[: c.size].copy()
+        sized = np.ones(len(x), bool)
+        if c.effect.hidden:
+            sized[1:], x[-1] = False, share
         for _ in range(8):
             size = self.of(c, x)
             if not np.isfinite(size) or size <= 0:
-                x = 2 * x
+                x = np.where(sized, 2 * x, x)
                 continue
             factor = np.clip(target / size, 0.2, 5.0)
-            x = x * (np.sqrt(factor) if c.effect.threshold else factor)
+            x = np.where(sized, x * (np.sqrt(factor) if c.effect.threshold else factor), x)
             if abs(factor - 1) < 0.05:
                 break
         inside = (x >= c.low).all() and (x <= c.high).all()
@@ -440,7 +450,8 @@ def draw(
             continue
         c = options[int(rng.integers(len(options)))]
         target = float(np.exp(rng.uniform(np.log(low), np.log(high))))
-        x = sizes.scaled(c, target)
+        share = float(rng.uniform()) if c.effect.hidden else 0.0
+        x = sizes.scaled(c, target, share)
         if x is not None:
             value = c.effect.reported(c.full(x), machine, c.site)
             full = tuple(c.full(x))
