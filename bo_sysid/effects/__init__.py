@@ -5,11 +5,12 @@ from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
     contact,
     environment,
     friction,
+    gears,
     inertia,
     learned,
     numerics,
     sensing,
-    transmission,
+    springs,
 )
 from bo_sysid.effects.contract import (
     Component,
