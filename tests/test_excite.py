@@ -171,3 +171,18 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
     with pytest.raises(StudyError, match="standing still"):
         d.safe(np.zeros(d.series.size))
+
+
+def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:
+    text = ROD.replace(
+        '<motor name="m" joint="hinge" ctrlrange="-2 2"/>',
+        '<motor name="m" joint="hinge" gear="0.5"/>'
+        '<position name="s" joint="hinge" kp="5"/><motor name="r" joint="hinge" ctrlrange="-2 1"/>',
+    )
+    model = Model.from_xml(text)
+    compiled = model.compile()
+    low, high = Limits.of(model, LIMIT).commands(compiled)
+    np.testing.assert_allclose(low, [-3.0, -0.8, -1.5])
+    np.testing.assert_allclose(high, [3.0, 0.6, 1.0])
+    low, high = Limits.of(model, {}).commands(compiled)
+    np.testing.assert_allclose([low, high], [[-np.inf, -np.inf, -2], [np.inf, np.inf, 1]])

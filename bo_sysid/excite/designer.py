@@ -77,7 +77,7 @@ class Designer:
         compiled = model.compile()
         self._hold = max(round(interval / compiled.opt.timestep), 1)
         step = self._hold * float(compiled.opt.timestep)
-        middle, half = ranges(compiled)
+        middle, half = ranges(*limits.commands(compiled))
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)

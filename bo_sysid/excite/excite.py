@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.excite.designer import Designer
@@ -82,8 +83,17 @@ def excite(
     unlimited = [j for j in model.joints if j not in study.limits]
     if unlimited:
         notes.append(f"No limits are stated for: {', '.join(unlimited)}.")
+    limits = Limits.of(model, study.limits)
+    ends = np.stack(limits.commands(model.compile()))
+    free = [
+        a for a, bound in zip(model.actuators, np.isfinite(ends).all(0), strict=True) if not bound
+    ]
+    if free:
+        notes.append(
+            f"Controls within ±1: neither range nor effort is stated for {', '.join(free)}."
+        )
     designer = Designer(
-        model, parameters, Limits.of(model, study.limits), noise,
+        model, parameters, limits, noise,
         seconds=seconds, interval=interval, seed=study.search.seed,
     )  # fmt: skip
     controls = designer.design(budget, study.search.seed, report=report)

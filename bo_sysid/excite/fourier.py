@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
 FADE = 0.5  # [s] at both ends
-_UNBOUNDED = 1.0  # control range of an actuator that says none
+_UNBOUNDED = 1.0  # control range of an actuator that nothing limits
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,10 @@ class Series:
         return np.asarray(self.middle + self.half * np.clip(unit, -1.0, 1.0))
 
 
-def ranges(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return middle and half width of each control's range; ±1 where it says none."""
-    limited = np.asarray(model.actuator_ctrllimited) > 0
-    ctrl = np.where(limited[:, None], model.actuator_ctrlrange, [-_UNBOUNDED, _UNBOUNDED])
-    return ctrl.mean(axis=1), 0.5 * np.diff(ctrl, axis=1)[:, 0]
+def ranges(
+    low: Float[np.ndarray, " nu"], high: Float[np.ndarray, " nu"]
+) -> tuple[Float[np.ndarray, " nu"], Float[np.ndarray, " nu"]]:
+    """Return middle and half width of each control's range; ±1 where it has no ends."""
+    bounded = np.isfinite(low) & np.isfinite(high)
+    low, high = np.where(bounded, low, -_UNBOUNDED), np.where(bounded, high, _UNBOUNDED)
+    return 0.5 * (low + high), 0.5 * (high - low)

@@ -17,6 +17,9 @@ _TOUCH = 0.01  # [s] between two poses at which contacts are looked for
 _COLLISION = 2.0  # violation that touching counts as
 
 
+_OF_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
 @dataclass(frozen=True)
 class Limits:
     """Bounds of every degree of freedom of a model of hinges and slides.
@@ -60,10 +63,31 @@ class Limits:
             if limit is not None:
                 velocity[j] = limit.velocity or np.inf
                 effort[j] = limit.effort or np.inf
-        joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, joint).all():
+        if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, _OF_JOINT).all():
             raise StudyError("limits: effort is known only for actuators that drive one joint each")
         return cls(position, velocity, effort, model.joints, can_touch(compiled))
+
+    def commands(
+        self, model: mujoco.MjModel
+    ) -> tuple[Float[np.ndarray, " nu"], Float[np.ndarray, " nu"]]:
+        """Return the least and the largest control of every actuator; infinite where unlimited.
+
+        Within its control range, a motor is bounded by the effort, |u| ≤ effort / |r g| with gear r
+        and gain g, a position servo by the position.
+        """
+        limited = np.asarray(model.actuator_ctrllimited, bool)
+        ends = np.where(limited[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
+        for a in range(model.nu):
+            if int(model.actuator_trntype[a]) not in _OF_JOINT:
+                continue
+            j = int(model.actuator_trnid[a, 0])
+            gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+            if model.actuator_biasprm[a, 1]:
+                own = np.sort(gear * self.position[j])
+            else:
+                own = self.effort[j] / max(abs(gear * gain), 1e-300) * np.array([-1.0, 1.0])
+            ends[a] = max(ends[a, 0], own[0]), min(ends[a, 1], own[1])
+        return ends[:, 0], ends[:, 1]
 
     def violation(
         self,
