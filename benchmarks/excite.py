@@ -30,7 +30,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.study.outer import Limit
 
-RANDOM, PLANS, BUDGET, QUICK = 9, 2, 1200, 120
+RANDOM, PLANS, BUDGET, QUICK = 9, 2, 2400, 240
 BANDS = {"full": (0.1, 10.0), "low": (0.2, 2.5), "white": (0.0, 49.9)}
 _HEAD = """<option timestep="0.002" integrator="implicitfast"/>
 <default><geom contype="0" conaffinity="0"/></default>"""

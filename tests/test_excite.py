@@ -170,7 +170,7 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     d = designer()
     object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
     with pytest.raises(StudyError, match="standing still"):
-        d.safe(np.zeros(d.series.size))
+        d.safe(np.zeros((len(d.series.time), 1)))
 
 
 def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:

@@ -11,6 +11,7 @@ Wiley, 2012; random-phase multisines: chapter 5.
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -23,6 +24,7 @@ from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.fourier import Series, ranges
 from bo_sysid.excite.judge import Judge, largest
 from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.splines import Splines
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
@@ -34,7 +36,10 @@ from bo_sysid.study.check import nominal
 PROOF = 24
 """Drawn parameter vectors that must keep the limits at the end."""
 _ROWS: tuple[int, ...] = (0, 1, 2)  # of these, the first to keep them while searching
-_ROUNDS = ((0.6, 0.3, 0.93), (0.4, 0.15, 0.98))  # of the budget; deviation at first; of limits
+_TONES = 0.5  # of the budget; splines have the rest
+_ROUNDS = ((0.6, 0.3, 0.93), (0.4, 0.15, 0.98))  # of that; deviation at first; share of limits
+_LEAST = 1e-9  # unit of corrections of controls that stand still
+_CORRECTIONS = ((0.5, 0.15, 0.93), (0.5, 0.05, 0.98))  # the same, of splines
 _ADDED = 4  # machines that the next round heeds, too
 _HARMONICS, _BAND = 12, (0.15, 10.0)  # base frequencies, in [Hz]
 _WINDOW = 0.5  # [s]
@@ -46,6 +51,16 @@ _OFFSPRING = 24  # of a generation
 _FLOOR, _SHIFT = 0.02, 0.3  # of the units, for tones that are hardly there; of frequencies
 _LARGEST = 4.0  # amplitude that random tones are tried from, in half ranges
 _SHRINK = 0.98
+
+
+@dataclass(frozen=True)
+class _How:
+    """How a plan is searched for: with what energy, seed, generation and report."""
+
+    energy: float
+    seed: int
+    offspring: int
+    report: Callable[[int, float], None] | None
 
 
 class Designer:
@@ -159,10 +174,13 @@ class Designer:
         return np.asarray((unit**2).mean(axis=(-2, -1)))
 
     def cost(
-        self, x: Float[np.ndarray, "K p"], energy: float, margin: float, rows: tuple[int, ...]
+        self,
+        controls: Float[np.ndarray, "K R nu"],
+        energy: float,
+        margin: float,
+        rows: tuple[int, ...],
     ) -> Float[np.ndarray, " K"]:
         """Return the logarithm of the widest interval, with penalties for limits and energy."""
-        controls = self.series.controls(x)
         found = self.judge(rows)(controls, margin)
         over = found.over + np.maximum(self.energy(controls) / energy - 1.0, 0.0)
         told = np.log((found.sigma**_NORM).sum(axis=1)) / _NORM
@@ -178,37 +196,68 @@ class Designer:
     ) -> Float[np.ndarray, "R nu"]:
         """Return the most informative controls that were found, within all limits.
 
+        Tones first, then splines that correct them.
+
         Args:
             budget: number of trajectories that are tried, in whole generations.
             seed: of the search.
             energy: most that the controls may have.
             report: told the number of trajectories tried and the lowest cost.
         """
-        best, unit, tried = self._start(budget, seed, energy, report)
-        rest, rows = budget - tried, _ROWS
-        for share, sigma, margin in _ROUNDS:
-            z, _ = minimise(
-                partial(self._scaled_cost, unit, energy, margin, rows),
-                best / unit,
-                sigma,
-                int(share * rest),
-                seed,
-                offspring=min(_OFFSPRING, max(budget // 8, 4)),
-                report=report and partial(_later, report, tried),
-            )
-            best, tried = z * unit, tried + int(share * rest)
-            rows = self._heeded(self.series.controls(best[None])[0], rows)
-        return self.safe(best)
+        first = int(_TONES * budget)
+        how = _How(energy, seed, min(_OFFSPRING, max(budget // 8, 4)), report)
+        x, width, tried = self._start(first, how)
+        x, rows = self._refined(how, self.series.controls, x, width, _ROUNDS, (tried, first), _ROWS)
+        splines = Splines.on(self.series, self.series.controls(x[None])[0])
+        width = np.full(splines.size, np.sqrt((splines.base**2).mean(axis=0)).max() + _LEAST)
+        c, _ = self._refined(
+            how,
+            splines.controls,
+            np.zeros(splines.size),
+            width,
+            _CORRECTIONS,
+            (first, budget),
+            rows,
+        )
+        return self.safe(splines.unit(c[None])[0])
 
-    def _scaled_cost(
+    def _refined(
         self,
-        unit: Float[np.ndarray, " p"],
-        energy: float,
-        margin: float,
+        how: _How,
+        form: Callable[[Float[np.ndarray, "K p"]], Float[np.ndarray, "K R nu"]],
+        x: Float[np.ndarray, " p"],
+        width: Float[np.ndarray, " p"],
+        rounds: Sequence[tuple[float, float, float]],
+        tried: tuple[int, int],
         rows: tuple[int, ...],
-        z: Float[np.ndarray, "K p"],
-    ) -> Float[np.ndarray, " K"]:
-        return self.cost(z * unit, energy, margin, rows)
+    ) -> tuple[Float[np.ndarray, " p"], tuple[int, ...]]:
+        """Return better coefficients and the rows of machines that were heeded at the end.
+
+        Args:
+            how: is searched.
+            form: from coefficients to controls.
+            x: coefficients at first.
+            width: their units.
+            rounds: share of the budget, deviation at first, share of the limits.
+            tried: number of trajectories before and after.
+            rows: of machines that keep the limits at first.
+        """
+        done = tried[0]
+        for share, sigma, margin in rounds:
+            count = int(share * (tried[1] - tried[0]))
+
+            def cost(
+                z: np.ndarray, margin: float = margin, rows: tuple[int, ...] = rows
+            ) -> np.ndarray:
+                return self.cost(form(z * width), how.energy, margin, rows)
+
+            z, _ = minimise(
+                cost, x / width, sigma, count, how.seed, offspring=how.offspring,
+                report=how.report and partial(_later, how.report, done),
+            )  # fmt: skip
+            x, done = z * width, done + count
+            rows = self._heeded(form(x[None])[0], rows)
+        return x, rows
 
     def _heeded(
         self, controls: Float[np.ndarray, "R nu"], rows: tuple[int, ...]
@@ -246,16 +295,18 @@ class Designer:
 
         size = largest(over, np.full(count, _LARGEST), 10)
         unit = size[:, None, None] * shape
-        return np.stack([self._kept(partial(self._shrunk, u)) for u in unit])  # judges are coarse
+        return np.stack([self.safe(u) for u in unit])  # judges are coarse
 
-    def safe(self, x: Float[np.ndarray, " p"]) -> Float[np.ndarray, "R nu"]:
+    def safe(self, unit: Float[np.ndarray, "R nu"]) -> Float[np.ndarray, "R nu"]:
         """Return controls, made smaller until every drawn machine keeps every limit.
+
+        Args:
+            unit: in units of the half widths of the controls' ranges.
 
         Raises:
             StudyError: standing still exceeds a limit.
         """
-        waves = np.arange(len(x)) < self.series.waves
-        return self._kept(lambda k: self.series.controls(np.where(waves, k * x, x)[None])[0])
+        return self._kept(partial(self._shrunk, unit))
 
     def _shrunk(self, unit: Float[np.ndarray, "R nu"], size: float) -> Float[np.ndarray, "R nu"]:
         return self.series.scaled(size * unit)
@@ -269,14 +320,10 @@ class Designer:
         return scaled(size)
 
     def _start(
-        self,
-        budget: int,
-        seed: int,
-        energy: float,
-        report: Callable[[int, float], None] | None,
+        self, budget: int, how: _How
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"], int]:
         """Return the best of random spectra, the units of its coefficients, and what was tried."""
-        rng, s = np.random.default_rng(seed), self.series
+        rng, s = np.random.default_rng(how.seed), self.series
         count, tones, nu = max(int(_SHARE * budget / _HALVINGS), 4), len(s.frequencies), len(s.half)
         fall = rng.uniform(0, _SLOPE, (count, 1, 1)) * np.linspace(0, 1, tones)
         size = np.exp(_SPREAD * rng.standard_normal((count, nu, tones)) - fall)
@@ -292,14 +339,14 @@ class Designer:
 
         def over(k: np.ndarray) -> np.ndarray:
             controls = s.controls(coefficients(k))
-            if report is not None:
-                report(next(done), np.inf)
+            if how.report is not None:
+                how.report(next(done), np.inf)
             exceeded = self.judge(_ROWS)(controls, _ROUNDS[0][2], told=False).over
-            return np.asarray(np.maximum(exceeded, self.energy(controls) - energy))
+            return np.asarray(np.maximum(exceeded, self.energy(controls) - how.energy))
 
         amplitude = largest(over, np.ones(count), _HALVINGS)
         x = coefficients(amplitude)
-        best = int(np.argmin(self.cost(x, energy, _ROUNDS[0][2], _ROWS)))
+        best = int(np.argmin(self.cost(s.controls(x), how.energy, _ROUNDS[0][2], _ROWS)))
         width = np.full(s.size, _SHIFT)
         width[: s.waves] = amplitude[best] * (unit[best] + _FLOOR)
         return x[best], width, (_HALVINGS + 1) * count

@@ -45,7 +45,7 @@ def excite(
     *,
     seconds: float = 10.0,
     interval: float = 0.01,
-    budget: int = 1200,
+    budget: int = 2400,
     effects: bool = False,
     report: Callable[[int, float], None] | None = None,
 ) -> Excitation:
