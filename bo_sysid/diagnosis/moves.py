@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -18,8 +19,7 @@ from bo_sysid.mjcf.touching import can_touch
 
 _TRIED = 2  # joints that are added, by what their grid points leave
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
-_SHARPENINGS = 12
-_SHARP = 0.003
+_SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -54,7 +54,8 @@ def add_joints(search: Search, leader: Fit) -> None:
     """
     problem = search.prepared.problem
     added = [c for c in search.candidates if c.effect.hidden]
-    for base in dict.fromkeys((search.nominal, leader)):
+    bases = dict.fromkeys((search.nominal, leader))
+    for base in (b for b in bases if b.size < search.most):
         left: dict[tuple[str, str], tuple[float, Candidate]] = {}
         for c in added:
             if clashes([*base.members, c]):
@@ -62,16 +63,14 @@ def add_joints(search: Search, leader: Fit) -> None:
             h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, c.point[: c.size]))
             start = first_start(problem, h, base.start)
             r = settle(problem, search.frame, h, start, 1)[1]
-            left[c.key] = min(left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=_first)
-        for _, c in sorted(left.values(), key=_first)[:_TRIED]:
+            left[c.key] = min(
+                left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=itemgetter(0)
+            )
+        for _, c in sorted(left.values(), key=itemgetter(0))[:_TRIED]:
             search.fit(
                 (*base.members, c), (*base.x, c.point[: c.size]), start=base.start,
                 guess=base.hypothesis, again=True,
             )  # fmt: skip
-
-
-def _first(pair: tuple[float, Candidate]) -> float:
-    return pair[0]
 
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
