@@ -10,6 +10,8 @@ import yaml
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
+from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.locate import locate
 from bo_sysid.effects import CATALOGUE, Hidden, Site, survey
 from bo_sysid.errors import ModelError
 from bo_sysid.identify import identify
@@ -159,6 +161,19 @@ def test_compliance_is_named_with_its_side_and_size(diagnosed) -> None:
     assert lost == pytest.approx(LOSS + 0.002 / 8, rel=0.3)
     floor = result.holdout.error("forecast", 0.08, "noise_floor")
     assert result.holdout.error("forecast", 0.08, "repaired") < 1.15 * floor
+
+
+def test_play_in_a_springy_gear_is_named_with_its_gap() -> None:
+    gap, soft, on_link = 0.06, 0.004, 0.3
+    recording = record("backlash", [gap, soft, on_link, 0.0], 1, 5.0)
+    effects = [CATALOGUE[e] for e in ("backlash", "viscous_damping")]
+    model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
+    found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
+    best = found.decision.best
+    assert [c.key for c in best.members] == [("backlash", "hinge")]
+    assert best.x[0][0] == pytest.approx(gap, rel=0.1)
+    assert best.x[0][2] == pytest.approx(on_link, abs=0.1)
+    assert best.rms < 0.6 * found.decision.nominal.rms
 
 
 def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagnosed) -> None:
