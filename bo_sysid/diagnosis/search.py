@@ -34,7 +34,8 @@ from bo_sysid.simulation import State
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
 _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
 _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
-_ROUGHLY = 0.01  # of the gain, the same where the fit is far from the recordings
+_NEARLY = 1e-3  # of the gain, what a linear estimate of it may be off
+_ROUGHLY = 0.01  # the same where the fit is far from the recordings
 _SUBSTITUTES = 5
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 _HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
@@ -234,7 +235,7 @@ class Search:
         """Fit what could stand in the place of a member and explain as much."""
         screen = self._screened(base)
         near = _ALIKE * max(1.0, base.rms**2)
-        rough = _ROUGHLY if base.rms > ROUGH else 0.0
+        rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
         for k, member in enumerate(base.members):
             rest = [i for i in range(len(base.members)) if i != k]
             members, x = subset(base, rest)

@@ -26,7 +26,7 @@ from bo_sysid.simulation import State
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
-_BETWEEN_IMPACTS = 0.25  # of what is left, that a law must predict in contact
+_BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _RIDGES = (1e-3, 3e-2, 0.3, 2.0)
