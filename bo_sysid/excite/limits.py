@@ -9,14 +9,13 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import command_bounds
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
 
 _TOUCH = 0.01  # [s] between two poses at which contacts are looked for
 _COLLISION = 2.0  # violation that touching counts as
-
-
 _OF_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
@@ -72,21 +71,17 @@ class Limits:
     ) -> tuple[Float[np.ndarray, " nu"], Float[np.ndarray, " nu"]]:
         """Return the least and the largest control of every actuator; infinite where unlimited.
 
-        Within its control range, a motor is bounded by the effort, |u| ≤ effort / |r g| with gear r
-        and gain g, a position servo by the position.
+        See `command_bounds`.
         """
-        limited = np.asarray(model.actuator_ctrllimited, bool)
-        ends = np.where(limited[:, None], model.actuator_ctrlrange, [-np.inf, np.inf])
+        ends = np.where(
+            np.asarray(model.actuator_ctrllimited, bool)[:, None],
+            model.actuator_ctrlrange, [-np.inf, np.inf],
+        )  # fmt: skip
         for a in range(model.nu):
-            if int(model.actuator_trntype[a]) not in _OF_JOINT:
-                continue
-            j = int(model.actuator_trnid[a, 0])
-            gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
-            if model.actuator_biasprm[a, 1]:
-                own = np.sort(gear * self.position[j])
-            else:
-                own = self.effort[j] / max(abs(gear * gain), 1e-300) * np.array([-1.0, 1.0])
-            ends[a] = max(ends[a, 0], own[0]), min(ends[a, 1], own[1])
+            if int(model.actuator_trntype[a]) in _OF_JOINT:
+                j = int(model.actuator_trnid[a, 0])
+                low, high = self.position[j]
+                ends[a] = command_bounds(model, a, (low, high), float(self.effort[j]))
         return ends[:, 0], ends[:, 1]
 
     def violation(

@@ -12,6 +12,7 @@ import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
+from bo_sysid.mjcf.commands import command_bounds, is_position_servo
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.study import Study
@@ -40,25 +41,15 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
         limit = study.limits.get(_joint_of(compiled, a))
         if limit is None:
             continue
-        gear, gain = float(compiled.actuator_gear[a, 0]), float(compiled.actuator_gainprm[a, 0])
-        servo = bool(compiled.actuator_biasprm[a, 1])
-        reach = [(-np.inf, np.inf)]
-        if compiled.actuator_ctrllimited[a]:
-            reach.append(tuple(compiled.actuator_ctrlrange[a]))
-        if limit.effort is not None and servo:
-            forces[name] = limit.effort / abs(gear)
-        elif limit.effort is not None and gear * gain:
-            reach.append((-limit.effort / abs(gear * gain), limit.effort / abs(gear * gain)))
-        if limit.position is not None and servo:
-            ends = sorted(gear * x for x in limit.position)
-            reach.append((ends[0], ends[1]))
-        low, high = max(r[0] for r in reach), min(r[1] for r in reach)
+        if limit.effort is not None and is_position_servo(compiled, a):
+            forces[name] = limit.effort / abs(float(compiled.actuator_gear[a, 0]))
+        low, high = command_bounds(compiled, a, limit.position, limit.effort)
         if not low < high:
             raise study.error(
                 ("limits", _joint_of(compiled, a)), f"leaves actuator {name!r} no command"
             )
         if np.isfinite([low, high]).all():
-            bounds[name] = (float(low), float(high))
+            bounds[name] = (low, high)
     return (_edit(bounds, forces),)
 
 

@@ -1,0 +1,40 @@
+"""How far an actuator's control may go, given what its joint bears."""
+
+import mujoco
+import numpy as np
+
+
+def command_bounds(
+    model: mujoco.MjModel,
+    actuator: int,
+    position: tuple[float, float] | None,
+    effort: float | None,
+) -> tuple[float, float]:
+    """Return the least and the largest control of an actuator; infinite where nothing limits it.
+
+    Within its control range, a motor is bounded by the effort, |u| ≤ effort / |r g| with gear r and
+    gain g, a position servo by the position.
+
+    Args:
+        model: the compiled model.
+        actuator: its number; it drives one joint.
+        position: least and largest of the joint in [rad] or [m], None where it has no limit.
+        effort: largest of what acts along the joint in [N m] or [N], None where it has no limit.
+    """
+    low, high = -np.inf, np.inf
+    if model.actuator_ctrllimited[actuator]:
+        low, high = model.actuator_ctrlrange[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
+    scale = abs(gear * float(model.actuator_gainprm[actuator, 0]))
+    if is_position_servo(model, actuator):
+        if position is not None:
+            ends = sorted(gear * x for x in position)
+            low, high = max(low, ends[0]), min(high, ends[1])
+    elif effort is not None and scale:
+        low, high = max(low, -effort / scale), min(high, effort / scale)
+    return float(low), float(high)
+
+
+def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the force of an actuator depends on where its joint is."""
+    return bool(model.actuator_biasprm[actuator, 1])
