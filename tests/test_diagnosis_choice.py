@@ -16,6 +16,9 @@ from bo_sysid.diagnosis.explain import explain
 from bo_sysid.diagnosis.forecast import AHEAD
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.moves import sharpened
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.tables import doubts, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.study.outer import Limit
@@ -47,6 +50,24 @@ def test_the_search_of_the_argmin_finds_the_set_that_is_there(friction) -> None:
     assert found.of(found.best) > 0.95
     assert found.bootstrap.sum() == pytest.approx(1.0)
     assert doubts(friction.decision, found) == []
+
+
+def test_the_search_of_the_argmin_keeps_magnitudes_within_their_bounds(friction, monkeypatch):
+    problem, Q = friction.prepared.problem, friction.search.frame.Q
+    wide = tuple(replace(f, covariance=1e6 * f.covariance) for f in friction.decision.fits)
+    asked, residual = [], Problem.residual
+
+    def spied(self, hypothesis, *args):
+        asked.append(hypothesis)
+        return residual(self, hypothesis, *args)
+
+    monkeypatch.setattr(Problem, "residual", spied)
+    argmin_sets(problem, Q, replace(friction.decision, fits=wide))
+    assert asked
+    for h in asked:
+        for c, x in zip(h.members, h.x, strict=True):
+            assert (c.low <= x).all()
+            assert (x <= c.high).all()
 
 
 def test_a_disagreement_is_said(friction) -> None:
@@ -187,3 +208,23 @@ def test_a_period_between_those_of_the_grid_needs_no_second_name() -> None:
     assert (name.effect.id, name.site.name) == ("cogging", "elbow")
     assert name.shapes[0] == pytest.approx(1.52, rel=0.02)
     np.testing.assert_allclose(found.decision.best.x[0], [0.003, -0.068], atol=0.003)
+
+
+def test_a_period_is_sharpened_whatever_the_order_in_which_a_set_was_first_fitted(monkeypatch):
+    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 4.0])]
+    found = located(
+        record(missing, duration=6.0), effects=("cogging", "dry_friction", "viscous_damping")
+    )
+    (cogging,) = found.decision.best.members
+    at = {c.effect.id: c for c in found.search.candidates if c.site.name == "elbow"}
+    friction, damping = at["dry_friction"], at["viscous_damping"]
+    first = found.decision.best.x[0]
+    search, little = found.search, np.array([1e-3])
+    before = search.fit((cogging, damping), (first, little)).members
+    leader = search.fit((friction, damping, cogging), (little, little, first))
+    assert before == (cogging, damping)
+    assert leader.members[1:] == (damping, cogging)
+    monkeypatch.setattr(Search, "best", leader)
+    sharpened(search)
+    rest = {k: f for k, f in search.fits.items() if k != leader.key}
+    assert min(f.rms for f in rest.values()) <= found.decision.best.rms * 1.001

@@ -138,12 +138,12 @@ def _grid(width: int) -> list[tuple[float, ...]]:
 
 
 def _at(fit: Fit, steps: Float[np.ndarray, " k"]) -> Hypothesis:
-    """Return the hypothesis of a fit with its magnitudes so many deviations away."""
+    """Return the hypothesis of a fit with its magnitudes so many deviations away, within bounds."""
     x, first = [], 0
-    for value in fit.x:
+    for c, value in zip(fit.members, fit.x, strict=True):
         own = slice(first, first + len(value))
         variance = np.diag(fit.covariance)[own] + (_RELATIVE * value) ** 2
-        x.append(value + np.sqrt(variance) * steps[own])
+        x.append(np.clip(value + np.sqrt(variance) * steps[own], c.low, c.high))
         first += len(value)
     return replace(fit.hypothesis, x=tuple(x))
 

@@ -115,7 +115,7 @@ def sharpened(search: Search) -> None:
             keep = [i for i in everything if i != out]
             members, x = subset(leader, keep)
             begun = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-            _sharpen(search, begun, keep.index(k))
+            _sharpen(search, begun, next(i for i, d in enumerate(begun.members) if d.key == c.key))
 
 
 def _sharpen(search: Search, fit: Fit, k: int) -> None:
