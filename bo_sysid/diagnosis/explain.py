@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
-from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 
+_LITTLE = 0.07  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
     "position": "where the joint is",
     "speed": "how fast it moves",
@@ -66,16 +66,21 @@ class Outcome:
     Attributes:
         fit: the set whose names hold.
         nominal: the fit of nothing.
+        refitted: the nominal model with the study's parameters fitted.
         repaired: the hypothesis that the repaired model is made from.
         unexplained: what it says of the unknown.
         timestep: of the simulation in [s].
         sessions: the magnitudes recording by recording.
         law_alone: the nominal model with nothing but a learned law, to compare with; None where
             no law says anything.
+
+    Hypotheses that are simulated from here on show the share of the correction of a time step that
+    is as coarse as it may be: an error of the step that is little beside what they leave.
     """
 
     fit: Fit
     nominal: Fit
+    refitted: Hypothesis
     repaired: Hypothesis
     unexplained: Unexplained
     timestep: float
@@ -89,7 +94,6 @@ def explain(located: Located) -> Outcome:
     fit, timestep = decision.best, problem.windows.timestep
     unknown = examine(problem, decision)
     unexplained = _said(unknown)
-    alone = _law_alone(problem, decision)
     if unknown.joint is not None:
         kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
         fit = _without(located, fit, kept)
@@ -98,18 +102,39 @@ def explain(located: Located) -> Outcome:
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
-    repaired = fit.hypothesis
+    nominal, repaired = decision.nominal, _stepped(located, fit.hypothesis, fit.rms)
     if unknown.joint is not None:
-        repaired = learn(problem, fit, unknown)[0]
-    return Outcome(fit, decision.nominal, repaired, unexplained, timestep, sessions, alone)
+        repaired = _stepped(located, learn(problem, fit, unknown)[0], fit.rms)
+    refitted = _stepped(located, nominal.hypothesis, nominal.rms)
+    alone = _law_alone(located, fit.hypothesis.numerics)
+    return Outcome(fit, nominal, refitted, repaired, unexplained, timestep, sessions, alone)
 
 
-def _law_alone(problem: Problem, decision: Decision) -> Hypothesis | None:
-    """Return the nominal model with a learned law at the joint where one explains most."""
-    nominal = decision.nominal
-    found = examine(problem, replace(decision, best=nominal))
+def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
+    """Return the nominal model with a learned law at the joint where one explains most.
+
+    Args:
+        located: the decision.
+        numerics: share of the correction that the answer shows: without what is missing, its fit
+            follows something else.
+    """
+    problem, nominal = located.prepared.problem, located.decision.nominal
+    stepped = replace(nominal.hypothesis, numerics=numerics)
+    left = problem.residual(stepped, nominal.start)
+    nominal = replace(nominal, hypothesis=stepped, residual=left)
+    found = examine(problem, replace(located.decision, best=nominal))
     found = replace(found, flagged=True)
-    return None if found.joint is None else learn(problem, nominal, found)[0]
+    if found.joint is None:
+        return None
+    law, start = learn(problem, nominal, found)[:2]
+    left = problem.residual(law, start)
+    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof)))
+
+
+def _stepped(located: Located, hypothesis: Hypothesis, rms: float) -> Hypothesis:
+    """Return a hypothesis at the coarsest time step whose error is little beside its rms."""
+    correction = max(located.prepared.correction_rms, 1e-12)
+    return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / correction)
 
 
 def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:

@@ -1,7 +1,8 @@
 """The proof on recordings that were never used."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,15 @@ import pandas as pd
 
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
-from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, fitted, forecast, forecast_problem
+from bo_sysid.diagnosis.forecast import (
+    AHEAD,
+    LONGER,
+    PAST,
+    Errors,
+    fitted,
+    forecast,
+    forecast_problem,
+)
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.tables import traces
 from bo_sysid.errors import RecordingError
@@ -99,9 +108,11 @@ class Holdout:
 
 def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording]) -> Holdout:
     """Return the errors of nominal, refitted and repaired model on the hold-out."""
+    nominal, refitted = Hypothesis(), outcome.refitted
+    as_it_is = not refitted.free and not refitted.numerics
     models = {
-        "nominal": Hypothesis(),
-        "refitted": outcome.nominal.hypothesis,
+        "nominal": nominal,
+        "refitted": nominal if as_it_is else refitted,
         "repaired": outcome.repaired,
     }
     if outcome.law_alone is not None:
@@ -138,8 +149,7 @@ def _forecasts(
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     problem, past = _cut(evidence, outcome, recordings, PAST, ahead)
     rows, floor, residuals = [], 1.0, {}
-    for name, hypothesis in models.items():
-        errors = forecast(problem, past, hypothesis)
+    for name, errors in _each(models, partial(forecast, problem, past)).items():
         floor, residuals[name] = errors.floor, errors.residual
         rows.append(_row("forecast", ahead, name, errors.ahead))
     rows.append(_row("forecast", ahead, "noise_floor", floor))
@@ -159,7 +169,8 @@ def _fits(
         evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,
     )  # fmt: skip
-    rows = [_row("fit", LONGER, n, fitted(problem, h).ahead) for n, h in models.items()]
+    made = _each(models, partial(fitted, problem))
+    rows = [_row("fit", LONGER, n, errors.ahead) for n, errors in made.items()]
     return [*rows, _row("fit", LONGER, "noise_floor", 1.0)]
 
 
@@ -176,8 +187,7 @@ def _free_runs(
     except RecordingError:
         return [], pd.DataFrame()
     rows, residuals = [], {}
-    for name, hypothesis in models.items():
-        errors = forecast(problem, past, hypothesis)
+    for name, errors in _each(models, partial(forecast, problem, past)).items():
         channels[name], residuals[name] = errors.channel, errors.residual
         hinges = {
             j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
@@ -186,6 +196,17 @@ def _free_runs(
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
         rows.append({**_row("free_run", free, name, error), "unit": unit})
     return rows, traces(problem, past, residuals)
+
+
+def _each(
+    models: Mapping[str, Hypothesis], judged: Callable[[Hypothesis], Errors]
+) -> dict[str, Errors]:
+    """Return the errors of each model, computed once where two names stand for one."""
+    made: dict[int, Errors] = {}
+    for hypothesis in models.values():
+        if id(hypothesis) not in made:
+            made[id(hypothesis)] = judged(hypothesis)
+    return {name: made[id(hypothesis)] for name, hypothesis in models.items()}
 
 
 def _cut(

@@ -105,6 +105,11 @@ class Hypothesis:
     numerics: float = 0.0
 
     @property
+    def free(self) -> bool:
+        """Whether it has magnitudes or parameters."""
+        return bool(self.members or self.nuisances)
+
+    @property
     def bound(self) -> tuple[bool, ...]:
         """Whether each parameter is at one of its bounds, so that it can give way no further."""
         return tuple(

@@ -12,8 +12,8 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
 from bo_sysid.diagnosis.moves import carried, eliminate, explore, sharpened, stripped
 from bo_sysid.diagnosis.problem import Problem, pose
-from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rules import admissible, ranked
+from bo_sysid.diagnosis.refit import FINAL, refit
+from bo_sysid.diagnosis.rules import ROUGH, admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
 
@@ -23,12 +23,13 @@ _UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
 _LESS = 3  # times shorter at most: what acts slowly is not seen in less
 _OFTEN = 0.9  # quantile of λ over the recordings
 _LEAST = 6  # instants in the shortest window
-_GROWTH = 2.2
+_GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _HALVINGS = 3
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number in the final fits, all of them where they are no more
 _FINALISTS = 5
+_FAR = 2.0  # times what the leader leaves
 _POLISH = 2  # times that the leader is linearised anew on all windows
 _CARRIED = 4
 
@@ -65,10 +66,7 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     leader = explore(search)
     while length < horizon:
-        length = horizon if length * 2.6 > horizon else int(length * _GROWTH)
-        search = carried(
-            search, prepare(_problem(evidence, length, step), leader.hypothesis), _CARRIED
-        )
+        search, length = _lengthened(evidence, search, length, horizon, step)
         leader = explore(search, rounds=3)
         tell(f"windows of {length} instants: {_said(leader)}")
     sharpened(search)
@@ -117,6 +115,20 @@ def _tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared,
         length = max(int(length * factor), least)
 
 
+def _lengthened(
+    evidence: Evidence, search: Search, length: int, horizon: int, step: float
+) -> tuple[Search, int]:
+    """Carry the best sets to longer windows: at once to full ones where the leader holds there."""
+    leader = search.best
+    longer = horizon if length * _ALMOST > horizon else int(length * _GROWTH)
+    for tried in (horizon, longer) if clean(leader) else (longer,):
+        prepared = prepare(_problem(evidence, tried, step), leader.hypothesis)
+        made = carried(search, prepared, _CARRIED)
+        if made.best.rms < ROUGH:
+            break
+    return made, tried
+
+
 def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
@@ -141,12 +153,14 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
     chosen = _finalists(order, search.nominal)
     problem = _problem(evidence, horizon, step, everything=True)
     prepared = prepare(problem, order[0].hypothesis)
-    final = Search.on(prepared, search.candidates, search.most, order[0].hypothesis)
     leader = order[0]
     for _ in range(_POLISH if leader.members else 0):
-        leader = _again(final, leader, leader.hypothesis)
+        leader = refit(
+            prepared.linear, leader.members, leader.x, groups=leader.groups,
+            start=prepared.start, guess=leader.hypothesis, effort=FINAL,
+        )  # fmt: skip
         prepared = prepare(problem, leader.hypothesis)
-        final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
+    final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
     for f in chosen:
         if f.members:
             begin = leader if f is order[0] else f
@@ -166,13 +180,18 @@ def _leader(search: Search) -> Fit:
 
 
 def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
-    chosen = list(order[:_FINALISTS])
+    """Return the leading sets, and the best that are admissible or groups.
+
+    Of those that leave many times as much as the leader only the best that is admissible, which
+    may be what all windows admit, and the best of other names, to compare with.
+    """
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
-    for f in (*able[:3], *grouped[:1]):
-        if f not in chosen:
-            chosen.append(f)
-    return chosen
+    held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
+    near = [f for f in held if f.rms < _FAR * order[0].rms]
+    names = [{c.key for c in f.members} for f in order]
+    others = [f for f, n in zip(order, names, strict=True) if n and n != names[0]]
+    return list(dict.fromkeys((*near, *able[:1], *others[:1])))
 
 
 def _said(fit: Fit) -> str:

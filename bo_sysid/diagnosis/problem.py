@@ -22,6 +22,7 @@ from bo_sysid.simulation.windows import Layout, Windows
 BLOCKS = 20
 FINER = 4  # the discretisation is judged against a time step this many times smaller
 _DIVISIONS = (1, 2, 4, 8)
+_SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in _DIVISIONS}  # of the correction
 _SPEEDS = (0.0, -0.1, 0.1, -0.3, 0.3, -1.0, 1.0)  # of the joints', tried for an added one
 _FAR = 1e7  # residuals are cut off here, in sigma
 
@@ -267,8 +268,19 @@ def finer_step(numerics: float) -> int:
     proportion to h: a plant that steps n times finer shows the share (1 - 1/n)/(1 - 1/FINER) of
     the correction.
     """
-    shares = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in _DIVISIONS}
-    return min(_DIVISIONS, key=lambda n: abs(shares[n] - numerics))
+    return min(_DIVISIONS, key=lambda n: abs(_SHARES[n] - numerics))
+
+
+def coarsened(hypothesis: Hypothesis, tolerance: float) -> Hypothesis:
+    """Return a hypothesis with the share of the correction that a coarser time step shows.
+
+    Args:
+        hypothesis: with the share that was fitted.
+        tolerance: by how much its share may differ.
+    """
+    within = (n for n in _DIVISIONS if abs(_SHARES[n] - hypothesis.numerics) <= tolerance)
+    division = next(within, finer_step(hypothesis.numerics))
+    return replace(hypothesis, numerics=_SHARES[division])
 
 
 def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:

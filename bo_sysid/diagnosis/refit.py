@@ -207,7 +207,7 @@ def _descend(
         if gain < tolerance + (0.0 if effort.final else 1e-3 * point.rss):
             break
         behind = point.rss / dof > 3 * effort.rival**2 + 1 and gain < 0.25 * point.rss
-        if not effort.final and iteration >= 1 and behind:
+        if iteration >= 1 and behind:
             break
     return point, J
 

@@ -7,7 +7,7 @@ to longer ones.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -157,7 +157,7 @@ class Search:
         """
         for _ in range(_AFRESH):
             far = fit.rms > ROUGH and (not fit.members or fit.rms < _HOPEFUL * self.least)
-            if not far:
+            if not far or not fit.hypothesis.free:
                 break
             frame = linearise(self.prepared.problem, fit.hypothesis, fit.start)
             made = refit(
@@ -192,6 +192,7 @@ class Search:
     def _first(self, screen: Screen) -> None:
         found = search(screen.gram((), {}), self.most, groups(self.candidates))
         self._run(alone(found.get(1, [])), _TOP[1], None)
+        self._vary(self.best)
         for size in (1, 2, 3):
             if self.least**2 - 1 <= CLEAN:
                 return
@@ -244,7 +245,7 @@ class Search:
             found = search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
             own = max((s.gain for s in found if self.candidates[s.members[0]] is member), default=0)
             alike = [s for s in found if s.gain > own - max(near, rough * own)]
-            self._run(alike, _SUBSTITUTES, base, rest, effort=FINAL)
+            self._run(alike, _SUBSTITUTES, base, rest, effort=replace(FINAL, rival=base.rms))
 
     def _drop(self, base: Fit, unit: tuple[int, ...]) -> None:
         sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
