@@ -26,6 +26,7 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Evidence, Located, locate
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.execution import threads
+from bo_sysid.mjcf import Address
 from bo_sysid.parameters import Parameter
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
@@ -150,8 +151,10 @@ def _parameters(case: Case) -> list[Parameter]:
     """Return the study's parameters: the damping that is off, where it is."""
     if "damping" not in case.notes:
         return []
-    high = 5 * float(str(case.notes["off by"]))
-    return [Parameter("damping", (f"joint[{case.notes['damping']}].damping",), 0.0, high, 11)]
+    address = f"joint[{case.notes['damping']}].damping"
+    own = Address.parse(address).read(load(case.rig))
+    high = own + 5 * float(str(case.notes["off by"]))
+    return [Parameter("damping", (address,), 0.0, high, 11)]
 
 
 def _inside(truth: tuple[Planted, ...], said: Sequence[Finding]) -> list[bool]:

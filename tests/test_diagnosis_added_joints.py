@@ -165,15 +165,14 @@ def test_compliance_is_named_with_its_side_and_size(diagnosed) -> None:
 
 def test_play_in_a_springy_gear_is_named_with_its_gap() -> None:
     gap, soft, on_link = 0.06, 0.004, 0.3
-    recording = record("backlash", [gap, soft, on_link, 0.0], 1, 5.0)
+    recording = record("backlash", [gap, soft, on_link, 0.0], 2, 4.0)
     effects = [CATALOGUE[e] for e in ("backlash", "viscous_damping")]
     model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
     found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
     best = found.decision.best
     assert [c.key for c in best.members] == [("backlash", "hinge")]
-    assert best.x[0][0] == pytest.approx(gap, rel=0.15)
-    assert best.x[0][2] == pytest.approx(on_link, abs=0.2)  # over six seeds .10 to .38
-    assert best.rms < 0.6 * found.decision.nominal.rms
+    np.testing.assert_allclose(best.x[0], [gap, soft, on_link], rtol=0.2)
+    assert best.rms < 2.0  # 10 at the model's own step, or from starts that no search found
 
 
 def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagnosed) -> None:

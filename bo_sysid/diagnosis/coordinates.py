@@ -176,10 +176,9 @@ class Coordinates:
         )
 
     @property
-    def smooth(self) -> Float[np.ndarray, " k"]:
-        """1 for each number of a start that can be linearised, 0 for a place in a gap."""
-        own = [float(np.isinf(s.most)) for s in self.second]
-        return np.array([1.0] * 2 * len(self.qvel) + own + own)
+    def loose(self) -> bool:
+        """Whether a joint was added that can only move as far as a gap."""
+        return any(np.isfinite(s.most) for s in self.second)
 
     def reach(self, machine: Machine) -> Float[np.ndarray, " k"]:
         """Return how far each number of a start may be off, nominal ones as far as may be."""

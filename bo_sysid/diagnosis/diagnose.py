@@ -209,7 +209,9 @@ def _repair(
     if run is None:
         return ()
     folder = Path(run.path(MODEL)).parent
-    written = write_model(evidence.model, evidence.machine, outcome.repaired, folder)
+    written = write_model(
+        evidence.model, evidence.machine, outcome.repaired, folder, timestep=outcome.timestep
+    )
     text = study_text(study, answer.findings, run.folder, written.unrecorded)
     run.write_text(STUDY, text)
     if answer.next_experiment is not None and answer.next_experiment.controls is not None:

@@ -283,7 +283,6 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
     J = np.clip(np.nan_to_num(linear._shown(linear._propagate(None, moves))), -1e12, 1e12)
-    J = J * s.coordinates.smooth
     Q, R = np.linalg.qr(J)
     if s.coordinates.second:
         own = np.abs(np.diagonal(R, axis1=1, axis2=2)) * s.coordinates.reach(problem.machine)

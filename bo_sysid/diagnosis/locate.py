@@ -1,7 +1,7 @@
 """From recordings to the decision: windows that grow, the search, the final fits on all windows."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,11 +26,13 @@ _LEAST = 6  # instants in the shortest window
 _GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _HALVINGS = 3
+_IN_A_GAP = 4  # division of the time step where a joint moves in a gap
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number in the final fits, all of them where they are no more
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
 _POLISH = 2  # times that the leader is linearised anew on all windows
+_OFTEN_POLISHED = 4  # the same where a joint moves in a gap
 _CARRIED = 4
 
 
@@ -66,13 +68,14 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     leader = explore(search)
     while length < horizon:
+        step = _step_for(search, leader, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
         leader = explore(search, rounds=3)
         tell(f"windows of {length} instants: {_said(leader)}")
     sharpened(search)
     stripped(search)
     tell(f"final fits: {_said(search.best)}")
-    final = _final(evidence, search, horizon, step)
+    final = _final(evidence, search, horizon, _step_for(search, search.best, step))
     eliminate(final)
     leader = _leader(final)
     if leader.members:
@@ -81,6 +84,16 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, len(search.fits) + len(final.fits))
+
+
+def _step_for(search: Search, leader: Fit, step: float) -> float:
+    """Return the time step for a leader: a joint in a gap meets its ends between two long steps.
+
+    No share of a finer step's difference corrects that: when it arrives bends what follows.
+    """
+    problem = search.prepared.problem
+    fine = problem.machine.model.opt.timestep / _IN_A_GAP
+    return min(step, fine) if problem.loose(leader.hypothesis) else step
 
 
 def _stable(evidence: Evidence, horizon: int, step: float) -> int:
@@ -152,20 +165,42 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
     order = ranked(search.fits.values(), search.prior)
     chosen = _finalists(order, search.nominal)
     problem = _problem(evidence, horizon, step, everything=True)
-    prepared = prepare(problem, order[0].hypothesis)
-    leader = order[0]
-    for _ in range(_POLISH if leader.members else 0):
-        leader = refit(
-            prepared.linear, leader.members, leader.x, groups=leader.groups,
-            start=prepared.start, guess=leader.hypothesis, effort=FINAL,
-        )  # fmt: skip
-        prepared = prepare(problem, leader.hypothesis)
+    leader, prepared = _polished(problem, order[0])
+    if problem.loose(leader.hypothesis):
+        other = _polished(problem, _restarted(order[0]))
+        leader, prepared = min((leader, prepared), other, key=lambda made: made[0].rms)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
     for f in chosen:
         if f.members:
             begin = leader if f is order[0] else f
             _again(final, begin, begin.hypothesis)
     return final
+
+
+def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
+    """Fit the leader on all windows, linearised anew each time."""
+    prepared = prepare(problem, leader.hypothesis)
+    rounds = _OFTEN_POLISHED if problem.loose(leader.hypothesis) else _POLISH
+    for _ in range(rounds if leader.members else 0):
+        leader = refit(
+            prepared.linear, leader.members, leader.x, groups=leader.groups,
+            start=prepared.start, guess=leader.hypothesis, effort=FINAL,
+        )  # fmt: skip
+        same = len(leader.start) == len(problem.windows)
+        prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
+    return leader, prepared
+
+
+def _restarted(fit: Fit) -> Fit:
+    """Return a fit with joints that it adds as wide as they are, and else as on their grid.
+
+    A wider gap with hard ends looks like a narrower one with soft ends to every small step.
+    """
+    x = tuple(
+        np.concatenate([v[:1], [10 * c.point[1]], v[2:]]) if c.effect.hidden else v
+        for c, v in zip(fit.members, fit.x, strict=True)
+    )
+    return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
 
 
 def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:

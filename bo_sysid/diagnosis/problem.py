@@ -175,6 +175,11 @@ class Problem:
         speeds = [fast * share for share in (_SPEEDS if moving else (0.0,))]
         return [replace(start, added=a) for a in coordinates.elsewhere(torque, speeds)]
 
+    def loose(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis has a joint that moves in a gap."""
+        model, parts = self.compiled(hypothesis)
+        return Coordinates.between(self.machine.model, model, parts).loose
+
     def residual(
         self, hypothesis: Hypothesis, start: State, finer: int = 1
     ) -> Float[np.ndarray, "W R"]:

@@ -153,18 +153,16 @@ def refit(
     return assess(problem, frame.Q, space.hypothesis(point.theta), labels, begin, r, S)
 
 
-def first_start(
-    problem: Problem, hypothesis: Hypothesis, start: State, *, moving: bool = False
-) -> State:
+def first_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
     """Return for each window the better of the given start and the smoother's.
 
     Starts fitted to another hypothesis took over part of what that one lacked. Joints that the
-    hypothesis adds are tried in all places where they may begin, `moving` also with speeds.
+    hypothesis adds are tried in all places where they may begin.
     """
     smooth = problem.windows.start
     r = problem.residual(hypothesis, start)
-    for other in (smooth, *problem.starts(hypothesis, smooth, moving=moving)):
-        start, r, _ = _better(start, r, other, problem.residual(hypothesis, other))
+    for other in (smooth, *problem.starts(hypothesis, smooth)):
+        start, r, _ = better_of(start, r, other, problem.residual(hypothesis, other))
     return start
 
 
@@ -272,7 +270,7 @@ def _line_search(
         r = problem.residual(hypothesis, start)
         if (r**2).sum() >= point.rss:
             stay = problem.residual(hypothesis, point.start)
-            start, r, _ = _better(point.start, stay, start, r)
+            start, r, _ = better_of(point.start, stay, start, r)
             start, r, _ = _moved(problem, frame, hypothesis, start, r, r)
         if (r**2).sum() < point.rss:
             return _Point(theta, start, r, project(frame.Q, r))
@@ -302,10 +300,10 @@ def _moved(
     """Return starts moved to explain `toward`, where that lowers the residual of a window."""
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
     moved = start.moved(problem.machine.model, change)
-    return _better(start, r, moved, problem.residual(hypothesis, moved))
+    return better_of(start, r, moved, problem.residual(hypothesis, moved))
 
 
-def _better(
+def better_of(
     start: State, r: Float[np.ndarray, "W R"], moved: State, rn: Float[np.ndarray, "W R"]
 ) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
     """Return for each window the one of two starts that leaves less, and where it is the second."""

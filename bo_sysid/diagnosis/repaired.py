@@ -44,15 +44,23 @@ class Written:
     unrecorded: Mapping[str, str | None]
 
 
-def write_model(model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path) -> Written:
+def write_model(
+    model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path, *, timestep: float
+) -> Written:
     """Write the model with the findings in it, and beside it what MJCF cannot express.
 
-    Where the recordings show the finer step of a continuous machine, the time step is divided.
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        hypothesis: what it lacks.
+        folder: to write to.
+        timestep: at which the hypothesis was fitted, in [s]; divided where the recordings show the
+            finer step of a continuous machine.
     """
     edits, parts = edits_and_parts(hypothesis, machine, written=True)
-    division = finer_step(hypothesis.numerics)
-    if division > 1:
-        edits.append(lambda spec: _finer(spec, division))
+    share = timestep / finer_step(hypothesis.numerics) / machine.model.opt.timestep
+    if share != 1:
+        edits.append(lambda spec: _scale_step(spec, share))
     model.export(folder / MODEL, edits)
     mujoco.MjModel.from_xml_path(str(folder / MODEL))
     beside = _beside(model, machine, hypothesis)
@@ -102,8 +110,8 @@ def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
     return Beside(machine, tuple(effects), tuple(laws))
 
 
-def _finer(spec: mujoco.MjSpec, division: int) -> None:
-    spec.option.timestep = spec.option.timestep / division
+def _scale_step(spec: mujoco.MjSpec, share: float) -> None:
+    spec.option.timestep = spec.option.timestep * share
 
 
 def study_text(

@@ -21,6 +21,8 @@ DIVERGING = 1e9
 _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
+_BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
+_DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
 _TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
 _ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
@@ -118,8 +120,33 @@ class _Starts:
             wanted = gain >= _SETTLED
             moved = self._search(busy[wanted], step[wanted])
             if not moved.size:
-                return
+                break
             busy = moved if fresh else busy
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Go on with windows that are left far behind the others, by differences of simulations.
+
+        Where friction reverses right after the start, no slope along one motion tells of the next.
+        """
+        usual = max(float(np.median(self.cost)), float(self._known.sum()))
+        busy = np.flatnonzero(self.cost > _BEHIND * usual)
+        for _ in range(_ROUNDS):
+            if not busy.size:
+                return
+            self._use(busy, self._differences(busy))
+            busy = self._search(busy, self._step(busy)[0])
+
+    def _differences(self, busy: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R n"]:
+        """Return the response to changes of the start that are a share of its prior."""
+        model, sizes = self._problem.machine.model, _DIFFERENCE * self._spread
+        columns = []
+        for k, size in enumerate(sizes):
+            away = self._away[busy]
+            away[:, k] += size
+            moved = self._anchor.rows(busy).moved(model, away)
+            columns.append((self._r[busy] - self._residual(busy, moved)) / size)
+        return np.stack(columns, axis=-1)
 
     def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
         linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
@@ -129,6 +156,10 @@ class _Starts:
             count, n = len(self.start), len(self._spread)
             self._away = np.zeros((count, n))
             self._J, self._gain = np.zeros((count, J.shape[1], n)), np.zeros((count, n, n))
+        self._use(busy, J)
+
+    def _use(self, busy: Int[np.ndarray, " B"], J: Float[np.ndarray, "B R n"]) -> None:
+        """Take the response of some windows to their starts."""
         J = np.where((np.abs(J) < DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
         N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / self._spread**2)
         self._J[busy], self._gain[busy] = J, np.linalg.pinv(N, rcond=1e-15, hermitian=True)
