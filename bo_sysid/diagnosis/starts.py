@@ -21,6 +21,7 @@ DIVERGING = 1e9
 _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
+_IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
@@ -48,18 +49,49 @@ def estimated(
         resting: whether joints that hardly move are tried at rest as well: with dry friction no
             small change of the start leads from one to the other.
     """
-    found = _Starts(problem, hypothesis, problem.windows.start, known, finer)
+    first, *more = first_starts(problem, hypothesis, known, finer)
+    everything = np.arange(len(first))
+    found = _Starts(problem, hypothesis, first, known, finer)
     found.fit()
+    for start in more:
+        found.tried(everything, start)
     if not resting:
         return found.start
     at_rest = _at_rest(problem, found.start)
     rows = np.flatnonzero((at_rest.qvel != found.start.qvel).any(axis=1))
-    if not rows.size:
-        return found.start
-    other = _Starts(problem.rows(rows), hypothesis, at_rest.rows(rows), known, finer)
-    other.fit()
-    better = other.cost < found.cost[rows]
-    return _placed(found.start, rows[better], other.start.rows(better))
+    if rows.size:
+        found.tried(rows, at_rest.rows(rows))
+    return found.start
+
+
+def first_starts(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    known: Bool[np.ndarray, " R"] | None = None,
+    finer: int = 1,
+) -> list[State]:
+    """Return first starts: for each window what leaves least, then what leaves a little more.
+
+    More than one only where a joint moves in a gap: with what speed it is on its way there decides
+    when it arrives, and no step leads from one arrival to another.
+
+    Args:
+        problem: its windows begin where a smoother says.
+        hypothesis: simulates.
+        known: the observations of a window that are used, by default all.
+        finer: divides the time step.
+    """
+    smooth = problem.windows.start
+    tried = [smooth, *problem.starts(hypothesis, smooth, moving=True)]
+    used = np.ones(problem.count, bool) if known is None else known
+    left = [(problem.residual(hypothesis, s, finer)[:, used] ** 2).sum(axis=1) for s in tried]
+    found = []
+    for rank in np.argsort(left, axis=0)[: _IN_A_GAP if problem.loose(hypothesis) else 1]:
+        start = smooth
+        for k, other in enumerate(tried):
+            start = start.picked(rank == k, other)
+        found.append(start)
+    return found
 
 
 def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]:
@@ -101,9 +133,16 @@ class _Starts:
         everything = np.arange(len(start))
         self._r = self._residual(everything, start)
         self.cost = (self._r**2).sum(axis=1)
-        for other in problem.starts(hypothesis, start, moving=True):
-            self._take(everything, other)
         self._anchor = self.start
+
+    def tried(self, rows: Int[np.ndarray, " L"], start: State) -> None:
+        """Fit some windows from other starts, and take what costs less."""
+        other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._known, self._finer)
+        other.fit()
+        better = other.cost < self.cost[rows]
+        won = rows[better]
+        self.cost[won] = other.cost[better]
+        self.start = _placed(self.start, won, other.start.rows(better))
 
     def fit(self) -> None:
         """Gauss-Newton steps about the prior; each window leaves where it has settled.

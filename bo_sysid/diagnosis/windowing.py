@@ -5,7 +5,6 @@ delay on every joint and was the main source of false names. It is one column fo
 projected difference between a finer step and the model's, with one coefficient.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -16,12 +15,12 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import FINER, Problem
 from bo_sysid.diagnosis.refit import better_of, settle
+from bo_sysid.diagnosis.starts import first_starts
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
-_IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
@@ -80,30 +79,13 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
 def _settled(problem: Problem, at: Hypothesis, known: State | None) -> State:
     """Return the starts that leave least of each window, settled from several first ones."""
     found: tuple[State, Float[np.ndarray, "W R"]] | None = None
-    for start in (*_first_starts(problem, at), *([known] if known is not None else [])):
+    for start in (*first_starts(problem, at), *([known] if known is not None else [])):
         for _ in range(_ROUNDS):
             linear = linearise(problem, at, start)
             start, r = settle(problem, linear, at, start, 1, _SHARES)
         found = (start, r) if found is None else better_of(*found, start, r)[:2]
     assert found is not None  # noqa: S101 - there is always a first start
     return found[0]
-
-
-def _first_starts(problem: Problem, at: Hypothesis) -> Iterator[State]:
-    """Yield first starts: for each window what leaves least, then what leaves a little more.
-
-    More than one only where a joint moves in a gap: with what speed it is on its way there decides
-    when it arrives, and no step leads from one arrival to another.
-    """
-    smooth = problem.windows.start
-    tried = [smooth, *problem.starts(at, smooth, moving=True)]
-    left = np.stack([(problem.residual(at, s) ** 2).sum(axis=1) for s in tried])
-    order = np.argsort(left, axis=0)
-    for rank in order[: _IN_A_GAP if problem.loose(at) else 1]:
-        start = smooth
-        for k, other in enumerate(tried):
-            start = start.picked(rank == k, other)
-        yield start
 
 
 def _require_finite(problem: Problem, at: Hypothesis, start: State) -> None:
