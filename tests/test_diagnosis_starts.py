@@ -8,6 +8,7 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 from scipy.optimize import least_squares
 
+from bo_sysid.diagnosis import starts
 from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.starts import estimated, prior
@@ -61,6 +62,30 @@ def test_a_window_is_fitted_as_if_it_were_alone(windows, everything):
         alone = estimated(problem.rows(np.array([w])), hypothesis, everything, 1, resting=True)
         np.testing.assert_allclose(alone.qpos[0], together.qpos[w], atol=1e-3 * SIGMA)
         np.testing.assert_allclose(alone.qvel[0], together.qvel[w], atol=1e-4)
+
+
+def test_windows_whose_slope_says_nothing_catch_up(windows, everything, monkeypatch):
+    problem, machine = windows
+    friction = candidate(machine, "viscous_damping", "elbow")
+    hypothesis = replace(Hypothesis(), members=(friction,), x=(np.array([0.05]),))
+    well = estimated(problem, hypothesis, everything, 1)
+    blind, linearise = np.zeros(len(well), bool), starts.linearise
+    blind[[3, 8]] = True
+    begin = problem.windows.start
+    far = replace(begin, qvel=begin.qvel + np.where(blind, 0.5, 0.0)[:, None])
+    problem = replace(problem, windows=replace(problem.windows, start=far))
+
+    def told(part, *args):
+        linear = linearise(part, *args)
+        off = np.isin(part.windows.time, problem.windows.time[blind])
+        return replace(linear, J=np.where(off[:, None, None], 0.0, linear.J))
+
+    monkeypatch.setattr(starts, "linearise", told)
+    found = estimated(problem, hypothesis, everything, 1)
+    left = (problem.residual(hypothesis, found)[blind] ** 2).mean(axis=1)
+    least = (problem.residual(hypothesis, well)[blind] ** 2).mean(axis=1)
+    assert ((problem.residual(hypothesis, far)[blind] ** 2).mean(axis=1) > 100 * least).all()
+    assert (left < 1.2 * least).all()
 
 
 def test_only_what_is_known_is_used(windows, everything):

@@ -26,6 +26,7 @@ _LEAST = 6  # instants in the shortest window
 _GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _HALVINGS = 3
+_SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
 _IN_A_GAP = 4  # division of the time step where a joint moves in a gap
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number in the final fits, all of them where they are no more
@@ -192,12 +193,12 @@ def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
 
 
 def _restarted(fit: Fit) -> Fit:
-    """Return a fit with joints that it adds as wide as they are, and else as on their grid.
+    """Return a fit whose gaps have softer ends.
 
-    A wider gap with hard ends looks like a narrower one with soft ends to every small step.
+    From a wide gap with hard ends no small step leads to a narrower one with soft ends.
     """
     x = tuple(
-        np.concatenate([v[:1], [10 * c.point[1]], v[2:]]) if c.effect.hidden else v
+        np.concatenate([v[:1], [_SOFTER * c.point[1]], v[2:]]) if c.effect.hidden else v
         for c, v in zip(fit.members, fit.x, strict=True)
     )
     return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
