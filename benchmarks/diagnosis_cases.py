@@ -473,7 +473,7 @@ def draw(
         )
         for k, d in ((1, duration), (2, 8.0))
     )
-    if _runs_away(train, nominal):
+    if count and _runs_away(train, nominal):  # what is free drifts without any force as well
         return Case(rig, (), (), (), sigma)
     acting = Sizes(model, machine, train, sigma)
     shown = [
