@@ -219,14 +219,14 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
     Of those that leave many times as much as the leader only the best that is admissible, which
-    may be what all windows admit, and the best of other names, to compare with.
+    may be what all windows admit, and the best that shares no name, to compare with.
     """
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
     held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
     near = [f for f in held if f.rms < _FAR * order[0].rms]
-    names = [{c.key for c in f.members} for f in order]
-    others = [f for f, n in zip(order, names, strict=True) if n and n != names[0]]
+    names = [{(c.effect.nested or c.effect.id, c.site.name) for c in f.members} for f in order]
+    others = [f for f, n in zip(order, names, strict=True) if n and not n & names[0]]
     return list(dict.fromkeys((*near, *able[:1], *others[:1])))
 
 
