@@ -1,12 +1,15 @@
 """Hypotheses as edits and parts."""
 
+import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import arm, record
+from diagnosis_helpers import arm, posed, record
 from effect_machines import case
 
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
+from bo_sysid.diagnosis.problem import coarsened, finer_step
+from bo_sysid.diagnosis.repaired import MODEL, write_model
 from bo_sysid.effects import CATALOGUE, Force, Reading
 from bo_sysid.errors import ModelError
 
@@ -41,3 +44,26 @@ def test_what_would_change_a_known_number_is_not_looked_for() -> None:
     }  # fmt: skip
     with pytest.raises(ModelError, match=r"joint\[elbw\].damping.*did you mean 'elbow'"):
         found(("joint[elbw].damping",))
+
+
+@pytest.mark.parametrize(
+    ("halved", "numerics", "division"), [(1, 0.0, 1), (2, 0.0, 2), (2, 1.0, 8)]
+)
+def test_the_repaired_model_has_the_step_at_which_it_was_fitted(
+    tmp_path, halved: int, numerics: float, division: int
+) -> None:
+    _, machine = posed(record(duration=2.0))
+    own = machine.model.opt.timestep
+    write_model(arm(), machine, Hypothesis(numerics=numerics), tmp_path, timestep=own / halved)
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / MODEL))
+    assert written.opt.timestep == pytest.approx(own / division)
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "division"), [(0.0, 8), (0.02, 8), (0.2, 4), (0.5, 2), (2.0, 1)]
+)
+def test_a_step_is_as_coarse_as_the_tolerance_lets_it_be(tolerance: float, division: int) -> None:
+    fitted = Hypothesis(
+        numerics=1.15
+    )  # a step 8 times finer shows 7/6 of the correction, 4 times 1
+    assert finer_step(coarsened(fitted, tolerance).numerics) == division

@@ -27,7 +27,7 @@ _GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full 
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _HALVINGS = 3
 _SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
-_IN_A_GAP = 4  # division of the time step where a joint moves in a gap
+_GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number in the final fits, all of them where they are no more
 _FINALISTS = 5
@@ -93,7 +93,7 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
     No share of a finer step's difference corrects that: when it arrives bends what follows.
     """
     problem = search.prepared.problem
-    fine = problem.machine.model.opt.timestep / _IN_A_GAP
+    fine = problem.machine.model.opt.timestep / _GAP_DIVISION
     return min(step, fine) if problem.loose(leader.hypothesis) else step
 
 

@@ -30,7 +30,7 @@ class Effort:
     Attributes:
         iterations: most Gauss-Newton steps.
         gain: stop where a step gains less of the squared residual than this many variances.
-        final: go on where the fit is worse than its rivals, and to full precision.
+        final: go on to full precision.
         rival: best rms of other fits; a fit far above gives up early.
     """
 

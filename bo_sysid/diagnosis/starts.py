@@ -83,6 +83,8 @@ def first_starts(
     """
     smooth = problem.windows.start
     tried = [smooth, *problem.starts(hypothesis, smooth, moving=True)]
+    if len(tried) == 1:
+        return tried
     used = np.ones(problem.count, bool) if known is None else known
     left = [(problem.residual(hypothesis, s, finer)[:, used] ** 2).sum(axis=1) for s in tried]
     found = []
