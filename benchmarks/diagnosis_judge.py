@@ -21,7 +21,14 @@ from diagnosis_cases import (
 from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.findings import Finding, findings
-from bo_sysid.diagnosis.forecast import AHEAD, LONGER, PAST, forecast, forecast_problem
+from bo_sysid.diagnosis.forecast import (
+    AHEAD,
+    LONGER,
+    PAST,
+    forecast,
+    forecast_problem,
+    noise_floor,
+)
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Evidence, Located, locate
 from bo_sysid.effects import CATALOGUE
@@ -174,8 +181,9 @@ def _forecasts(
             evidence.model, evidence.machine, case.holdout, evidence.sigma, past=PAST, ahead=ahead,
             timestep=outcome.timestep, engine=evidence.engine,
         )  # fmt: skip
-        errors = [forecast(problem, past, h) for h in (Hypothesis(), outcome.repaired)]
-        out[f"{ahead:g}"] = [errors[0].ahead, errors[1].ahead, errors[1].floor]
+        nominal, repaired = (forecast(problem, past, h) for h in (Hypothesis(), outcome.repaired))
+        floor = noise_floor(problem, past, outcome.repaired, repaired)
+        out[f"{ahead:g}"] = [nominal.ahead, repaired.ahead, floor]
     return out
 
 

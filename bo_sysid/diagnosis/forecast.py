@@ -17,12 +17,14 @@ from bo_sysid.diagnosis.problem import Problem, finer_step, pose
 from bo_sysid.diagnosis.starts import DIVERGING, estimated, prior
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State
 
 PAST = 0.2  # [s] before a window from which its start is estimated
 AHEAD = 0.08  # [s] forecast for the headline
 LONGER = 0.3  # [s] forecast beside it
+_DIVERGED = 1e6  # [sigma] of a window that says nothing of the floor
 
 
 @dataclass(frozen=True)
@@ -31,15 +33,15 @@ class Errors:
 
     Attributes:
         ahead: root mean square of recorded minus forecast, in sigma.
-        floor: what sensor noise alone makes of it.
         channel: the same by channel, in its unit.
         residual: recorded minus predicted after the past, in sigma.
+        start: that was estimated for each window.
     """
 
     ahead: float
-    floor: float
     channel: Mapping[str, float]
     residual: Float[np.ndarray, "W F c"]
+    start: State
 
 
 def forecast_problem(
@@ -78,25 +80,29 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     estimate; joints that may have been at rest are tried at rest as well.
     """
     finer = finer_step(hypothesis.numerics)
-    plain = _plain(problem, hypothesis)
+    plain = _plain(hypothesis)
     channels = len(problem.windows.channels)
-    known = np.zeros((problem.windows.observed.shape[1], channels), bool)
-    known[:past] = True
-    start = estimated(problem, plain, known.ravel(), finer, resting=True)
+    start = estimated(problem, plain, _of_the_past(problem, past), finer, resting=True)
     r = problem.residual(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
-    good = np.abs(r).max(axis=(1, 2)) < 1e6
-    return Errors(
-        float(np.sqrt(np.mean(r**2))),
-        _floor(problem, plain, start, known.ravel(), good),
-        _by_channel(problem, r, past),
-        r,
-    )
+    return Errors(float(np.sqrt(np.mean(r**2))), _by_channel(problem, r, past), r, start)
+
+
+def noise_floor(problem: Problem, past: int, hypothesis: Hypothesis, errors: Errors) -> float:
+    """Return the forecast error that sensor noise alone makes, in sigma.
+
+    By the response to the start, √(1 + tr(Jₐ Cov Jₐᵀ)/n). In contact no slope holds over a
+    window: there what the hypothesis predicts from its starts is seen through new noise, and
+    forecast.
+    """
+    if can_touch(problem.machine.model):
+        return forecast(_redrawn(problem, hypothesis, errors.start), past, hypothesis).ahead
+    return _floor(problem, past, _plain(hypothesis), errors)
 
 
 def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     """Return the errors with starts fitted inside the windows, over √((n - p)/n)."""
     finer = finer_step(hypothesis.numerics)
-    plain = _plain(problem, hypothesis)
+    plain = _plain(hypothesis)
     everything = np.ones(problem.count, bool)
     start = estimated(problem, plain, everything, finer)
     r = problem.residual(plain, start, finer)
@@ -104,22 +110,33 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     spare = np.sqrt(max(n - p, 1) / n)
     shaped = r.reshape(len(r), -1, len(problem.windows.channels))
     channel = {k: v / spare for k, v in _by_channel(problem, shaped, 0).items()}
-    return Errors(float(np.sqrt(np.mean(r**2))) / spare, 1.0, channel, shaped)
+    return Errors(float(np.sqrt(np.mean(r**2))) / spare, channel, shaped, start)
 
 
-def _plain(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def _plain(hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, numerics=0.0)
 
 
-def _floor(
-    problem: Problem,
-    hypothesis: Hypothesis,
-    start: State,
-    known: Bool[np.ndarray, " R"],
-    good: Bool[np.ndarray, " W"],
-) -> float:
-    """Return the forecast error of sensor noise alone: √(1 + tr(Jₐ Cov Jₐᵀ)/n)."""
-    linear = linearise(problem, hypothesis, start)
+def _of_the_past(problem: Problem, past: int) -> Bool[np.ndarray, " R"]:
+    known = np.zeros(problem.windows.observed.shape[1:], bool)
+    known[:past] = True
+    return known.ravel()
+
+
+def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
+    """Return the windows as a hypothesis predicts them, seen through noise."""
+    plain, seen = _plain(hypothesis), problem.weight > 0
+    r = problem.residual(plain, start, finer_step(hypothesis.numerics)).reshape(seen.shape)
+    noise = np.random.default_rng(0).standard_normal(seen.shape)
+    change = np.divide(noise - r, problem.weight, out=np.zeros_like(r), where=seen)
+    windows = problem.windows
+    return replace(problem, windows=replace(windows, observed=windows.observed + change))
+
+
+def _floor(problem: Problem, past: int, plain: Hypothesis, errors: Errors) -> float:
+    known = _of_the_past(problem, past)
+    good = np.abs(errors.residual).max(axis=(1, 2)) < _DIVERGED
+    linear = linearise(problem, plain, errors.start)
     J, spread = linear.J, prior(problem, linear.points.coordinates)
     J = J[good & (np.abs(J) < DIVERGING).all(axis=(1, 2))]
     if not len(J):

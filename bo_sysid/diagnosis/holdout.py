@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.forecast import (
     fitted,
     forecast,
     forecast_problem,
+    noise_floor,
 )
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.tables import traces
@@ -148,11 +149,11 @@ def _forecasts(
     ahead: float,
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     problem, past = _cut(evidence, outcome, recordings, PAST, ahead)
-    rows, floor, residuals = [], 1.0, {}
-    for name, errors in _each(models, partial(forecast, problem, past)).items():
-        floor, residuals[name] = errors.floor, errors.residual
-        rows.append(_row("forecast", ahead, name, errors.ahead))
+    made = _each(models, partial(forecast, problem, past))
+    rows = [_row("forecast", ahead, name, errors.ahead) for name, errors in made.items()]
+    floor = noise_floor(problem, past, models["repaired"], made["repaired"])
     rows.append(_row("forecast", ahead, "noise_floor", floor))
+    residuals = {name: errors.residual for name, errors in made.items()}
     return rows, traces(problem, past, residuals)
 
 

@@ -205,8 +205,11 @@ class Linear:
 
     def _simulated(self, hypothesis: Hypothesis) -> np.ndarray:
         """Return the change of the observations by simulation: the state has more coordinates."""
-        before = self.problem.residual(self.hypothesis, self.start)
-        return np.asarray(before - self.problem.residual(hypothesis, self.start))
+        return np.asarray(self._residual - self.problem.residual(hypothesis, self.start))
+
+    @cached_property
+    def _residual(self) -> np.ndarray:
+        return self.problem.residual(self.hypothesis, self.start)
 
     def _by_force(self, joint: str, force: np.ndarray) -> np.ndarray:
         dof = self.problem.machine.joints[joint].dof

@@ -32,8 +32,8 @@ _WINDOWS = 24  # in the search
 _MOST = 10  # times that number in the final fits, all of them where they are no more
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
-_POLISH = 2  # times that the leader is linearised anew on all windows
-_OFTEN_POLISHED = 4  # the same where a joint moves in a gap
+_POLISH = 6  # times at most that the leader is linearised anew on all windows
+_SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 _CARRIED = 4
 
 
@@ -179,17 +179,27 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
 
 
 def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
-    """Fit the leader on all windows, linearised anew each time."""
+    """Fit the leader on all windows, linearised anew until its magnitudes stay where they are."""
     prepared = prepare(problem, leader.hypothesis)
-    rounds = _OFTEN_POLISHED if problem.loose(leader.hypothesis) else _POLISH
-    for _ in range(rounds if leader.members else 0):
+    for _ in range(_POLISH if leader.members else 0):
+        before = leader
         leader = refit(
             prepared.linear, leader.members, leader.x, groups=leader.groups,
             start=prepared.start, guess=leader.hypothesis, effort=FINAL,
         )  # fmt: skip
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
+        if _distance(before, leader) < _SETTLED:
+            break
     return leader, prepared
+
+
+def _distance(before: Fit, after: Fit) -> float:
+    """Return how far the magnitudes of two fits of a set lie apart, in standard deviations."""
+    change = np.concatenate(after.x) - np.concatenate(before.x)
+    own = slice(0, len(change))
+    inverse = np.linalg.pinv(after.covariance[own, own], hermitian=True)
+    return float(np.sqrt(max(change @ inverse @ change, 0.0)))
 
 
 def _restarted(fit: Fit) -> Fit:
