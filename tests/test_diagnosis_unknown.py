@@ -9,9 +9,12 @@ import pytest
 from diagnosis_helpers import arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.explain import Unexplained, _placed
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
+from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.unknown import examine, law_candidate, learn, needed_beside
 from bo_sysid.diagnosis.windowing import prepare, touching
 from bo_sysid.effects.learned import features
@@ -108,13 +111,33 @@ def test_contact_is_seen_where_geoms_touch() -> None:
     assert touching(arm().compile(), np.zeros((3, 2))) == 0.0
 
 
-def test_in_contact_what_is_left_is_flagged_only_where_a_law_predicts_it(
-    magnet, monkeypatch: pytest.MonkeyPatch
+def left_over(nominal: Fit, rms: float) -> Fit:
+    """A fit that leaves noise of a size, which no law predicts."""
+    noise = np.random.default_rng(0).normal(size=nominal.residual.shape)
+    return replace(nominal, residual=rms * noise, rms=rms)
+
+
+@pytest.mark.parametrize(("rms", "in_contact"), [(1.5, False), (3.0, True)])
+def test_in_contact_more_must_be_left_to_be_flagged(
+    magnet, monkeypatch: pytest.MonkeyPatch, rms: float, in_contact: bool
 ) -> None:
     ready, nominal = magnet
-    rng = np.random.default_rng(0)
-    loud = replace(nominal, residual=3 * rng.normal(size=nominal.residual.shape), rms=3.0)
-    assert examine(ready.problem, settled(loud)).flagged
+    loud = settled(left_over(nominal, rms))
+    assert examine(ready.problem, loud).flagged
     monkeypatch.setattr("bo_sysid.diagnosis.unknown.in_contact", lambda problem: True)
-    assert not examine(ready.problem, settled(loud)).flagged
+    assert examine(ready.problem, loud).flagged == in_contact
+    assert examine(ready.problem, loud).joint is None
     assert examine(ready.problem, settled(nominal)).joint == "elbow"
+
+
+@pytest.mark.parametrize(("site", "where"), [("elbow", "elbow"), ("shoulder", "world")])
+def test_what_no_law_predicts_sits_where_everything_else_was_found(magnet, site, where) -> None:
+    ready, nominal = magnet
+    named = candidate(ready.problem.machine, "armature", site)
+    hypothesis = replace(nominal.hypothesis, members=(named,), x=(named.probe,))
+    best = replace(left_over(nominal, 3.0), hypothesis=hypothesis)
+    search = Search.on(ready, [named], 1, None)
+    located = Located(replace(settled(nominal), best=best), ready, search, 0)
+    found = _placed(located, Unexplained(0.5, "world", "world"))
+    assert found.site == where
+    assert "Nothing stands for it" in found.sentences[0]

@@ -53,9 +53,10 @@ class Unexplained:
             return ()
         where = "the machine" if self.kind == "world" else f"the {self.site}"
         text = f"On {where} acts something that no known effect explains"
-        if self.depends_on:
-            words = " and ".join(_WORDS[d] for d in self.depends_on)
-            text += f"; it depends on {words}"
+        if not self.depends_on:
+            return (f"{text}. Nothing stands for it in the repaired model.",)
+        words = " and ".join(_WORDS[d] for d in self.depends_on)
+        text += f"; it depends on {words}"
         return (f"{text}. A learned force law stands for it in the repaired model.",)
 
 
@@ -94,6 +95,8 @@ def explain(located: Located) -> Outcome:
     fit, timestep = decision.best, problem.windows.timestep
     unknown = examine(problem, decision)
     unexplained = _said(unknown)
+    if unknown.flagged and unknown.joint is None:
+        unexplained = _placed(located, unexplained)
     if unknown.joint is not None:
         kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
         fit = _without(located, fit, kept)
@@ -171,6 +174,21 @@ def _said(unknown: Unknown) -> Unexplained:
     if unknown.joint is None:
         return Unexplained(unknown.share, "world", "world", ())
     return Unexplained(unknown.share, "joint", unknown.joint, unknown.depends_on)
+
+
+def _placed(located: Located, unexplained: Unexplained) -> Unexplained:
+    """Return where something sits that no law predicts beside the answer.
+
+    That is where a law predicts most of what the nominal model leaves, if nothing was found
+    elsewhere.
+    """
+    decision, machine = located.decision, located.prepared.problem.machine
+    found = examine(located.prepared.problem, replace(decision, best=decision.nominal))
+    at = [machine.joint_of(c.site.kind, c.site.name) for c in decision.best.members]
+    joints = {None if joint is None else joint.name for joint in at}
+    if found.joint is None or joints != {found.joint}:
+        return unexplained
+    return replace(unexplained, kind="joint", site=found.joint)
 
 
 def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:

@@ -26,6 +26,7 @@ from bo_sysid.simulation import State
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
+_LOOSE_IN_CONTACT = 1.5  # the same rms in contact, where 1.05 was left of nothing missing
 _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
@@ -70,7 +71,7 @@ class Unknown:
     @property
     def joint(self) -> str | None:
         """The joint at which it sits, where a law there predicts some of it."""
-        found = self.flagged and self.clues and self.clues[0].gain > 0
+        found = self.flagged and self.clues and self.clues[0].gain > _GAIN
         return self.clues[0].joint if found else None
 
     @property
@@ -99,9 +100,10 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     clues = tuple(sorted(_clues(linear, best), key=lambda c: -c.gain))
     most = clues[0].gain if clues else 0.0
     need = max(_GAIN, _RELATIVE * nominal.excess)
-    if in_contact(problem):  # impacts leave something whatever the model: no size of it tells
+    if in_contact(problem):  # impacts leave something whatever the model
         elsewhere = max((c.gain for c in clues if c.joint != clues[0].joint), default=0.0)
-        loose, need = False, max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)
+        loose = np.sqrt(best.excess) > _LOOSE_IN_CONTACT
+        need = max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)
     else:
         loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
     flagged = loose or most > need
