@@ -15,16 +15,17 @@ listed.
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
-from bo_sysid.proof.case import Case, draw_case
+from bo_sysid.proof.case import Case, NoCase, draw_case
 from bo_sysid.proof.plan import Draw, plan
 from bo_sysid.proof.seal import Seal, digest, file_digest, write_json
 from bo_sysid.proof.suite import LoadedSuite, load_suite
@@ -38,6 +39,8 @@ SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
 _PLAN = "plan.json"
 _STAMP = 946_684_800  # 2000-01-01: every file of every case carries this time
 _PART = "commitment-{}.json"
+_REDRAWS = 5  # cases that are tried in the place of one that cannot be had
+_REDRAWN = 1  # key of the random numbers for that, beside the seed of the case
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,8 @@ def conceal(
     step = len(done)
     for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
         if outcome.error is not None:
-            raise StudyError(f"{path}: {outcome.key} cannot be drawn: {outcome.error}")
+            why = outcome.error.strip().splitlines()[-1]
+            raise StudyError(f"{path}: {outcome.key} cannot be drawn: {why}")
         step += 1
         progress(Progress(step, len(names)))  # nothing about the case: not even its time
     _show(sealed, run.path(CASES), names)
@@ -186,12 +190,26 @@ def _draw_plan(job: Job) -> list[str]:
 def _draw_one(job: Job) -> None:
     """Draw, write and seal one case; its process alone knows what is in it."""
     loaded = load_suite(job.suite, job.overrides)
-    drawn = next(d for d in read_json(job.seals, _PLAN)["cases"] if d["name"] == job.name)
-    case = draw_case(Draw.of(drawn), loaded)
+    draws = [Draw.of(d) for d in read_json(job.seals, _PLAN)["cases"]]
+    case = _drawn(next(d for d in draws if d.name == job.name), draws, loaded)
     files = write_case(case, loaded, job.seals / job.name)
     seal = Seal.of({**case.truth, "files": files})
     write_json(job.seals / f"{job.name}.json", seal.plain())
     write_json(job.seals / _PART.format(job.name), {"sha256": seal.commitment, "files": files})
+
+
+def _drawn(draw: Draw, plan: Sequence[Draw], loaded: LoadedSuite) -> Case:
+    """Draw a case; where it cannot be had, one like another of its tier, from a seed of its own."""
+    alike = [d for d in plan if d.tier == draw.tier and bool(d.effects) == bool(draw.effects)]
+    rng = np.random.default_rng((draw.seed, _REDRAWN))
+    tried = draw
+    for _ in range(_REDRAWS):
+        try:
+            return draw_case(tried, loaded)
+        except NoCase:
+            other = alike[int(rng.integers(len(alike)))]
+            tried = replace(other, name=draw.name, seed=int.from_bytes(rng.bytes(16), "big"))
+    return draw_case(tried, loaded)
 
 
 def _show(seals: Path, cases: Path, names: list[str]) -> None:
