@@ -12,7 +12,8 @@ import yaml
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model
-from bo_sysid.proof.case import draw_case
+from bo_sysid.proof import conceal
+from bo_sysid.proof.case import NoCase, draw_case
 from bo_sysid.proof.draft import REALISED, Draft, Place, Scales
 from bo_sysid.proof.machine import Excitation, load_machine
 from bo_sysid.proof.oracle import _magnitudes
@@ -181,6 +182,24 @@ def test_a_case_has_the_size_that_was_drawn_and_can_be_drawn_again(tmp_path):
         train.channels["qpos.hinge"].values, again.recordings["train"].channels["qpos.hinge"].values
     )
     assert train.span == (0.0, 2.498)
+
+
+def test_in_the_place_of_a_case_that_cannot_be_had_another_is_drawn(tmp_path, monkeypatch):
+    loaded = load_suite(written(tmp_path), {})
+    draws = plan(loaded)
+    wanted = next(d for d in draws if d.effects)
+
+    def refused(draw, loaded):
+        if draw.seed == wanted.seed:
+            raise NoCase(draw.name)
+        return draw_case(draw, loaded)
+
+    monkeypatch.setattr(conceal, "draw_case", refused)
+    made = conceal._drawn(wanted, draws, loaded).draw
+    assert (made.name, made.tier) == (wanted.name, wanted.tier)
+    assert made.effects
+    assert made.seed != wanted.seed
+    assert conceal._drawn(wanted, draws, loaded).draw == made
 
 
 def test_parameters_are_off_where_the_draw_says_so(tmp_path):
