@@ -30,7 +30,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "--first",
         type=int,
         metavar="N",
-        help="only the first N cases, in their random order; the others stay sealed for good",
+        help="only the first N cases, in their random order; others stay sealed for a later call",
     )
     parser.add_argument(
         "--answers-only",

@@ -13,7 +13,7 @@ that it also ends what hangs in compiled code, and it leaves where every thread 
 import contextlib
 import faulthandler
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -67,7 +67,7 @@ def answer(
         progress: told after every case.
 
     Raises:
-        RunError: a case is missing, or the seals were opened and a case has no answer.
+        RunError: a case is missing, or the seal of one without an answer was opened.
         StudyError: the limit is not positive, or there are fewer cases than `first`.
     """
     if not limit > 0:
@@ -76,10 +76,12 @@ def answer(
     done = {n for n in names if run.has(record_of(n))}
     if len(done) == len(names):
         return
-    if run.has(OPENED):
+    opened = answers_at_opening(run.read_json(OPENED)["openings"]) if run.has(OPENED) else {}
+    late = [n for n in names if n in opened and n not in done]
+    if late:
         raise RunError(
-            f"{run.folder}: the seals were opened; {len(names) - len(done)} cases have no answer "
-            "and an answer that is given now does not count"
+            f"{run.folder}: the seals of {len(late)} cases without an answer were opened "
+            f"({late[0]} first); an answer that is given now does not count"
         )
     jobs = {n: Job(run.folder.resolve(), n, limit) for n in names}
     step = len(done)
@@ -102,6 +104,11 @@ def commitments(folder: Path) -> Mapping[str, Any]:
     if not isinstance(found, dict) or not isinstance(found.get("cases"), dict):
         raise RunError(f"{folder / COMMITMENTS}: damaged")
     return found
+
+
+def answers_at_opening(openings: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the SHA-256 of the answer to each case whose seal was opened."""
+    return {n: sha256 for o in openings for n, sha256 in o["answers"].items()}
 
 
 def judged(folder: Path, first: int | None = None) -> list[str]:

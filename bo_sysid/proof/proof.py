@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
-from bo_sysid.proof.answer import LIMIT, OPENED, answer
+from bo_sysid.proof.answer import LIMIT, OPENED, answer, answers_at_opening
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, reveal
@@ -101,16 +101,16 @@ def _with_oracle(scores: Scores, errors: Mapping[str, float]) -> Scores:
 
 
 def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
-    opened, said = run.read_json(OPENED), run.read_json(COMMITMENTS)
+    openings, said = run.read_json(OPENED)["openings"], run.read_json(COMMITMENTS)
     suite = yaml.safe_load(run.path("study.yaml").read_text(encoding="utf-8"))["suite"]
     known = "stated in the suite: whoever has it can draw the answers"
     return {
         "suite": suite["name"],
         "seed": "from the operating system" if suite.get("seed") is None else known,
         "cases": f"{len(revealed)} of {len(said['cases'])} that were drawn",
-        "seals opened": opened["opened"],
+        "seals opened": ", ".join(o["opened"] for o in openings),
         "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),
-        "SHA-256 of the frozen answers": digest(opened["answers"]),
+        "SHA-256 of the frozen answers": digest(answers_at_opening(openings)),
         "SHA-256 of the suite": said["suite_sha256"],
         "versions": ", ".join(f"{k} {v}" for k, v in said["versions"].items()),
     }

@@ -1,7 +1,8 @@
 """Reveal: check every hash, then open the seals, then score.
 
 Opening is recorded twice, in the run and beside the seals, together with the hash of the record of
-every answer. An answer that is not in that list came too late. What the checks catch is said in
+every answer whose seal is opened. An answer that is not in that list came too late. Seals may be
+opened in instalments; what was opened stays in every later score. What the checks catch is said in
 the message; the first thing that is wrong ends the reveal.
 """
 
@@ -12,7 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError
-from bo_sysid.proof.answer import ANSWERS, OPENED, answer_files, commitments, judged, record_of
+from bo_sysid.proof.answer import (
+    ANSWERS,
+    OPENED,
+    answer_files,
+    answers_at_opening,
+    commitments,
+    judged,
+    record_of,
+)
 from bo_sysid.proof.conceal import CASES, COMMITMENTS, seals_of
 from bo_sysid.proof.seal import Seal, file_digest, write_json
 from bo_sysid.runs import Run, read_json
@@ -48,8 +57,8 @@ def reveal(
 
     Args:
         run: with every case answered.
-        first: only so many of them, see `judged`; the seals of the others stay closed, and no
-            answer to them counts any more.
+        first: only so many of them, see `judged`; the seals of the others stay closed, for a
+            later call.
         seals: folder of the seals; beside the run where left out.
         published: SHA-256 of `commitments.json`, where it was published elsewhere.
 
@@ -117,31 +126,36 @@ def _checked_record(folder: Path, name: str) -> Mapping[str, Any]:
 
 
 def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -> None:
-    """Record the opening, or compare with what was recorded when the seals were opened."""
+    """Record the opening of seals that are still closed; compare the others with their record."""
     frozen = {name: file_digest(folder / record_of(name)) for name in records}
+    commitment = file_digest(folder / COMMITMENTS)
     places = (seals / OPENED, folder / OPENED)
-    copies = [read_json(p.parent, OPENED) for p in places if p.is_file()]
-    if not copies:
+    openings: list[dict[str, Any]] = []
+    copies = {p: read_json(p.parent, OPENED) for p in places if p.is_file()}
+    for place, copy in copies.items():
+        _require({"commitments", "openings"} == set(copy), place, "is damaged")
+        _require(copy["commitments"] == commitment, place, "is of another run")
+        short, long = sorted((openings, copy["openings"]), key=len)
+        # one of them lacks the last where an opening was interrupted
+        same = long[: len(short)] == short
+        _require(same, places[1], "differs from its copy beside the seals")
+        openings = long
+    known = answers_at_opening(openings)
+    for name in frozen.keys() & known.keys():
+        same = known[name] == frozen[name]
+        _require(same, folder / record_of(name), "came after its seal was opened")
+    fewer = f"says that {len(known)} cases were opened, not {len(frozen)}"
+    _require(known.keys() <= frozen.keys(), places[0], fewer)
+    new = {name: sha256 for name, sha256 in frozen.items() if name not in known}
+    if new:
         now = datetime.now(UTC).isoformat(timespec="microseconds")
-        for name, record in records.items():
-            early = str(record["frozen"]) <= now
+        for name in new:
+            early = str(records[name]["frozen"]) <= now
             _require(early, folder / record_of(name), "is frozen at a time that is yet to come")
-        commitment = file_digest(folder / COMMITMENTS)
-        copies = [{"opened": now, "commitments": commitment, "answers": frozen}]
-    said = copies[0]
-    _require(all(c == said for c in copies), places[1], "differs from its copy beside the seals")
-    same = said["commitments"] == file_digest(folder / COMMITMENTS)
-    _require(same, places[0], "is of another run")
-    for name, sha256 in frozen.items():
-        known = said["answers"].get(name) == sha256
-        _require(known, folder / record_of(name), "came after the seals were opened")
-    opened = len(said["answers"])
-    _require(
-        opened == len(frozen), places[0], f"says that {opened} cases were opened, not {len(frozen)}"
-    )
-    for place in places:  # one of them is missing where the opening was interrupted
-        if not place.is_file():
-            write_json(place, said)
+        openings = [*openings, {"opened": now, "answers": new}]
+    for place in places:
+        if place not in copies or copies[place]["openings"] != openings:
+            write_json(place, {"commitments": commitment, "openings": openings})
 
 
 def _opened_seal(
