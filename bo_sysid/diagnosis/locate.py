@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.linear import linearise, project
 from bo_sysid.diagnosis.moves import carried, eliminate, explore, sharpened, stripped
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL, refit
+from bo_sysid.diagnosis.rounds import substitute
 from bo_sysid.diagnosis.rules import ROUGH, admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
@@ -80,7 +81,7 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     eliminate(final)
     leader = _leader(final)
     if leader.members:
-        final.substitute(leader)
+        substitute(final, leader)
         eliminate(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)

@@ -10,6 +10,7 @@ from scipy.optimize import minimize_scalar
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL, first_start, settle
+from bo_sysid.diagnosis.rounds import round_at, simplify
 from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import clashes
@@ -25,7 +26,7 @@ _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that i
 def explore(search: Search, rounds: int = 5) -> Fit:
     """Go on until the leading set no longer changes; return the leader."""
     if not search.begun:
-        search.round(search.nominal)
+        round_at(search, search.nominal)
     leader = _followed(search, rounds)
     if not clean(leader) and not can_touch(search.prepared.problem.machine.model):
         add_joints(search, leader)
@@ -39,7 +40,7 @@ def _followed(search: Search, rounds: int) -> Fit:
     for _ in range(rounds):
         if not leader.members:
             break
-        search.round(leader)
+        round_at(search, leader)
         if search.best.key == leader.key:
             break
         leader = search.best
@@ -91,7 +92,7 @@ def stripped(search: Search) -> None:
             if not f.members or f.key in done:
                 continue
             done.add(f.key)
-            search.simplify(f)
+            simplify(search, f)
             weakest = int(np.argmin(f.unique))
             if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
                 rest = [k for k in range(len(f.members)) if k != weakest]
@@ -156,7 +157,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
             before = len(search.fits)
             small = weak(f, search.nominal, search.fits.values())
             if small:
-                search.simplify(f, FINAL)
+                simplify(search, f, FINAL)
                 _fit_some(search, f, _without_weak(search, f, small))
             elif bent:
                 for k in range(len(f.members)):

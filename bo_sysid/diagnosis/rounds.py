@@ -1,0 +1,199 @@
+"""One round of the search: what could be added to a set, exchanged, left out or shaped anew.
+
+Sets are proposed by linear algebra (`subsets`) on what every candidate would do at a fit
+(`screen`), and fitted through the simulator.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bo_sysid.diagnosis import subsets
+from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.refit import FINAL, Effort
+from bo_sysid.diagnosis.rules import CLEAN, MARGIN, ROUGH, SHARE, clean
+from bo_sysid.diagnosis.screen import Screen
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.subsets import Scored
+from bo_sysid.diagnosis.units import alone, subset, units_of, with_group
+
+_TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
+_TOP_GROUPED = {1: 3, 2: 3, 3: 3}
+_ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
+_NEARLY = 1e-3  # of the gain, what a linear estimate of it may be off
+_ROUGHLY = 0.01  # the same where the fit is far from the recordings
+_SUBSTITUTES = 5
+_NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
+
+
+def round_at(search: Search, base: Fit) -> None:
+    """Linearise at a fit and try what could be added to it, exchanged or left out."""
+    simplify(search, base)
+    _vary(search, base)
+    _refine(search, base)
+    screen = search.screened(base)
+    if not base.members:
+        _first(search, screen)
+        return
+    if not clean(base):  # with the response to the start at this fit
+        again = search.fit(
+            base.members, base.x, start=base.start, guess=base.hypothesis, again=True,
+        )  # fmt: skip
+        if again.rms < _NEARER * base.rms:
+            return round_at(search, again)
+    _add(search, screen, base)
+    for unit in units_of(base):
+        _exchange(search, screen, base, unit)
+        _drop(search, base, unit)
+
+
+def _first(search: Search, screen: Screen) -> None:
+    found = subsets.search(screen.gram((), {}), search.most, subsets.groups(search.candidates))
+    _run(search, alone(found.get(1, [])), _TOP[1], None)
+    _vary(search, search.best)
+    for size in (1, 2, 3):
+        if search.least**2 - 1 <= CLEAN:
+            return
+        sets = found.get(size, [])
+        _run(search, with_group(sets), _TOP_GROUPED[size], None)
+        if size > 1:
+            _run(search, alone(sets), _TOP[size], None)
+
+
+def _add(search: Search, screen: Screen, base: Fit) -> None:
+    room = search.most - base.size
+    if room <= 0:
+        return
+    fixed = [search.candidates.index(c) for c in base.members]
+    now = dict(zip(fixed, base.x, strict=True))
+    units = subsets.groups(search.candidates) if not clean(base) else ()
+    found = subsets.search(screen.gram(fixed, now), room, units, deepest=2, paired=60)
+    need = max(0.7 * MARGIN, 0.5 * SHARE * np.sqrt(base.excess))
+    _run(search, alone(found[1]), 3, base, need=need)
+    _run(search, with_group(found[1]), 2, base, need=need)
+    if room > 1 and not clean(base):
+        _run(search, alone(found.get(2, [])), 2, base, need=need)
+
+
+def _exchange(search: Search, screen: Screen, base: Fit, unit: tuple[int, ...]) -> None:
+    """Try others in the place of one unit of a fit."""
+    rest = [k for k in range(len(base.members)) if k not in unit]
+    members, x = subset(base, rest)
+    fixed = [search.candidates.index(c) for c in members]
+    now = dict(zip(fixed, x, strict=True))
+    without = screen.without([base.members[k] for k in unit], [base.x[k] for k in unit])
+    many = len(units_of(base)) < 3 and not clean(base)
+    units = subsets.groups(search.candidates) if not clean(base) else ()
+    room = search.most - base.size + base.members[unit[0]].effect.weight
+    deepest = 2 if many else 1
+    found = subsets.search(without.gram(fixed, now), room, units, deepest=deepest, paired=60)
+    _run(search, alone(found[1]), 2 if clean(base) else 3, base, rest)
+    _run(search, with_group(found[1]), 1, base, rest)
+    if many:
+        _run(search, alone(found.get(2, [])), 1, base, rest)
+
+
+def substitute(search: Search, base: Fit) -> None:
+    """Fit what could stand in the place of a member and explain as much."""
+    screen = search.screened(base)
+    near = _ALIKE * max(1.0, base.rms**2)
+    rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
+    for k, member in enumerate(base.members):
+        rest = [i for i in range(len(base.members)) if i != k]
+        members, x = subset(base, rest)
+        fixed = [search.candidates.index(c) for c in members]
+        without = screen.without([member], [base.x[k]])
+        found = subsets.search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
+        own = max((s.gain for s in found if search.candidates[s.members[0]] is member), default=0)
+        alike = [s for s in found if s.gain > own - max(near, rough * own)]
+        _run(search, alike, _SUBSTITUTES, base, rest, effort=replace(FINAL, rival=base.rms))
+
+
+def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:
+    sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
+    for out in sets:
+        rest = [k for k in range(len(base.members)) if k not in out]
+        search.fit(*subset(base, rest), start=base.start, again=True)
+
+
+def _run(
+    search: Search,
+    scored: Sequence[Scored],
+    top: int,
+    base: Fit | None,
+    kept: Sequence[int] | None = None,
+    need: float = 0.0,
+    effort: Effort | None = None,
+) -> None:
+    """Fit the best of the scored sets, on top of the kept members of a fit."""
+    seen: set[frozenset[tuple[str, str]]] = set()
+    dof = search.prepared.problem.dof
+    held: tuple[Sequence[Candidate], Sequence[np.ndarray]] = ((), ())
+    if base is not None:
+        held = subset(base, range(len(base.members)) if kept is None else kept)
+    for s in scored:
+        members = [search.candidates[i] for i in s.members]
+        key = frozenset(c.key for c in members)
+        if key in seen:
+            continue
+        seen.add(key)
+        if len(seen) > top or np.sqrt(max(s.gain, 0.0) / dof) < need:
+            return
+        if subsets.clashes([*held[0], *members]):
+            continue
+        x = np.split(s.x, np.cumsum([c.size for c in members])[:-1])
+        search.fit(
+            (*held[0], *members),
+            (*held[1], *x),
+            start=base.start if base is not None else None,
+            guess=base.hypothesis if base is not None else None,
+            effort=effort,
+        )
+
+
+def _vary(search: Search, base: Fit) -> None:
+    """Fit a set that leaves something with other shapes of its effects, all sites alike."""
+    if clean(base):
+        return
+    for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
+        own = [c for c in base.members if c.effect is effect]
+        for k in range(len(own[0].extent.variants)):
+            members = [
+                c.with_shapes(np.array(c.extent.variants[k])) if c.effect is effect else c
+                for c in base.members
+            ]
+            if set_key(members) not in search.fits:
+                known = [search.known(c) for c in members]
+                search.fit(known, base.x, start=base.start, guess=base.hypothesis)
+
+
+def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
+    """Fit a set with the simpler effect in the place of each that contains one."""
+    for k, c in enumerate(fit.members):
+        plain = _plainer(search, c) if fit.unique[k] < 1.0 or effort else None
+        if plain is not None:
+            members = (*fit.members[:k], plain, *fit.members[k + 1 :])
+            x = (*fit.x[:k], fit.x[k][1:], *fit.x[k + 1 :])
+            if not subsets.clashes(members):
+                search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=effort)
+
+
+def _plainer(search: Search, c: Candidate) -> Candidate | None:
+    wanted = (c.effect.nested, c.site.name)
+    return next((d for d in search.candidates if d.key == wanted), None)
+
+
+def _refine(search: Search, base: Fit) -> None:
+    """Add finer shapes of the members of a fit to the candidates."""
+    present = {set_key([c]) for c in search.candidates}
+    for c in base.members:
+        turns = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
+        whole = turns is not None and turns.hinge and c.effect.vector > 1
+        if whole and clean(base):
+            continue  # periods in a turn are whole numbers
+        for factor in c.extent.refine:
+            made = c.with_shapes(c.shapes * factor)
+            if set_key([made]) not in present:
+                search.candidates.append(made)
