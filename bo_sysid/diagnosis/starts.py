@@ -180,14 +180,14 @@ class _Starts:
 
     def _differences(self, busy: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R n"]:
         """Return the response to changes of the start that are a share of its prior."""
-        model, sizes = self._problem.machine.model, _DIFFERENCE * self._spread
-        columns = []
-        for k, size in enumerate(sizes):
-            away = self._away[busy]
-            away[:, k] += size
-            moved = self._anchor.rows(busy).moved(model, away)
-            columns.append((self._r[busy] - self._residual(busy, moved)) / size)
-        return np.stack(columns, axis=-1)
+        sizes = _DIFFERENCE * self._spread
+        away = self._away[busy] + np.diag(sizes)[:, None]  # n x B x n, simulated together
+        rows = np.tile(busy, len(sizes))
+        model = self._problem.machine.model
+        moved = self._anchor.rows(rows).moved(model, away.reshape(len(rows), -1))
+        r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)[:, self._known]
+        change = self._r[busy] - r.reshape(len(sizes), len(busy), -1)
+        return np.asarray(np.moveaxis(change, 0, -1) / sizes)
 
     def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
         linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
