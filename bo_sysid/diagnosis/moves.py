@@ -20,6 +20,7 @@ from bo_sysid.mjcf.touching import can_touch
 
 _TRIED = 2  # joints that are added, by what their grid points leave
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
+_BENT = 1.8  # times a bend of bristles that is fitted
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
 
 
@@ -102,35 +103,48 @@ def stripped(search: Search) -> None:
 
 
 def sharpened(search: Search) -> None:
-    """Fit the shape of effects that repeat with position between the points of its grid.
+    """Fit the shape of effects that repeat with position, or bend, between the points of its grid.
 
     Of the leading set, and of that set without each of its other members: beside a period that is
     a little off a second effect looks needed.
     """
     leader = search.best
     for k, c in enumerate(leader.members):
-        if c.effect.vector < 2 or len(c.shapes) != 1 or not c.extent.refine:
+        bounds = _bounds(search, c)
+        if bounds is None:
             continue
         everything = range(len(leader.members))
         for out in (None, *(i for i in everything if i != k)):
             keep = [i for i in everything if i != out]
             members, x = subset(leader, keep)
             begun = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-            _sharpen(search, begun, next(i for i, d in enumerate(begun.members) if d.key == c.key))
+            at = next(i for i, d in enumerate(begun.members) if d.key == c.key)
+            _sharpen(search, begun, at, bounds)
 
 
-def _sharpen(search: Search, fit: Fit, k: int) -> None:
-    """Minimise the residual over the one shape of a member; the best fit is kept."""
-    joint = search.prepared.problem.machine.joint_of(
-        fit.members[k].site.kind, fit.members[k].site.name
-    )
+def _bounds(search: Search, c: Candidate) -> tuple[float, float] | None:
+    """Return where the last shape of a member may lie, None where it is not fitted."""
+    if not (c.extent.refine and len(c.shapes)):
+        return None
+    first = float(c.shapes[-1])
+    if c.extent.variants:
+        return (first / _BENT, first * _BENT) if first > 0 else None
+    if c.effect.vector < 2 or len(c.shapes) != 1:
+        return None
+    joint = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
     assert joint is not None  # noqa: S101 - what repeats with position is at a joint
-    first, reach = float(fit.members[k].shapes[0]), _LOBE / joint.span
+    reach = _LOBE / joint.span
+    return max(first - reach, 0.1 * first), first + reach
+
+
+def _sharpen(search: Search, fit: Fit, k: int, bounds: tuple[float, float]) -> None:
+    """Minimise the residual over the last shape of a member; the best fit is kept."""
     best = fit
 
     def rss(shape: float) -> float:
         nonlocal best
-        c = fit.members[k].with_shapes(np.array([shape]))
+        c = fit.members[k]
+        c = c.with_shapes(np.array([*c.shapes[:-1], shape]))
         members = (*fit.members[:k], c, *fit.members[k + 1 :])
         made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
         del search.fits[made.key]
@@ -138,8 +152,8 @@ def _sharpen(search: Search, fit: Fit, k: int) -> None:
         return made.rss
 
     minimize_scalar(
-        rss, bounds=(max(first - reach, 0.1 * first), first + reach), method="bounded",
-        options={"maxiter": _SHARPENINGS, "xatol": _SHARP * reach},
+        rss, bounds=bounds, method="bounded",
+        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * _SHARP * (bounds[1] - bounds[0])},
     )  # fmt: skip
     if best is not fit:
         search.listed(best)

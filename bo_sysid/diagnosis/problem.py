@@ -152,7 +152,9 @@ class Problem:
         """Return the torques that hold added joints at the start, None where there are none."""
         if not coordinates.second:
             return None
-        return transmitted(self.compiled(hypothesis.rigid)[0], start, ctrl[:, 0])
+        model, parts = self.compiled(hypothesis.rigid)
+        whole = Coordinates.between(self.machine.model, model, parts).expand(start, None)
+        return transmitted(model, whole, ctrl[:, 0])
 
     def starts(self, hypothesis: Hypothesis, start: State, *, moving: bool = False) -> list[State]:
         """Return other starts, where joints that a hypothesis adds begin elsewhere.

@@ -158,15 +158,18 @@ def _vary(search: Search, base: Fit) -> None:
     if clean(base):
         return
     for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
-        own = [c for c in base.members if c.effect is effect]
-        for k in range(len(own[0].extent.variants)):
-            members = [
-                c.with_shapes(np.array(c.extent.variants[k])) if c.effect is effect else c
-                for c in base.members
-            ]
+        own = [_other_shapes(c) for c in base.members if c.effect is effect]
+        for shapes in zip(*own, strict=False):
+            turn = iter(shapes)
+            members = [c.with_shapes(next(turn)) if c.effect is effect else c for c in base.members]
             if set_key(members) not in search.fits:
                 known = [search.known(c) for c in members]
                 search.fit(known, base.x, start=base.start, guess=base.hypothesis)
+
+
+def _other_shapes(c: Candidate) -> list[np.ndarray]:
+    finer = [c.shapes[-1] * f for f in c.extent.refine if c.shapes[-1] > 0]
+    return [*map(np.array, c.extent.variants), *(np.array([*c.shapes[:-1], s]) for s in finer)]
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
@@ -188,7 +191,7 @@ def _plainer(search: Search, c: Candidate) -> Candidate | None:
 def _refine(search: Search, base: Fit) -> None:
     """Add finer shapes of the members of a fit to the candidates."""
     present = {set_key([c]) for c in search.candidates}
-    for c in base.members:
+    for c in (c for c in base.members if not c.extent.variants):
         turns = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
         whole = turns is not None and turns.hinge and c.effect.vector > 1
         if whole and clean(base):

@@ -24,8 +24,10 @@ from bo_sysid.effects.registry import effect
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _HOLDS, _CREEPS = 1.0, 0.0
+_BENT_FINER = (0.6, 1.6)
 _FINER = (0.55, 0.75, 1.35, 1.8)
-_PRESLIDING = 1e-4  # [rad] or [m] by which bristles bend before they slip
+_STIFF = 1e-4  # [rad] or [m] by which bristles bend before they slip where that is not known
+_BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the joint's travel, that are tried
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
 _REST = 1e-3  # of a joint's speed: below, it rests
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
@@ -42,17 +44,20 @@ def _damping(site: Site, machine: Machine) -> float:
 def _dry_extent(site: Site, machine: Machine) -> Extent:
     force = machine.joints[site.name].force
     low = -_frictionloss(site, machine) - 1e-12
+    most = machine.joints[site.name].travel * _BENDS[-1]
+    bends = tuple((_HOLDS, bend * machine.joints[site.name].travel) for bend in _BENDS)
     return Extent(
-        (0.05 * force, _HOLDS), (low, _CREEPS), (3 * force, _HOLDS),
-        secants=((force, _HOLDS),), variants=((_CREEPS,),),
+        (0.05 * force, _HOLDS, 0.0), (low, _CREEPS, 0.0), (3 * force, _HOLDS, most),
+        secants=((force, _HOLDS, 0.0),), variants=((_CREEPS, 0.0), *bends),
+        refine=_BENT_FINER,
     )  # fmt: skip
 
 
 @effect(
     "dry_friction",
     kind="joint",
-    components=(Component("level", "N m"), Component("hold", "–")),
-    shapes=1,
+    components=(Component("level", "N m"), Component("hold", "–"), Component("bend", "rad")),
+    shapes=2,
     extent=_dry_extent,
     nominal=_frictionloss,
     noun="dry friction",
@@ -67,9 +72,17 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     """Coulomb friction: a force of constant size against the velocity.
 
     At x[1] = 1 (also where it is left out) it holds a load at rest, as that of machines does; at 0
-    it creeps under one as the solver settings in the model's file say.
+    it creeps under one as the solver settings in the model's file say. Where x[2] is given it gives
+    way by so much before it slips, as bristles do: LuGre friction [1] of one level.
     """
-    add_dry_friction(spec, site.name, float(x[0]), holds=len(x) < 2 or bool(x[1] > 0.5))
+    level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
+    if bend and level:
+        total = _frictionloss(site, machine) + level
+        _add_bristles(
+            spec, site.name, (total, total, machine.joints[site.name].speed), bend, machine
+        )
+    else:
+        add_dry_friction(spec, site.name, level, holds=hold > _CREEPS)
 
 
 def add_dry_friction(spec: mujoco.MjSpec, joint: str, level: float, *, holds: bool = True) -> None:
@@ -145,28 +158,45 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     )
 
 
-def _lugre(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """LuGre friction [1] with the same steady state, held by bristles of stiffness s0.
+def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+    """Write the friction of `stribeck_friction` as LuGre friction with the same steady state."""
+    excess, coulomb, speed = (float(v) for v in x)
+    low = _frictionloss(site, machine) + coulomb
+    _add_bristles(spec, site.name, (low, low + excess, speed), _STIFF, machine)
 
-    The bristles bend by a tenth of a millirad before they slip, more where a step could not
-    resolve their stiffness. They are damped against the joint's inertia, but by no more than the
-    Coulomb level at the joint's speed: a simulation begins with straight bristles, and damping
-    acts on them at once.
+
+def _add_bristles(
+    spec: mujoco.MjSpec,
+    name: str,
+    friction: tuple[float, float, float],
+    bend: float,
+    machine: Machine,
+) -> None:
+    """Put LuGre friction [1] in the place of a joint's dry friction.
+
+    The bristles bend by `bend` before they slip, by more where a step could not resolve their
+    stiffness. They are damped against the joint's inertia, but by no more than the Coulomb level at
+    the joint's speed: a simulation begins with straight bristles, and damping acts on them at once.
+
+    Args:
+        spec: the spec to change.
+        name: of the joint.
+        friction: level of sliding, level at standstill, speed at which one becomes the other.
+        bend: in [rad] or [m].
+        machine: the scales of the joint.
 
     [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
         friction", IEEE Transactions on Automatic Control 40(3), 1995.
     """
-    excess, coulomb, speed = (float(v) for v in x)
-    joint, dt = machine.joints[site.name], spec.option.timestep
-    nominal = _frictionloss(site, machine)
-    low, high = nominal + coulomb, nominal + coulomb + excess
-    stiffness = min(high / _PRESLIDING, _RESOLVED * joint.inertia / dt**2)
-    motor = passive_motor(spec, site.name, "friction")
+    low, high, speed = friction
+    joint, dt = machine.joints[name], spec.option.timestep
+    stiffness = min(high / bend, _RESOLVED * joint.inertia / dt**2)
+    motor = passive_motor(spec, name, "friction")
     damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
     motor.dynprm[5:7] = (stiffness, damping)
     motor.biasprm[3:6] = (low, high, speed)
     motor.actdim = 1
-    spec.joint(site.name).frictionloss = 0.0
+    spec.joint(name).frictionloss = 0.0
 
 
 @effect(
@@ -188,7 +218,7 @@ def _lugre(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> 
             -np.sign(m.qvel[site.name]) * (x[1] + x[0] * np.exp(-((m.qvel[site.name] / x[2]) ** 2)))
         )
     ),
-    written=_lugre,
+    written=_write_stribeck,
 )  # fmt: skip
 def stribeck_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
