@@ -25,6 +25,7 @@ _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _HOLDS, _CREEPS = 1.0, 0.0
 _BENT_FINER = (0.6, 1.6)
+_HELD = 1.2  # of the most that a joint's actuators did: friction that holds it all the time
 _FINER = (0.55, 0.75, 1.35, 1.8)
 _STIFF = 1e-4  # [rad] or [m] by which bristles bend before they slip where that is not known
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the joint's travel, that are tried
@@ -42,15 +43,19 @@ def _damping(site: Site, machine: Machine) -> float:
 
 
 def _dry_extent(site: Site, machine: Machine) -> Extent:
-    force = machine.joints[site.name].force
+    joint = machine.joints[site.name]
     low = -_frictionloss(site, machine) - 1e-12
-    most = machine.joints[site.name].travel * _BENDS[-1]
-    bends = tuple((_HOLDS, bend * machine.joints[site.name].travel) for bend in _BENDS)
+    held = _HELD * sum(machine.actuators[a].force_max for a in joint.actuators)
+    most = max(3 * joint.force, held)
+    bends = tuple((_HOLDS, bend * joint.travel) for bend in _BENDS)
     return Extent(
-        (0.05 * force, _HOLDS, 0.0), (low, _CREEPS, 0.0), (3 * force, _HOLDS, most),
-        secants=((force, _HOLDS, 0.0),), variants=((_CREEPS, 0.0), *bends),
+        (0.05 * joint.force, _HOLDS, 0.0),
+        (low, _CREEPS, 0.0),
+        (most, _HOLDS, _BENDS[-1] * joint.travel),
+        secants=tuple((level, _HOLDS, 0.0) for level in (joint.force, held) if level > 0),
+        variants=((_CREEPS, 0.0), *bends),
         refine=_BENT_FINER,
-    )  # fmt: skip
+    )
 
 
 @effect(
