@@ -1,0 +1,77 @@
+"""Dry friction that bends before it slips, and friction that holds a joint all the time."""
+
+import mujoco
+import numpy as np
+import pytest
+from diagnosis_helpers import NAMES, posed, record
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import candidates
+from bo_sysid.diagnosis.moves import explore, sharpened
+from bo_sysid.diagnosis.rules import clean
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import CATALOGUE, Site, survey
+from bo_sysid.recording import Recording
+
+LEVEL, BEND, MASS = 2.0, 1e-3, 0.5
+SLIDE = f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/><worldbody>
+<body><joint name="j" type="slide" axis="1 0 0"/><geom size=".1" mass="{MASS}"/></body></worldbody>
+</mujoco>"""
+
+
+def rubbing(bend: float) -> mujoco.MjModel:
+    """A mass that slides with dry friction."""
+    spec, time = mujoco.MjSpec.from_string(SLIDE), np.arange(0, 3, 0.01)
+    moving = Recording.from_arrays(time, qpos={"j": np.sin(time)})
+    machine = survey(spec.copy().compile(), [moving])
+    CATALOGUE["dry_friction"].apply(spec, Site("joint", "j"), np.array([LEVEL, 1.0, bend]), machine)
+    return spec.compile()
+
+
+@pytest.mark.parametrize("share", [0.3, -0.8])
+def test_bristles_bend_below_the_level(share: float) -> None:
+    """LuGre, slowly: ż = v - |v| z/bend, so that |x| = -bend·ln(1 - |force|/level)."""
+    model, steps = rubbing(BEND), 2000
+    data = mujoco.MjData(model)
+    for k in range(steps):
+        data.qfrc_applied[0] = share * LEVEL * k / steps
+        mujoco.mj_step(model, data)
+    expected = -BEND * np.log(1 - abs(share)) * np.sign(share)
+    assert data.qpos[0] == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("bend", [0.0, BEND])
+def test_above_it_the_friction_has_its_level_whether_it_bends_or_not(bend: float) -> None:
+    model = rubbing(bend)
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+    slowed = (1.0 - data.qvel[0]) / data.time
+    assert slowed == pytest.approx(LEVEL / MASS, rel=0.02)
+
+
+def found(*missing: tuple[str, str, str, list[float]], finer: int = 4) -> Fit:
+    """The best set on recordings of an arm in which effects are concealed."""
+    problem, machine = posed(record(missing, duration=5.0, finer=finer), horizon=150)
+    known = candidates([CATALOGUE[n] for n in NAMES], machine)
+    search = Search.on(prepare(problem), list(known), 2, None)
+    explore(search)
+    sharpened(search)
+    return search.best
+
+
+def test_how_far_friction_bends_is_found() -> None:
+    fit = found(("dry_friction", "joint", "shoulder", [0.1, 1.0, 8e-4]), finer=16)
+    (friction,) = fit.members
+    assert (friction.key, clean(fit)) == (("dry_friction", "shoulder"), True)
+    assert fit.x[0][0] == pytest.approx(0.1, rel=0.02)
+    assert friction.shapes[-1] == pytest.approx(8e-4, rel=0.25)
+
+
+def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> None:
+    """Its level is at least what the motor did; more cannot be told."""
+    fit = found(("dry_friction", "joint", "elbow", [0.9]))
+    assert [c.key for c in fit.members] == [("dry_friction", "elbow")]
+    assert fit.rms < 1.05
