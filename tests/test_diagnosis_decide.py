@@ -30,7 +30,7 @@ def fit(members: tuple[Candidate, ...], rms: float, unique: float = 5.0, seed: i
         (None,) * len(members),
         State(nothing, nothing, nothing[:, :0]),
         np.full((2, DOF // 2), rms) * (1 + 0.2 * rng.normal(size=(2, DOF // 2))),
-        np.zeros((2, DOF // 2, len(members))),
+        np.ones((2, DOF // 2, len(members))),
         rms,
         cost,
         cost,

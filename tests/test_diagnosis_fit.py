@@ -93,7 +93,7 @@ def test_a_parameter_takes_over_only_what_its_bounds_allow(fitted) -> None:
         Candidate(
             friction.effect,
             friction.site,
-            replace(friction.extent, low=(0.0, 0.0), high=(k * float(x[0]), 1.0)),
+            replace(friction.extent, low=(0.0, 0.0, 0.0), high=(k * float(x[0]), 1.0, 1.0)),
             friction.point,
         )
         for k in (1.0, share)

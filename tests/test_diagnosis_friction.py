@@ -3,10 +3,13 @@
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import NAMES, posed, record
+from diagnosis_helpers import NAMES, SIGMA, arm, posed, record
 
+from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import candidates
+from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.moves import explore, sharpened
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.search import Search
@@ -71,7 +74,13 @@ def test_how_far_friction_bends_is_found() -> None:
 
 
 def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> None:
-    """Its level is at least what the motor did; more cannot be told."""
-    fit = found(("dry_friction", "joint", "elbow", [0.9]))
-    assert [c.key for c in fit.members] == [("dry_friction", "elbow")]
-    assert fit.rms < 1.05
+    """Its level is at least what the motor did; more cannot be told, and the interval says so."""
+    held = [("dry_friction", "joint", "elbow", [0.9])]
+    chosen = [CATALOGUE[n] for n in NAMES]
+    made = make_evidence(
+        arm(), [record(held, duration=5.0)], effects=chosen, noise={"qpos": SIGMA}, threads=1
+    )
+    (finding,) = findings(locate(made).decision.best, made.machine, 1.0, ())
+    assert (finding.effect, finding.site) == ("dry_friction", "elbow")
+    low, high = finding.quantity.interval
+    assert low < 0.9 < high < 1.5

@@ -183,16 +183,25 @@ def _amount(quantity: Quantity) -> str:
 def _value(
     c: Candidate, x: np.ndarray, covariance: Float[np.ndarray, "l l"], machine: Machine
 ) -> Quantity:
-    """Return the reported value; its variance to first order."""
-    at = c.effect.reported(c.full(x), machine, c.site)
+    """Return the reported value; its variance to first order, its interval within the bounds."""
+
+    def reported(x: np.ndarray) -> float:
+        return float(c.effect.reported(c.full(x), machine, c.site))
+
+    at = reported(x)
     gradient = np.zeros(c.size)
     for i in range(c.size):
         h = max(1e-4 * abs(x[i]), 1e-6 * abs(c.probe[i]))
         moved = x.copy()
         moved[i] += h
-        gradient[i] = (c.effect.reported(c.full(moved), machine, c.site) - at) / h
+        gradient[i] = (reported(moved) - at) / h
     unit = unit_at(c.effect.unit, c.site, machine)
-    return _quantity(at, float(gradient @ covariance @ gradient), unit)
+    found = _quantity(at, float(gradient @ covariance @ gradient), unit)
+    if c.size > 1:
+        return found
+    low, high = sorted((reported(c.low), reported(c.high)))
+    low, high = max(low, found.interval[0]), min(high, found.interval[1])
+    return Quantity(at, unit, (low, high))
 
 
 def _quantity(value: float, variance: float, unit: str) -> Quantity:

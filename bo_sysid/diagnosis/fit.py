@@ -69,6 +69,19 @@ class Fit:
         return set_key(self.members)
 
     @property
+    def felt(self) -> tuple[float, ...]:
+        """What each member does, by the slope at its magnitudes, as an rms in sigma.
+
+        It is nothing where more of it would do no more, as of a friction that holds a joint.
+        """
+        found, first = [], 0
+        for x in self.x:
+            own = self.jacobian[..., first : first + len(x)] @ x
+            first += len(x)
+            found.append(float(np.sqrt(np.mean(own**2))))
+        return tuple(found)
+
+    @property
     def excess(self) -> float:
         """What stays unexplained: rms² - 1, at least 0."""
         return max(self.rms**2 - 1.0, 0.0)

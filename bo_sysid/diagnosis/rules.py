@@ -16,6 +16,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
+_FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted alone
@@ -74,11 +75,12 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     Close to the recordings that is the linear one, or what the best fit without the member leaves
     beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
     is large in windows that no magnitude brings any closer. Far from them, where no linearisation
-    reaches from a set to the same set without a member, it is the larger of the two.
+    reaches from a set to the same set without a member, it is the larger of the two; so it is where
+    the slope is nothing, since more of a member would do no more.
     """
     others, found = tuple(fits), []
-    choose = min if fit.rms <= LOOSE else max
-    for member, unique in zip(fit.members, fit.unique, strict=True):
+    for member, unique, felt in zip(fit.members, fit.unique, fit.felt, strict=True):
+        choose = min if fit.rms <= LOOSE and felt > _FLAT else max
         rest = set_key([c for c in fit.members if c is not member])
         left = min((f.rms for f in others if _without(f, rest, member)), default=None)
         lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
