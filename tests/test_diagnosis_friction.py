@@ -23,12 +23,12 @@ SLIDE = f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="implic
 </mujoco>"""
 
 
-def rubbing(bend: float) -> mujoco.MjModel:
-    """A mass that slides with dry friction."""
+def rubbing(bend: float, level: float = LEVEL) -> mujoco.MjModel:
+    """A mass that slides with dry friction; where its level is less than nothing, without any."""
     spec, time = mujoco.MjSpec.from_string(SLIDE), np.arange(0, 3, 0.01)
     moving = Recording.from_arrays(time, qpos={"j": np.sin(time)})
     machine = survey(spec.copy().compile(), [moving])
-    CATALOGUE["dry_friction"].apply(spec, Site("joint", "j"), np.array([LEVEL, 1.0, bend]), machine)
+    CATALOGUE["dry_friction"].apply(spec, Site("joint", "j"), np.array([level, 1.0, bend]), machine)
     return spec.compile()
 
 
@@ -53,6 +53,11 @@ def test_above_it_the_friction_has_its_level_whether_it_bends_or_not(bend: float
         mujoco.mj_step(model, data)
     slowed = (1.0 - data.qvel[0]) / data.time
     assert slowed == pytest.approx(LEVEL / MASS, rel=0.02)
+
+
+def test_bristles_that_hold_nothing_are_none() -> None:
+    """What takes all of a model's friction away leaves nothing that could bend."""
+    assert rubbing(BEND, -LEVEL).nu == 0
 
 
 def found(*missing: tuple[str, str, str, list[float]], finer: int = 4) -> Fit:

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL, first_start, settle
-from bo_sysid.diagnosis.rounds import round_at, simplify
+from bo_sysid.diagnosis.rounds import round_at, simplify, vary
 from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import clashes
@@ -108,6 +108,8 @@ def sharpened(search: Search) -> None:
     Of the leading set, and of that set without each of its other members: beside a period that is
     a little off a second effect looks needed.
     """
+    if not any(search.best.groups):
+        vary(search, search.best)  # what is left may be little and decide a forecast all the same
     leader = search.best
     for k, c in enumerate(leader.members):
         bounds = _bounds(search, c)

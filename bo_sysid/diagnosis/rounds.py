@@ -31,7 +31,8 @@ _NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
 def round_at(search: Search, base: Fit) -> None:
     """Linearise at a fit and try what could be added to it, exchanged or left out."""
     simplify(search, base)
-    _vary(search, base)
+    if not clean(base):
+        vary(search, base)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -52,7 +53,8 @@ def round_at(search: Search, base: Fit) -> None:
 def _first(search: Search, screen: Screen) -> None:
     found = subsets.search(screen.gram((), {}), search.most, subsets.groups(search.candidates))
     _run(search, alone(found.get(1, [])), _TOP[1], None)
-    _vary(search, search.best)
+    if not clean(search.best):
+        vary(search, search.best)
     for size in (1, 2, 3):
         if search.least**2 - 1 <= CLEAN:
             return
@@ -153,10 +155,8 @@ def _run(
         )
 
 
-def _vary(search: Search, base: Fit) -> None:
-    """Fit a set that leaves something with other shapes of its effects, all sites alike."""
-    if clean(base):
-        return
+def vary(search: Search, base: Fit) -> None:
+    """Fit a set with other shapes of its effects, all sites alike."""
     for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
         own = [_other_shapes(c) for c in base.members if c.effect is effect]
         for shapes in zip(*own, strict=False):

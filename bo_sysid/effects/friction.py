@@ -81,8 +81,8 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     way by so much before it slips, as bristles do: LuGre friction [1] of one level.
     """
     level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
-    if bend and level:
-        total = _frictionloss(site, machine) + level
+    total = _frictionloss(site, machine) + level
+    if bend and level and total > 0:
         _add_bristles(
             spec, site.name, (total, total, machine.joints[site.name].speed), bend, machine
         )
