@@ -1,10 +1,14 @@
 """Dry friction that bends before it slips, and friction that holds a joint all the time."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import NAMES, SIGMA, arm, posed, record
+import yaml
+from diagnosis_helpers import ARM, NAMES, SIGMA, arm, posed, record
 
+from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
@@ -16,6 +20,10 @@ from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.recording import Recording
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+from bo_sysid.study.check import check
 
 LEVEL, BEND, MASS = 2.0, 1e-3, 0.5
 SLIDE = f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/><worldbody>
@@ -89,3 +97,27 @@ def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> Non
     assert (finding.effect, finding.site) == ("dry_friction", "elbow")
     low, high = finding.quantity.interval
     assert low < 0.9 < high < 1.5
+
+
+def test_the_repaired_study_goes_on_with_friction_that_bends(tmp_path: Path) -> None:
+    bent = [("dry_friction", "joint", "shoulder", [0.1, 1.0, 8e-4])]
+    for part, seed in (("train", 0), ("holdout", 1)):
+        write_recording(
+            record(bent, duration=5.0, seed=seed, finer=16), tmp_path / f"{part}.parquet"
+        )
+    content = {
+        "version": 1, "name": "bent", "model": str(ARM),
+        "recordings": {"train": ["train.parquet"], "holdout": ["holdout.parquet"]},
+        "diagnosis": {"effects": list(NAMES)},
+    }  # fmt: skip
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(content))
+    study = Study.load(tmp_path / "study.yaml")
+    with Run.open(
+        tmp_path / "run", study.resolved(relative_to=tmp_path / "run"), "diagnose"
+    ) as run:
+        diagnose(study, run)
+    repaired = Study.load(tmp_path / "run" / "study_repaired.yaml")
+    (parameter,) = repaired.parameters
+    assert parameter.low < 0.1 < parameter.high
+    assert set(parameter.address) == {f"actuator[shoulder_friction].biasprm[{k}]" for k in (3, 4)}
+    assert check(repaired).parameters.nominal.iloc[0] == pytest.approx(0.1, rel=0.02)

@@ -91,6 +91,7 @@ class Dynamics:
         n, nv, nu = len(qpos), model.nv, model.nu
         needed, inertial = np.zeros((n, nv)), np.zeros((n, nv))
         bias, gain, moment = np.zeros((n, nu)), np.zeros((n, nu)), np.zeros((n, nu, nv))
+        controlled = model.actuator_ctrlnum == 1  # friction may be an actuator without a control
         product = np.zeros(nv)
         for k in range(n):
             data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
@@ -99,9 +100,9 @@ class Dynamics:
             mujoco.mj_mulM(model, data, product, qacc[k])
             inertial[k] = product
             if nu:
-                bias[k], gain[k] = self._forces()
+                bias[k], gain[k] = (f[controlled] for f in self._forces())
                 if k == 0 or not self._fixed:
-                    dense = self._moment()
+                    dense = self._moment()[controlled]
                 moment[k] = dense
         return Terms(inertial, needed - inertial, qvel, qacc, bias, gain, moment)
 
@@ -146,7 +147,7 @@ class Dynamics:
 
     def _moment(self) -> np.ndarray:
         data = self._data
-        dense = np.zeros((self.model.nu, self.model.nv))
+        dense = np.zeros((len(self.model.actuator_trntype), self.model.nv))
         mujoco.mju_sparse2dense(
             dense,
             data.actuator_moment.ravel(),

@@ -14,6 +14,7 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.problem import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
+from bo_sysid.effects.friction import BEND
 from bo_sysid.mjcf import Model
 from bo_sysid.study import Study
 
@@ -29,6 +30,7 @@ _ADDRESS = {
     "payload": "body[{site}_payload].mass",
     "contact_friction": "geom[{site}].friction[0]",
 }
+_BRISTLES = tuple(f"actuator[{{site}}_friction].biasprm[{k}]" for k in (3, 4))  # at speed, at rest
 
 
 @dataclass(frozen=True)
@@ -135,8 +137,8 @@ def study_text(
         data["model"]["unrecorded"] = {**study.model.unrecorded, **unrecorded}
     known = {a for p in data.get("parameters", ()) for a in _list(p["address"])}
     for f in found:
-        address = _ADDRESS.get(f.effect, "").format(site=f.site)
-        if not address or address in known:
+        address = [a.format(site=f.site) for a in _addresses(f)]
+        if not address or not known.isdisjoint(address):
             continue
         low, high = f.quantity.interval
         width = max(high - low, 0.02 * abs(f.after), 1e-9)
@@ -144,13 +146,20 @@ def study_text(
         data.setdefault("parameters", []).append(
             {
                 "name": f"{f.effect.replace('_', ' ')} of {f.site}",
-                "address": address,
+                "address": address[0] if len(address) == 1 else address,
                 "low": float(least),
                 "high": float(f.after + 3 * width),
                 "unit": f.quantity.unit,
             }
         )
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _addresses(finding: Finding) -> tuple[str, ...]:
+    """Return where the repaired model has a finding, by `{site}`; () where at no address."""
+    if finding.effect == "dry_friction" and any(finding.x[BEND:]):
+        return _BRISTLES
+    return (_ADDRESS[finding.effect],) if finding.effect in _ADDRESS else ()
 
 
 def _list(value: Any) -> list[Any]:

@@ -23,6 +23,8 @@ from bo_sysid.effects.registry import effect
 # (1 - d)/d of the free one after a time constant: a load held at 33 rad/s² creeps 6.5e-6 rad/s.
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+BEND = 2
+"""Place of the bend of bristles among the magnitudes of dry friction."""
 _HOLDS, _CREEPS = 1.0, 0.0
 _BENT_FINER = (0.6, 1.6)
 _HELD = 1.2  # of the most that a joint's actuators did: friction that holds it all the time

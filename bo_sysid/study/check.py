@@ -140,8 +140,12 @@ def _known(model: Model) -> dict[str, tuple[str, ...]]:
 def _deaf(model: Model) -> list[str]:
     """Return the controls that do nothing: of actuators with a bias alone."""
     compiled = model.compile()
-    gains = zip(model.ctrl_channels, compiled.actuator_gainprm, strict=True)
-    return [name for name, gain in gains if not gain.any()]
+    deaf: list[str] = []
+    for a, gain in enumerate(compiled.actuator_gainprm):  # friction may be one without a control
+        first = int(compiled.actuator_ctrladr[a])
+        own = slice(first, first + int(compiled.actuator_ctrlnum[a]))
+        deaf += [] if gain.any() else model.ctrl_channels[own]
+    return deaf
 
 
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
