@@ -216,8 +216,9 @@ def _details(
     out: dict[str, Quantity] = {}
     full = c.full(x)
     shown = 0 if c.effect.vector > 1 else 1
-    usual = c.extent.variants and np.array_equal(c.shapes, c.extent.probe[c.size :])
-    for i in range(shown, c.size if usual else len(full)):
+    for i in range(shown, len(full)):
+        if i >= c.size and c.extent.variants and full[i] == c.extent.probe[i]:
+            continue  # as it usually is
         component = c.effect.components[i]
         variance = float(covariance[i, i]) if i < c.size else 0.0
         unit = unit_at(component.unit, c.site, machine)
