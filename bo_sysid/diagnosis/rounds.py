@@ -158,10 +158,10 @@ def _run(
 def vary(search: Search, base: Fit) -> None:
     """Fit a set with other shapes of its effects, all sites alike."""
     for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
-        own = [_other_shapes(c) for c in base.members if c.effect is effect]
-        for shapes in zip(*own, strict=False):
-            turn = iter(shapes)
-            members = [c.with_shapes(next(turn)) if c.effect is effect else c for c in base.members]
+        own = [c for c in base.members if c.effect is effect]
+        for shapes in zip(*map(_other_shapes, own), strict=False):
+            changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
+            members = [changed.get(c, c) for c in base.members]
             if set_key(members) not in search.fits:
                 known = [search.known(c) for c in members]
                 search.fit(known, base.x, start=base.start, guess=base.hypothesis)

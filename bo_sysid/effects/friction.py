@@ -80,7 +80,7 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
 
     At x[1] = 1 (also where it is left out) it holds a load at rest, as that of machines does; at 0
     it creeps under one as the solver settings in the model's file say. Where x[2] is given it gives
-    way by so much before it slips, as bristles do: LuGre friction [1] of one level.
+    way by so much before it slips, as bristles do: LuGre friction of one level.
     """
     level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
     total = _frictionloss(site, machine) + level
