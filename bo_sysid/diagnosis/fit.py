@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -68,7 +69,7 @@ class Fit:
         """What is supposed, without magnitudes."""
         return set_key(self.members)
 
-    @property
+    @cached_property
     def felt(self) -> tuple[float, ...]:
         """What each member does, by the slope at its magnitudes, as an rms in sigma.
 

@@ -23,17 +23,19 @@ from bo_sysid.effects.registry import effect
 # (1 - d)/d of the free one after a time constant: a load held at 33 rad/s² creeps 6.5e-6 rad/s.
 _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-BEND = 2
-"""Place of the bend of bristles among the magnitudes of dry friction."""
 _HOLDS, _CREEPS = 1.0, 0.0
-_BENT_FINER = (0.6, 1.6)
 _HELD = 1.2  # of the most that a joint's actuators did: friction that holds it all the time
 _FINER = (0.55, 0.75, 1.35, 1.8)
 _STIFF = 1e-4  # [rad] or [m] by which bristles bend before they slip where that is not known
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the joint's travel, that are tried
+_BENT_FINER = (0.6, 1.6)  # times the one that explains most
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
 _REST = 1e-3  # of a joint's speed: below, it rests
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
+
+
+BEND = 2
+"""Place of the bend of bristles among the magnitudes of dry friction."""
 
 
 def _frictionloss(site: Site, machine: Machine) -> float:
@@ -82,6 +84,7 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     it creeps under one as the solver settings in the model's file say. Where x[2] is given it gives
     way by so much before it slips, as bristles do: LuGre friction of one level.
     """
+    # shapes that are left out: it holds, and does not bend
     level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
     total = _frictionloss(site, machine) + level
     if bend and level and total > 0:

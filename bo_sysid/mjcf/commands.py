@@ -1,7 +1,14 @@
-"""How far an actuator's control may go, given what its joint bears."""
+"""What controls do: nothing, or how far they may go, given what a joint bears."""
 
 import mujoco
 import numpy as np
+from jaxtyping import Bool
+
+
+def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
+    """Return which controls do nothing: those of actuators with a bias alone."""
+    deaf = ~model.actuator_gainprm.any(axis=1)
+    return np.repeat(deaf, model.actuator_ctrlnum)  # friction may be an actuator without a control
 
 
 def command_bounds(

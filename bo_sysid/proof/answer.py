@@ -76,7 +76,7 @@ def answer(
     done = {n for n in names if run.has(record_of(n))}
     if len(done) == len(names):
         return
-    opened = answers_at_opening(run.read_json(OPENED)["openings"]) if run.has(OPENED) else {}
+    opened = answers_at_opening(openings_in(run.folder)) if run.has(OPENED) else {}
     late = [n for n in names if n in opened and n not in done]
     if late:
         raise RunError(
@@ -104,6 +104,18 @@ def commitments(folder: Path) -> Mapping[str, Any]:
     if not isinstance(found, dict) or not isinstance(found.get("cases"), dict):
         raise RunError(f"{folder / COMMITMENTS}: damaged")
     return found
+
+
+def openings_in(folder: Path) -> list[dict[str, Any]]:
+    """Return the record of opened seals in a folder, in the order of the openings.
+
+    Raises:
+        RunError: it is damaged.
+    """
+    record = read_json(folder, OPENED)
+    if not isinstance(record, dict) or {"commitments", "openings"} != set(record):
+        raise RunError(f"{folder / OPENED}: is damaged; nothing is scored")
+    return list(record["openings"])
 
 
 def answers_at_opening(openings: Sequence[Mapping[str, Any]]) -> dict[str, str]:

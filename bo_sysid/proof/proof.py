@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
-from bo_sysid.proof.answer import LIMIT, OPENED, answer, answers_at_opening
+from bo_sysid.proof.answer import LIMIT, answer, answers_at_opening, openings_in
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, reveal
@@ -101,7 +101,7 @@ def _with_oracle(scores: Scores, errors: Mapping[str, float]) -> Scores:
 
 
 def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
-    openings, said = run.read_json(OPENED)["openings"], run.read_json(COMMITMENTS)
+    openings, said = openings_in(run.folder), run.read_json(COMMITMENTS)
     suite = yaml.safe_load(run.path("study.yaml").read_text(encoding="utf-8"))["suite"]
     known = "stated in the suite: whoever has it can draw the answers"
     return {

@@ -20,6 +20,7 @@ from bo_sysid.proof.answer import (
     answers_at_opening,
     commitments,
     judged,
+    openings_in,
     record_of,
 )
 from bo_sysid.proof.conceal import CASES, COMMITMENTS, seals_of
@@ -131,11 +132,11 @@ def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -
     commitment = file_digest(folder / COMMITMENTS)
     places = (seals / OPENED, folder / OPENED)
     openings: list[dict[str, Any]] = []
-    copies = {p: read_json(p.parent, OPENED) for p in places if p.is_file()}
+    copies = {p: openings_in(p.parent) for p in places if p.is_file()}
     for place, copy in copies.items():
-        _require({"commitments", "openings"} == set(copy), place, "is damaged")
-        _require(copy["commitments"] == commitment, place, "is of another run")
-        short, long = sorted((openings, copy["openings"]), key=len)
+        own = read_json(place.parent, OPENED)["commitments"] == commitment
+        _require(own, place, "is of another run")
+        short, long = sorted((openings, copy), key=len)
         # one of them lacks the last where an opening was interrupted
         same = long[: len(short)] == short
         _require(same, places[1], "differs from its copy beside the seals")
@@ -154,7 +155,7 @@ def _open(folder: Path, seals: Path, records: Mapping[str, Mapping[str, Any]]) -
             _require(early, folder / record_of(name), "is frozen at a time that is yet to come")
         openings = [*openings, {"opened": now, "answers": new}]
     for place in places:
-        if place not in copies or copies[place]["openings"] != openings:
+        if place not in copies or copies[place] != openings:
             write_json(place, {"commitments": commitment, "openings": openings})
 
 

@@ -11,6 +11,7 @@ from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation.starts import smooth
@@ -178,11 +179,11 @@ def _controls(
     controlled: Sequence[str],
 ) -> Ctrl:
     ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
+    deaf = deaf_controls(compiled)
     for k, name in enumerate(model.ctrl_channels):
-        deaf = not compiled.actuator_gainprm[k].any()  # a bias alone: its control has no effect
         if name in recording.channels:
             ctrl[..., k] = control_steps(recording.channels[name], start, steps, dt)
-        elif not deaf and name.removeprefix("ctrl.") not in controlled:
+        elif not deaf[k] and name.removeprefix("ctrl.") not in controlled:
             _require(recording, [name], "control")
     return ctrl
 

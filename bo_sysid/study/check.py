@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Address, Model
+from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
 from bo_sysid.recording.noise import noise_sigma
@@ -138,14 +140,8 @@ def _known(model: Model) -> dict[str, tuple[str, ...]]:
 
 
 def _deaf(model: Model) -> list[str]:
-    """Return the controls that do nothing: of actuators with a bias alone."""
-    compiled = model.compile()
-    deaf: list[str] = []
-    for a, gain in enumerate(compiled.actuator_gainprm):  # friction may be one without a control
-        first = int(compiled.actuator_ctrladr[a])
-        own = slice(first, first + int(compiled.actuator_ctrlnum[a]))
-        deaf += [] if gain.any() else model.ctrl_channels[own]
-    return deaf
+    """Return the channels of the controls that do nothing."""
+    return list(compress(model.ctrl_channels, deaf_controls(model.compile())))
 
 
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
