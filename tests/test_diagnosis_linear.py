@@ -79,6 +79,19 @@ def test_linear_response_to_the_start_equals_finite_differences(prepared) -> Non
         np.testing.assert_allclose(ready.linear.J[..., k], exact, atol=0.03 * np.abs(exact).max())
 
 
+def test_some_windows_with_other_weights_need_no_new_simulation(prepared) -> None:
+    ready, machine = prepared
+    keep = np.arange(len(ready.start)) % 3 > 0
+    factor = np.random.default_rng(0).uniform(0.2, 1.0, ready.problem.weight.shape)
+    lighter = replace(ready.problem, weight=ready.problem.weight * factor)
+    derived = ready.linear.observing(lighter).rows(keep)
+    anew = linearise(lighter.rows(keep), ready.linear.hypothesis, ready.start.rows(keep))
+    np.testing.assert_allclose(derived.J, anew.J, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(derived.start_gain, anew.start_gain, rtol=1e-6, atol=1e-9)
+    c = candidate(machine, "joint_spring", "elbow")
+    np.testing.assert_allclose(derived.signatures([c]), anew.signatures([c]), rtol=1e-5, atol=1e-4)
+
+
 def test_signatures_hold_at_a_hypothesis_that_is_not_nominal(prepared) -> None:
     ready, machine = prepared
     friction = candidate(machine, "dry_friction", "elbow")

@@ -136,6 +136,24 @@ def test_laws_step_with_the_simulation() -> None:
     np.testing.assert_allclose(by_law.qpos, in_mjcf.qpos, atol=1e-12)
 
 
+def test_a_held_force_is_evaluated_once_every_few_steps() -> None:
+    """The same as stepping the engine by hand, damped by a force that is three steps old at most."""
+    model, start = pendulum(), starts(4)
+    ctrl = np.random.default_rng(3).normal(size=(4, 11, 1))  # the last force is held for two steps
+    damper = ForceLaw("hinge", lambda inputs: -0.5 * inputs.qvel["hinge"], hold=0.003)
+    held = Engine().rollout(model, start, ctrl, laws=(damper,))
+    data = mujoco.MjData(model)
+    for w in range(4):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = start.qpos[w], start.qvel[w]
+        for k in range(11):
+            if k % 3 == 0:
+                data.qfrc_applied[:] = -0.5 * data.qvel
+            data.ctrl[:] = ctrl[w, k]
+            mujoco.mj_step(model, data)
+            np.testing.assert_allclose(held.qpos[w, k + 1], data.qpos, atol=1e-14)
+
+
 def test_a_law_keeps_its_memory_within_one_rollout_only() -> None:
     seen: list[int] = []
 
@@ -151,16 +169,17 @@ def test_a_law_keeps_its_memory_within_one_rollout_only() -> None:
     assert seen == [1, 2, 3, 1, 2, 3]
 
 
-@pytest.mark.parametrize("with_law", [False, True])
+@pytest.mark.parametrize("hold", [None, 0.0, 0.002])
 def test_divergence_is_a_status_per_window(
-    with_law: bool,
+    hold: float | None,
     capfd: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     start = State(np.zeros((3, 1)), np.array([[0.0], [1e12], [1.0]]), np.zeros((3, 0)))
-    law = (ForceLaw("hinge", lambda inputs: np.zeros_like(inputs.time)),) if with_law else ()
+    nothing = lambda inputs: np.zeros_like(inputs.time)  # noqa: E731
+    law = () if hold is None else (ForceLaw("hinge", nothing, hold),)
     trajectory = Engine().rollout(pendulum(), start, np.zeros((3, 5, 1)), laws=law)
     np.testing.assert_array_equal(trajectory.diverged, [False, True, False])
     assert np.isfinite(trajectory.qpos).all()

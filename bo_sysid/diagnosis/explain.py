@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 
-_LITTLE = 0.02  # of what a hypothesis leaves: error of a time step that is as good as a finer one
+_LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
     "position": "where the joint is",
     "speed": "how fast it moves",

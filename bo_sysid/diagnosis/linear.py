@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.points import Points, differ, matrices, points_along
@@ -118,6 +118,43 @@ class Linear:
         step = self.macro * p.windows.timestep
         time = np.broadcast_to(np.arange(self.macros) * step, (len(p.windows), self.macros))
         return Along(qpos, qvel, ctrl, signals, time, step)
+
+    def rows(self, keep: Bool[np.ndarray, " W"]) -> "Linear":
+        """Return the linear model of some windows."""
+        if keep.all():
+            return self
+        return replace(
+            self,
+            problem=self.problem.rows(keep),
+            start=self.start.rows(keep),
+            trajectory=self.trajectory.rows(keep),
+            A=self.A[keep],
+            B=self.B[keep],
+            E=self.E[keep],
+            ctrl=self.ctrl[keep],
+            points=self.points.rows(np.repeat(keep, self.A.shape[1])),
+            J=self.J[keep],
+            Q=self.Q[keep],
+            start_gain=self.start_gain[keep],
+        )
+
+    def observing(self, problem: Problem) -> "Linear":
+        """Return the linear model of the same windows with other weights."""
+        seen = self.problem.weight > 0
+        ratio = np.divide(problem.weight, self.problem.weight, out=np.zeros(seen.shape), where=seen)
+        J = self.J * ratio.reshape(len(ratio), -1, 1)
+        return replace(self, problem=problem)._responding(J)
+
+    def _responding(self, J: Float[np.ndarray, "W R k"]) -> "Linear":
+        """Return the linear model with a response to the start, and what follows from it."""
+        Q, R = np.linalg.qr(J)
+        coordinates = self.points.coordinates
+        if coordinates.second:
+            own = np.abs(np.diagonal(R, axis1=1, axis2=2))
+            own = own * coordinates.reach(self.problem.machine)
+            Q = Q * (own > _UNSEEN)[:, None, :]
+        gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
+        return replace(self, J=J, Q=Q, start_gain=gain)
 
     def signatures(self, candidates: Sequence[Candidate]) -> Float[np.ndarray, "W R p"]:
         """Return the projected response to each magnitude of each candidate, per unit, in sigma."""
@@ -286,12 +323,7 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
     J = np.clip(np.nan_to_num(linear._shown(linear._propagate(None, moves))), -1e12, 1e12)
-    Q, R = np.linalg.qr(J)
-    if s.coordinates.second:
-        own = np.abs(np.diagonal(R, axis1=1, axis2=2)) * s.coordinates.reach(problem.machine)
-        Q = Q * (own > _UNSEEN)[:, None, :]
-    gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
-    return replace(linear, J=J, Q=Q, start_gain=gain)
+    return linear._responding(J)
 
 
 def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:

@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.rounds import substitute
 from bo_sysid.diagnosis.rules import ROUGH, admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
+from bo_sysid.mjcf.touching import can_touch
 
 _TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
 _SHORTEST = 1 / 6  # of the full horizon
@@ -180,9 +181,13 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
 
 
 def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
-    """Fit the leader on all windows, linearised anew until its magnitudes stay where they are."""
+    """Fit the leader on all windows, linearised anew until its magnitudes stay where they are.
+
+    In contact they do not: how much each window says is found anew with every linear model.
+    """
     prepared = prepare(problem, leader.hypothesis)
-    for _ in range(_POLISH if leader.members else 0):
+    most = 1 if can_touch(problem.machine.model) else _POLISH
+    for _ in range(most if leader.members else 0):
         before = leader
         leader = refit(
             prepared.linear, leader.members, leader.x, groups=leader.groups,

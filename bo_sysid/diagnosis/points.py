@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.problem import Problem, Simulated, force_laws
@@ -40,6 +40,16 @@ class Points:
     ctrl: Float[np.ndarray, "P macro nu"]
     signals: Mapping[str, Float[np.ndarray, "P macro"]]
     base: Float[np.ndarray, "P n"]
+
+    def rows(self, keep: Bool[np.ndarray, " P"]) -> "Points":
+        """Return some of the points."""
+        return replace(
+            self,
+            state=self.state.rows(keep),
+            ctrl=self.ctrl[keep],
+            signals={name: values[keep] for name, values in self.signals.items()},
+            base=self.base[keep],
+        )
 
     def stepped(
         self,

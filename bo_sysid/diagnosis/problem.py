@@ -292,7 +292,7 @@ def coarsened(hypothesis: Hypothesis, tolerance: float) -> Hypothesis:
 
 def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
     """Return the forces among `parts` as laws of the simulation."""
-    return tuple(ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force))
+    return tuple(ForceLaw(p.joint, p.law, p.hold) for p in parts if isinstance(p, Force))
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

@@ -172,13 +172,17 @@ def learn(
 
 
 def law_candidate(machine: Machine, joint: str, terms: Sequence[Feature]) -> Candidate:
-    """Return a force law with the given terms as a candidate."""
-    scale = machine.joints[joint].force
+    """Return a force law with the given terms as a candidate.
+
+    It is held for the model's time step, at which it is learned, also where the mechanics are
+    stepped finer: it is evaluated outside the engine.
+    """
+    scale, hold = machine.joints[joint].force, machine.model.opt.timestep
     count = len(terms)
     extent = Extent((0.05,) * count, (-1e6,) * count, (1e6,) * count)
 
     def apply(spec: object, site: Site, x: np.ndarray, machine: Machine) -> Force:
-        return Force(joint, learned_force(terms, x, scale))
+        return Force(joint, learned_force(terms, x, scale), hold)
 
     effect = Effect(
         id="unknown", kind="joint", components=tuple(Component(t.name, "–") for t in terms),

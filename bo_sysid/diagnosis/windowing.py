@@ -5,6 +5,7 @@ delay on every joint and was the main source of false names. It is one column fo
 projected difference between a finer step and the model's, with one coefficient.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -21,6 +22,7 @@ from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
+_WORTH_A_ROUND, _TINY = 1e-3, 1e-300  # of the squared residual, what a round must gain
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
@@ -54,21 +56,21 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     Args:
         problem: the windows.
         at: the hypothesis.
-        known: starts that were fitted before, kept where they leave less.
+        known: starts that were fitted to it before.
     """
     at = at or nothing(problem)
     _require_finite(problem, at, problem.windows.start)
-    start = _settled(problem, at, known)
-    linear = linearise(problem, at, start)
+    first = [] if known is None else [known]
+    if known is None or problem.loose(at):  # in a gap no step leads from one arrival to another
+        first = [*first_starts(problem, at), *first]
+    linear = _settled(problem, at, first)
     if can_touch(problem.machine.model):
-        problem = weighted_by_chaos(linear, at, start)
-        linear = linearise(problem, at, start)
-    correction = correction_at(problem, linear, at, start)
+        linear = linear.observing(weighted_by_chaos(linear))
+    correction = correction_at(linear)
     size = np.sqrt((correction**2).mean(axis=1))
     keep = size < _CHAOTIC * np.median(size) + 0.5
-    if not keep.all():
-        problem, start, correction = problem.rows(keep), start.rows(keep), correction[keep]
-        linear = linearise(problem, at, start)
+    linear, correction = linear.rows(keep), correction[keep]
+    problem, start = linear.problem, linear.start
     rms = float(np.sqrt((correction**2).sum() / problem.dof))
     if rms > _NEGLIGIBLE:
         problem = replace(problem, correction=correction)
@@ -76,16 +78,27 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     return Prepared(problem, start, linear, rms, int((~keep).sum()))
 
 
-def _settled(problem: Problem, at: Hypothesis, known: State | None) -> State:
-    """Return the starts that leave least of each window, settled from several first ones."""
+def _settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
+    """Return the model linearised at the starts that leave least of each window.
+
+    Args:
+        problem: the windows.
+        at: the hypothesis.
+        first: starts from each of which they are settled.
+    """
     found: tuple[State, Float[np.ndarray, "W R"]] | None = None
-    for start in (*first_starts(problem, at), *([known] if known is not None else [])):
+    for start in first:
+        linear, r = linearise(problem, at, start), problem.residual(at, start)
         for _ in range(_ROUNDS):
+            moved, rn = settle(problem, linear, at, start, 1, _SHARES)
+            gain, r = 1 - (rn**2).sum() / max((r**2).sum(), _TINY), rn
+            if gain < _WORTH_A_ROUND:
+                break
+            start = moved
             linear = linearise(problem, at, start)
-            start, r = settle(problem, linear, at, start, 1, _SHARES)
         found = (start, r) if found is None else better_of(*found, start, r)[:2]
     assert found is not None  # noqa: S101 - there is always a first start
-    return found[0]
+    return linear if len(first) == 1 else linearise(problem, at, found[0])
 
 
 def _require_finite(problem: Problem, at: Hypothesis, start: State) -> None:
@@ -121,15 +134,15 @@ def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
     return count / len(poses)
 
 
-def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
+def weighted_by_chaos(linear: Linear) -> Problem:
     """Return the problem with less weight where contact decides.
 
     The start is moved within its own uncertainty; what of the change of the predictions is not
     linear is a variance of every sample, added to the sensor's. Windows in which a contact is made
     or not by chance lose their weight by themselves.
     """
-    problem, nv = linear.problem, linear.problem.machine.model.nv
-    r = problem.residual(at, start)
+    problem, at, start = linear.problem, linear.hypothesis, linear.start
+    nv, r = problem.machine.model.nv, problem.residual(at, start)
     J = linear.J[..., : 2 * nv]
     N = np.einsum("wri,wrj->wij", J, J)
     ridge = 1e-6 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(2 * nv) / (2 * nv)
@@ -144,10 +157,8 @@ def weighted_by_chaos(linear: Linear, at: Hypothesis, start: State) -> Problem:
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
 
 
-def correction_at(
-    problem: Problem, linear: Linear, hypothesis: Hypothesis, start: State
-) -> Float[np.ndarray, "W R"]:
+def correction_at(linear: Linear) -> Float[np.ndarray, "W R"]:
     """Return the projected difference that a finer time step makes to a hypothesis."""
-    plain = replace(hypothesis, numerics=0.0)
-    fine = problem.residual(plain, start, finer=FINER)
-    return project(linear.Q, problem.residual(plain, start) - fine)
+    problem, plain = linear.problem, replace(linear.hypothesis, numerics=0.0)
+    fine = problem.residual(plain, linear.start, finer=FINER)
+    return project(linear.Q, problem.residual(plain, linear.start) - fine)

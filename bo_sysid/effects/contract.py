@@ -67,10 +67,17 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class Force:
-    """A force on one joint as a function of the motion, in [N m] or [N]."""
+    """A force on one joint as a function of the motion, in [N m] or [N].
+
+    Attributes:
+        joint: name of the joint.
+        law: the force for each of many simulations.
+        hold: time in [s] for which a value may be held; 0 where it follows every step.
+    """
 
     joint: str
     law: Callable[[Motion], Signal]
+    hold: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ MuJoCo's batch runs without Python callbacks, so a law is evaluated for all wind
 two steps: a controller writes `ctrl`, a force law adds to `qfrc_applied`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,10 +64,18 @@ class ForceLaw:
     Attributes:
         joint: name of a hinge or slide joint.
         law: returns the force on each of W simulations in [N m] or [N].
+        hold: time in [s] for which a value may be held; 0 where it follows every step.
     """
 
     joint: str
     law: Law
+    hold: float = 0.0
+
+
+def steps_held(laws: Sequence[Controller | ForceLaw], timestep: float) -> int:
+    """Return over how many steps all laws may hold what they returned, at least one."""
+    holds = [w.hold if isinstance(w, ForceLaw) else 0.0 for w in laws]
+    return max(round(min(holds, default=0.0) / timestep), 1)
 
 
 class LockStep:

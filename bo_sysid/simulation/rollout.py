@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
 from bo_sysid.arrays import Ctrl
-from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep
+from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep, steps_held
 from bo_sysid.simulation.state import State, Trajectory
 
 _STATE = mujoco.mjtState.mjSTATE_QPOS | mujoco.mjtState.mjSTATE_QVEL | mujoco.mjtState.mjSTATE_ACT
@@ -71,7 +71,10 @@ class Engine:
         before = batch.warning[:, :, 1].sum(axis=1)
         with quietly():
             written = np.array(ctrl) if any(isinstance(w, Controller) for w in laws) else None
-            if laws:
+            every = steps_held(laws, batch.model.opt.timestep)
+            if laws and every > 1 and force is None and not sensors:
+                recorded = self._with_held_forces(batch, ctrl, laws, signals or {}, every)
+            elif laws:
                 recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors, written)
             else:
                 recorded = self._open_loop(batch, ctrl, force, sensors)
@@ -170,6 +173,36 @@ class Engine:
         except SimulationError as error:
             failed[error.ids] = True
         return out[int(_STATE)][:, :steps], out.get("sensordata"), failed
+
+    def _with_held_forces(
+        self,
+        batch: Batch,
+        ctrl: Ctrl,
+        laws: Sequence[Controller | ForceLaw],
+        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        every: int,
+    ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
+        """Step with force laws that are evaluated every so many steps, and held between."""
+        steps, model, spec = ctrl.shape[1], batch.model, int(_STATE)
+        views = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+        lockstep = LockStep(model, tuple(laws), signals, views, None)
+        states = np.zeros((batch.nsim, steps, model.nq + model.nv + model.na))
+        alive = np.ones(batch.nsim, bool)
+        for k in range(0, steps, every):
+            if model.nu:
+                views["ctrl"][:] = ctrl[:, k]
+            lockstep.apply(k)
+            rows, part = np.flatnonzero(alive), slice(k, min(k + every, steps))
+            inputs = ctrl[rows, part] if model.nu else None
+            count = part.stop - part.start
+            out = {spec: np.zeros((len(rows), count, states.shape[2]))}
+            states[~alive, part] = states[~alive, max(k - 1, 0), None]
+            try:
+                batch.rollout(count, control=inputs, record=(spec,), ids=rows, out=out)
+            except SimulationError as error:
+                alive[error.ids] = False
+            states[rows, part] = out[spec]
+        return states, None, ~alive
 
     def _lockstep(
         self,
