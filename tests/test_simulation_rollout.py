@@ -137,9 +137,9 @@ def test_laws_step_with_the_simulation() -> None:
 
 
 def test_a_held_force_is_evaluated_once_every_few_steps() -> None:
-    """The same as stepping the engine by hand, damped by a force that is three steps old at most."""
+    """The same as stepping the engine by hand, damped by a force that is held."""
     model, start = pendulum(), starts(4)
-    ctrl = np.random.default_rng(3).normal(size=(4, 11, 1))  # the last force is held for two steps
+    ctrl = np.random.default_rng(3).normal(size=(4, 11, 1))
     damper = ForceLaw("hinge", lambda inputs: -0.5 * inputs.qvel["hinge"], hold=0.003)
     held = Engine().rollout(model, start, ctrl, laws=(damper,))
     data = mujoco.MjData(model)
@@ -152,6 +152,23 @@ def test_a_held_force_is_evaluated_once_every_few_steps() -> None:
             data.ctrl[:] = ctrl[w, k]
             mujoco.mj_step(model, data)
             np.testing.assert_allclose(held.qpos[w, k + 1], data.qpos, atol=1e-14)
+
+
+def test_a_law_sees_the_names_and_the_time_step_of_the_model_that_is_given() -> None:
+    """Also where the batch was made for another model of the same sizes."""
+    engine, start, ctrl = Engine(), starts(2), np.zeros((2, 3, 1))
+    seen: list[tuple[set[str], float]] = []
+
+    def law(inputs: LawInputs) -> np.ndarray:
+        seen.append((set(inputs.qpos), inputs.timestep))
+        return np.zeros_like(inputs.time)
+
+    for name, step in (("hinge", 0.001), ("elbow", 0.002)):
+        xml = PENDULUM.format(damping=0, integrator="Euler").replace('"hinge"', f'"{name}"')
+        model = mujoco.MjModel.from_xml_string(xml)
+        model.opt.timestep = step
+        engine.rollout(model, start, ctrl, laws=(ForceLaw(name, law),))
+        assert seen[-1] == ({name}, step)
 
 
 def test_a_law_keeps_its_memory_within_one_rollout_only() -> None:

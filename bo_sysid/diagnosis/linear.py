@@ -16,7 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.points import Points, differ, matrices, points_along
+from bo_sysid.diagnosis.points import (
+    Points,
+    control_matrix,
+    differ,
+    force_matrix,
+    points_along,
+    state_matrix,
+)
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.effects import Force, Part
@@ -67,8 +74,6 @@ class Linear:
         macro: simulation steps in a macro step.
         hold: macro steps over which the matrices are held; K = M / hold, rounded up.
         A: `W x K x n x n` with n = 2 nv + na of the edited model.
-        B: `W x K x n x nv` per unit of force on a nominal coordinate.
-        E: `W x K x n x nu` per unit of control.
         ctrl: `W x S x nu` controls of the hypothesis, before controllers write theirs.
         points: the states at which it was linearised.
         J: `W x R x k` response to the start, in sigma: 2 nv nominal coordinates, and those of
@@ -86,8 +91,6 @@ class Linear:
     macro: int
     hold: int
     A: Float[np.ndarray, "W K n n"]
-    B: Float[np.ndarray, "W K n nv"]
-    E: Float[np.ndarray, "W K n nu"]
     ctrl: Float[np.ndarray, "W S nu"]
     points: Points
     J: Float[np.ndarray, "W R k"]
@@ -98,6 +101,16 @@ class Linear:
     def macros(self) -> int:
         """Number M of macro steps."""
         return int(self.ctrl.shape[1] // self.macro)
+
+    @cached_property
+    def B(self) -> Float[np.ndarray, "W K n nv"]:  # noqa: N802
+        """The response of a macro step to a unit of force on each nominal coordinate."""
+        return force_matrix(self.problem, self.points, len(self.start))
+
+    @cached_property
+    def E(self) -> Float[np.ndarray, "W K n nu"]:  # noqa: N802
+        """The response of a macro step to a unit of each control."""
+        return control_matrix(self.problem, self.points, len(self.start))
 
     @cached_property
     def along(self) -> Along:
@@ -129,8 +142,6 @@ class Linear:
             start=self.start.rows(keep),
             trajectory=self.trajectory.rows(keep),
             A=self.A[keep],
-            B=self.B[keep],
-            E=self.E[keep],
             ctrl=self.ctrl[keep],
             points=self.points.rows(np.repeat(keep, self.A.shape[1])),
             J=self.J[keep],
@@ -314,11 +325,11 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     spare = -s.ctrl.shape[1] % macro
     ctrl = np.pad(s.ctrl, ((0, 0), (0, spare), (0, 0)), mode="edge")
     points = points_along(problem, s, ctrl, macro, hold)
-    A, B, E = matrices(problem, points, len(start))
     W = len(start)
+    A = state_matrix(points, W)
     empty = np.zeros((W, problem.count, 0))
     linear = Linear(
-        problem, hypothesis, start, s.trajectory, s.parts, macro, hold, A, B, E, ctrl, points,
+        problem, hypothesis, start, s.trajectory, s.parts, macro, hold, A, ctrl, points,
         empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))

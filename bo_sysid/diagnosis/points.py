@@ -111,33 +111,41 @@ def points_along(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, h
     return replace(points, base=points.stepped())
 
 
-def matrices(problem: Problem, points: Points, W: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how a macro step changes with the state, a force and a control.
-
-    Returns:
-        A `W x K x n x n`, B `W x K x n x nv` for the nominal coordinates and E `W x K x n x nu`, by
-        one-sided differences.
-    """
-    c = points.coordinates
-    nv, n, P = len(c.qvel), points.base.shape[1], len(points.state)
-    A, B = np.empty((P, n, n)), np.empty((P, n, nv))
-    E = np.empty((P, n, points.ctrl.shape[-1]))
+def state_matrix(points: Points, W: int) -> Float[np.ndarray, "W K n n"]:
+    """Return how a macro step changes with the state, by one-sided differences."""
+    P, n = points.base.shape
+    A = np.empty((P, n, n))
     for k in range(n):
         size = _MOVE if k < points.model.nv else _TURN
         A[..., k] = (points.stepped(state=points.perturbed(k, size)) - points.base) / size
+    return A.reshape(W, P // W, n, n)
+
+
+def force_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray, "W K n nv"]:
+    """Return how a macro step changes with a force on each nominal coordinate."""
+    c = points.coordinates
+    nv, (P, n) = len(c.qvel), points.base.shape
+    B = np.empty((P, n, nv))
     scale = {j.dof: j.force for j in problem.machine.joints.values()}
     for k in range(nv):
         size = _FORCE * scale.get(k, 1.0)
         force = np.zeros((P, points.ctrl.shape[1], points.model.nv))
         force[..., c.qvel[k]] = size
         B[..., k] = (points.stepped(force=force) - points.base) / size
+    return B.reshape(W, P // W, n, nv)
+
+
+def control_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray, "W K n nu"]:
+    """Return how a macro step changes with each control."""
+    P, n = points.base.shape
+    E = np.empty((P, n, points.ctrl.shape[-1]))
     for k, name in enumerate(problem.model.ctrl_channels):
         actuator = problem.machine.actuators.get(name.removeprefix("ctrl."))
         size = 1e-3 * max(actuator.ctrl_max if actuator else 1.0, 1e-6)
         ctrl = points.ctrl.copy()
         ctrl[..., k] += size
         E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / size
-    return tuple(a.reshape(W, P // W, *a.shape[1:]) for a in (A, B, E))  # type: ignore[return-value]
+    return E.reshape(W, P // W, *E.shape[1:])
 
 
 def differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:

@@ -15,12 +15,16 @@ from bo_sysid.diagnosis.fit import Fit, assess
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.starts import caught_up
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _NUMERICS = (-0.5, 2.0)
 _SHRINK = 0.35
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _CUT = 1e9
+_RETURNS = 2  # times that windows left behind catch up
+_WORTH, _HOPELESS = 0.02, 2.5  # gain to go on for; times the best rms of others to give up at
 
 
 @dataclass(frozen=True)
@@ -146,11 +150,12 @@ def refit(
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
     if len(theta):
         point, S = _descend(frame, space, point, S if columns is not None else None, effort)
-    begin, r, _ = _moved(
-        problem, frame, space.hypothesis(point.theta), point.start, point.r, point.r
-    )
+    point = _settled(frame, space, point)
+    if can_touch(problem.machine.model):
+        point, S = _caught_up(frame, space, point, S, effort)
     labels = groups if groups is not None else (None,) * len(members)
-    return assess(problem, frame.Q, space.hypothesis(point.theta), labels, begin, r, S)
+    hypothesis = space.hypothesis(point.theta)
+    return assess(problem, frame.Q, hypothesis, labels, point.start, point.r, S)
 
 
 def first_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
@@ -176,6 +181,30 @@ class _Point:
     @property
     def rss(self) -> float:
         return float((self.r**2).sum())
+
+
+def _settled(frame: Linear, space: _Space, point: _Point) -> _Point:
+    """Return a point with its starts moved once more along the response to them."""
+    hypothesis = space.hypothesis(point.theta)
+    start, r, _ = _moved(frame.problem, frame, hypothesis, point.start, point.r, point.r)
+    return _Point(point.theta, start, r, project(frame.Q, r))
+
+
+def _caught_up(
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, effort: Effort
+) -> tuple[_Point, np.ndarray]:
+    """Return a point whose windows were fitted on each by itself, and magnitudes with them."""
+    for k in range(_RETURNS):
+        if np.sqrt(point.rss / frame.problem.dof) > _HOPELESS * max(effort.rival, 1.0):
+            break
+        hypothesis = space.hypothesis(point.theta)
+        start, r = caught_up(frame.problem, hypothesis, point.start, point.r)
+        gain = point.rss - float((r**2).sum())
+        point = _Point(point.theta, start, r, project(frame.Q, r))
+        if k == _RETURNS - 1 or gain < _WORTH * point.rss or not len(point.theta):
+            break
+        point, J = _descend(frame, space, point, None, effort)
+    return point, J
 
 
 def _descend(

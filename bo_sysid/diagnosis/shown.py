@@ -34,7 +34,7 @@ def _delayed(
 ) -> Float[np.ndarray, "W H"]:
     """Return what a channel shows `delay` earlier minus what it shows now.
 
-    Before the start of the window the motion is continued along a straight line.
+    Before the start of the window the motion is continued with the acceleration that it had there.
     """
     at = (windows.step + windows.fraction) - delay / windows.timestep
     inside = np.clip(at, 0.0, windows.steps)
@@ -46,8 +46,12 @@ def _delayed(
     )
     then = replace(now, step=step, fraction=inside - step)
     late = predicted(layout, then, trajectory)[..., 0]
-    first = replace(now, step=np.zeros_like(step), fraction=np.zeros_like(inside))
-    second = replace(now, step=np.ones_like(step), fraction=np.zeros_like(inside))
-    slope = predicted(layout, second, trajectory) - predicted(layout, first, trajectory)
-    late = late + np.minimum(at, 0.0) * slope[..., 0]
+    before, still = np.minimum(at, 0.0), np.zeros_like(inside)
+    q0, q1, q2 = (
+        predicted(layout, replace(now, step=np.full_like(step, k), fraction=still), trajectory)
+        for k in range(3)
+    )
+    # Newton's polynomial through the first three steps
+    late = late + before * (q1 - q0)[..., 0]
+    late = late + 0.5 * before * (before - 1) * (q2 - 2 * q1 + q0)[..., 0]
     return np.asarray(late - predicted(layout, now, trajectory)[..., 0])

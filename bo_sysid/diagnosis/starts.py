@@ -22,6 +22,7 @@ _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
+_LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
@@ -62,6 +63,33 @@ def estimated(
     if rows.size:
         found.tried(rows, at_rest.rows(rows))
     return found.start
+
+
+def caught_up(
+    problem: Problem, hypothesis: Hypothesis, start: State, r: Float[np.ndarray, "W R"]
+) -> tuple[State, Float[np.ndarray, "W R"]]:
+    """Return starts and residuals where windows that leave more than noise were fitted on.
+
+    In contact a start decides when something is touched: along one response to the starts of all
+    windows many are left behind, and what they leave asks for names that are not there.
+
+    Args:
+        problem: the windows.
+        hypothesis: simulates.
+        start: starts so far.
+        r: what they leave.
+    """
+    cost = (r**2).sum(axis=1)
+    rows = np.flatnonzero(cost > _LEFT_BEHIND * (problem.weight > 0).sum(axis=(1, 2)))
+    if not rows.size:
+        return start, r
+    everything = np.ones(problem.count, bool)
+    found = _Starts(problem.rows(rows), hypothesis, start.rows(rows), everything, 1)
+    found.fit()
+    better = (found.residual**2).sum(axis=1) < cost[rows]
+    won, r = rows[better], r.copy()
+    r[won] = found.residual[better]
+    return _placed(start, won, found.start.rows(better)), r
 
 
 def first_starts(
@@ -133,8 +161,8 @@ class _Starts:
         self._problem, self._hypothesis, self._known = problem, hypothesis, known
         self._finer, self.start = finer, start
         everything = np.arange(len(start))
-        self._r = self._residual(everything, start)
-        self.cost = (self._r**2).sum(axis=1)
+        self.residual = self._residual(everything, start)
+        self.cost = (self.residual**2).sum(axis=1)
         self._anchor = self.start
 
     def tried(self, rows: Int[np.ndarray, " L"], start: State) -> None:
@@ -186,7 +214,7 @@ class _Starts:
         model = self._problem.machine.model
         moved = self._anchor.rows(rows).moved(model, away.reshape(len(rows), -1))
         r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)[:, self._known]
-        change = self._r[busy] - r.reshape(len(sizes), len(busy), -1)
+        change = self.residual[busy] - r.reshape(len(sizes), len(busy), -1)
         return np.asarray(np.moveaxis(change, 0, -1) / sizes)
 
     def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
@@ -209,7 +237,7 @@ class _Starts:
         self, busy: Int[np.ndarray, " B"]
     ) -> tuple[Float[np.ndarray, "B n"], Float[np.ndarray, " B"]]:
         """Return the Gauss-Newton step of some windows and the gain that it promises."""
-        g = np.einsum("wri,wr->wi", self._J[busy], self._r[busy])
+        g = np.einsum("wri,wr->wi", self._J[busy], self.residual[busy])
         g -= self._away[busy] / self._spread**2
         step = np.einsum("wij,wj->wi", self._gain[busy], g)
         return step, np.einsum("wi,wi->w", g, step)
@@ -240,7 +268,7 @@ class _Starts:
         cost = (r**2).sum(axis=1) + penalty
         better = cost < self.cost[rows]
         won = rows[better]
-        self._r[won], self.cost[won] = r[better], cost[better]
+        self.residual[won], self.cost[won] = r[better], cost[better]
         self.start = _placed(self.start, won, tried.rows(better))
         return np.asarray(better)
 

@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import FINER, Problem
 from bo_sysid.diagnosis.refit import better_of, settle
-from bo_sysid.diagnosis.starts import first_starts
+from bo_sysid.diagnosis.starts import caught_up, first_starts
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
@@ -25,6 +25,7 @@ _ROUNDS = 3
 _WORTH_A_ROUND, _TINY = 1e-3, 1e-300  # of the squared residual, what a round must gain
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
+_NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
 _CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
 _TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
@@ -65,7 +66,10 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         first = [*first_starts(problem, at), *first]
     linear = _settled(problem, at, first)
     if can_touch(problem.machine.model):
+        start, _ = caught_up(problem, at, linear.start, problem.residual(at, linear.start))
+        linear = linear if start is linear.start else linearise(problem, at, start)
         linear = linear.observing(weighted_by_chaos(linear))
+        linear = linear.observing(weighted_by_step(linear))
     correction = correction_at(linear)
     size = np.sqrt((correction**2).mean(axis=1))
     keep = size < _CHAOTIC * np.median(size) + 0.5
@@ -155,6 +159,17 @@ def weighted_by_chaos(linear: Linear) -> Problem:
         squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
     variance = (squares / _DRAWS).reshape(problem.weight.shape)
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
+
+
+def weighted_by_step(linear: Linear) -> Problem:
+    """Return the problem with less weight where the time step decides.
+
+    One share of the correction holds for all of a smooth motion, not for impacts: half of what a
+    finer step changes there is a standard deviation of every sample, added to the sensor's.
+    """
+    weight = linear.problem.weight
+    left = _NOT_SHARED * correction_at(linear).reshape(weight.shape)
+    return replace(linear.problem, weight=weight / np.sqrt(1.0 + left**2))
 
 
 def correction_at(linear: Linear) -> Float[np.ndarray, "W R"]:

@@ -3,7 +3,17 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Component, Extent, Hidden, Magnitudes, Part, Site
+from bo_sysid.effects.contract import (
+    Component,
+    Extent,
+    Force,
+    Hidden,
+    Magnitudes,
+    Motion,
+    Part,
+    Signal,
+    Site,
+)
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
@@ -26,7 +36,7 @@ _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     """Return where the encoder may be: (), where the joint has no drive that it could tell from.
 
-    A servo closes its loop on the motor's side.
+    A servo closes its loop where the encoder is.
     """
     model, joint = machine.model, machine.joints[site.name]
     number = model.joint(site.name).id
@@ -34,8 +44,30 @@ def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     last = number == model.body_jntadr[body] + model.body_jntnum[body] - 1
     if not (joint.actuators and last):
         return ()
-    servo = any(machine.actuators[a].servo for a in joint.actuators)
-    return (_MOTOR_SIDE,) if servo else (_MOTOR_SIDE, _LINK_SIDE)
+    return (_MOTOR_SIDE, _LINK_SIDE)
+
+
+def _loop(site: Site, machine: Machine) -> tuple[float, float]:
+    """Return gain and damping of the servos of a joint, in [N m/rad] and [N m s/rad]."""
+    drives = [machine.actuators[a] for a in machine.joints[site.name].actuators]
+    kp, kd = (-sum(a.bias[k] * a.gear**2 for a in drives) for k in (1, 2))
+    return kp, kd
+
+
+def _closed(hidden: Hidden, site: Site, machine: Machine) -> Part | tuple[Part, ...]:
+    """Return an added joint, with what a servo whose encoder sits on the link does more.
+
+    In MJCF its loop is closed by the motor's position q; the encoder shows q + δ, so that the
+    motor's torque differs by -kp δ - kd δ'.
+    """
+    kp, kd = _loop(site, machine)
+    if not (hidden.shown and (kp or kd)):
+        return hidden
+
+    def law(motion: Motion) -> Signal:
+        return -kp * motion.qpos[hidden.joint] - kd * motion.qvel[hidden.joint]
+
+    return hidden, Force(site.name, law)
 
 
 def _second_joint(
@@ -48,8 +80,7 @@ def _second_joint(
     joint's damping acts on the link, as that of a fixed tendon along both.
     """
     joint, scale = spec.joint(site.name), machine.joints[site.name]
-    drives = [machine.actuators[a] for a in scale.actuators]
-    kp, kd = (-sum(a.bias[k] * a.gear**2 for a in drives) for k in (1, 2))
+    kp, kd = _loop(site, machine)
     dt = spec.option.timestep
     explicit = spec.option.integrator in _EXPLICIT
     floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
@@ -105,7 +136,9 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     separation="small reversals, slow and fast",
     hidden=True,
 )
-def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
+def backlash(
+    spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+) -> Part | tuple[Part, ...] | None:
     """A gap of x[0] in total, whose ends give way by x[1]·torque.
 
     x[2] is the share of the joint's damping that acts on the link; x[3] is 0 with the encoder on
@@ -116,6 +149,16 @@ def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     """
     if not x[0]:
         return None
+    open_, soft = 0.5 * float(x[0]), float(x[1])
+    hidden = Hidden(
+        f"{site.name}_play",
+        site.name,
+        float(x[3]),
+        lambda torque: -open_ * np.sign(torque) - soft * torque,
+        open_ + soft * _MOST * machine.joints[site.name].force,
+    )
+    if spec.joint(hidden.joint) is not None:  # the model has it: what stands beside it is wanted
+        return _closed(hidden, site, machine)
     play, dt = _second_joint(spec, site, machine, "play", float(x[2])), spec.option.timestep
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
@@ -125,14 +168,7 @@ def backlash(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
     play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
     play.solref_limit = [-stiff, -2.0 * _RATIO * np.sqrt(stiff)]
-    open_, soft = 0.5 * float(x[0]), float(x[1])
-    return Hidden(
-        play.name,
-        site.name,
-        float(x[3]),
-        lambda torque: -open_ * np.sign(torque) - soft * torque,
-        open_ + soft * _MOST * machine.joints[site.name].force,
-    )
+    return _closed(hidden, site, machine)
 
 
 def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
@@ -175,7 +211,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def joint_compliance(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
-) -> Part | None:
+) -> Part | tuple[Part, ...] | None:
     """Deflection x[0]·torque between motor and link; x[2] and x[3] as of backlash.
 
     A spring that the time step h resolves is the stiffness k = 1/x[0] of the second joint, with
@@ -186,7 +222,13 @@ def joint_compliance(
     """
     if not x[0]:
         return None
-    flex, compliance = _second_joint(spec, site, machine, "flex", float(x[2])), float(x[0])
+    compliance = float(x[0])
+    hidden = Hidden(
+        f"{site.name}_flex", site.name, float(x[3]), lambda torque: -compliance * torque
+    )
+    if spec.joint(hidden.joint) is not None:
+        return _closed(hidden, site, machine)
+    flex = _second_joint(spec, site, machine, "flex", float(x[2]))
     slow = (2.0 * spec.option.timestep) ** 2 * _inverse_inertia(spec, flex)
     if compliance > 0.5 * slow:
         flex.stiffness[0] = 1.0 / compliance
@@ -201,4 +243,4 @@ def joint_compliance(
             solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
-    return Hidden(flex.name, site.name, float(x[3]), lambda torque: -compliance * torque)
+    return _closed(hidden, site, machine)

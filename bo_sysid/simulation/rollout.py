@@ -71,13 +71,17 @@ class Engine:
         before = batch.warning[:, :, 1].sum(axis=1)
         with quietly():
             written = np.array(ctrl) if any(isinstance(w, Controller) for w in laws) else None
-            every = steps_held(laws, batch.model.opt.timestep)
-            if laws and every > 1 and force is None and not sensors:
-                recorded = self._with_held_forces(batch, ctrl, laws, signals or {}, every)
-            elif laws:
-                recorded = self._lockstep(batch, ctrl, force, laws, signals or {}, sensors, written)
-            else:
+            if not laws:
                 recorded = self._open_loop(batch, ctrl, force, sensors)
+            else:
+                model = _first(models)  # the batch's may have other names and another time step
+                views = {n: batch.bind(n) for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+                lockstep = LockStep(model, tuple(laws), signals or {}, views, force)
+                every = steps_held(laws, model.opt.timestep)
+                if every > 1 and force is None and not sensors:
+                    recorded = self._with_held_forces(batch, ctrl, lockstep, every)
+                else:
+                    recorded = self._lockstep(batch, ctrl, lockstep, sensors, written)
         states, sensordata, failed = recorded
         diverged = failed | (batch.warning[:, :, 1].sum(axis=1) > before)
         return replace(_trajectory(batch.model, start, states, sensordata, diverged), ctrl=written)
@@ -137,8 +141,7 @@ class Engine:
                 pass  # another structure: a new batch below
             else:
                 return self._batch
-        first = models if isinstance(models, mujoco.MjModel) else models[0]
-        self._batch = Batch(first, nsim=count, nthread=self.threads)
+        self._batch = Batch(_first(models), nsim=count, nthread=self.threads)
         self._batch.set_models(models)
         return self._batch
 
@@ -178,19 +181,17 @@ class Engine:
         self,
         batch: Batch,
         ctrl: Ctrl,
-        laws: Sequence[Controller | ForceLaw],
-        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        lockstep: LockStep,
         every: int,
     ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
         """Step with force laws that are evaluated every so many steps, and held between."""
         steps, model, spec = ctrl.shape[1], batch.model, int(_STATE)
-        views = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qfrc_applied")}
-        lockstep = LockStep(model, tuple(laws), signals, views, None)
+        driven = batch.bind("ctrl")
         states = np.zeros((batch.nsim, steps, model.nq + model.nv + model.na))
         alive = np.ones(batch.nsim, bool)
         for k in range(0, steps, every):
             if model.nu:
-                views["ctrl"][:] = ctrl[:, k]
+                driven[:] = ctrl[:, k]
             lockstep.apply(k)
             rows, part = np.flatnonzero(alive), slice(k, min(k + every, steps))
             inputs = ctrl[rows, part] if model.nu else None
@@ -208,17 +209,13 @@ class Engine:
         self,
         batch: Batch,
         ctrl: Ctrl,
-        force: Float[np.ndarray, "W S nv"] | None,
-        laws: Sequence[Controller | ForceLaw],
-        signals: Mapping[str, Float[np.ndarray, "W S"]],
+        lockstep: LockStep,
         sensors: bool,
         written: Ctrl | None,
     ) -> tuple[np.ndarray, np.ndarray | None, Bool[np.ndarray, " W"]]:
         """Step with laws; the controls that they write are kept in `written`."""
         steps, model = ctrl.shape[1], batch.model
-        views = {name: batch.bind(name) for name in ("qpos", "qvel", "ctrl", "qfrc_applied")}
-        sensordata = batch.bind("sensordata") if sensors else None
-        lockstep = LockStep(model, tuple(laws), signals, views, force)
+        driven, sensordata = batch.bind("ctrl"), batch.bind("sensordata") if sensors else None
         first, size = _offset(batch), model.nq + model.nv + model.na
         states = np.zeros((batch.nsim, steps, size))
         sensed = np.zeros((batch.nsim, steps + 1, model.nsensordata)) if sensors else None
@@ -227,10 +224,10 @@ class Engine:
         for k in range(steps + sensors):
             k_input = min(k, steps - 1)
             if model.nu:
-                views["ctrl"][:] = ctrl[:, k_input]
+                driven[:] = ctrl[:, k_input]
             lockstep.apply(k_input)
             if written is not None and k < steps:
-                written[:, k] = views["ctrl"]
+                written[:, k] = driven
             try:
                 batch.step(ids=None if alive.all() else np.flatnonzero(alive))
             except SimulationError as error:
@@ -242,6 +239,10 @@ class Engine:
                 good = batch.state[:, first : first + size]
                 states[:, k] = np.where(alive[:, None], good, states[:, max(k - 1, 0)])
         return states, sensed, ~alive
+
+
+def _first(models: mujoco.MjModel | Sequence[mujoco.MjModel]) -> mujoco.MjModel:
+    return models if isinstance(models, mujoco.MjModel) else models[0]
 
 
 def _offset(batch: Batch) -> int:

@@ -1,0 +1,61 @@
+"""What a servo does whose gear gives way, against the linear system that it is."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from bo_sysid.effects import CATALOGUE, Force, Site, survey
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, ForceLaw, State
+
+GEARED = """
+<mujoco>
+  <option timestep="0.00002" gravity="0 0 0" integrator="implicitfast"/>
+  <worldbody><body>
+    <joint name="hinge" axis="0 0 1" armature="0.02"/>
+    <geom type="box" size=".1 .1 .1" mass="3"/>
+  </body></worldbody>
+  <actuator><position name="motor" joint="hinge" kp="5" kv="0.4" gear="2"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("on_link", [0.0, 1.0])
+def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(on_link: float) -> None:
+    """Against the matrix exponential of two inertias, a spring between them, and the loop."""
+    model = Model.from_xml(GEARED)
+    time = np.arange(0, 2, 0.01)
+    recording = Recording.from_arrays(
+        time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)}
+    )
+    machine, site = survey(model.compile(), [recording]), Site("joint", "hinge")
+    soft, lag, made = 0.01, 0.004, []
+    edit = lambda spec: made.extend(  # noqa: E731
+        CATALOGUE["joint_compliance"].parts(
+            spec, site, np.array([soft, lag, 0.5, on_link]), machine
+        )
+    )
+    compiled = model.compile([edit])
+    laws = [ForceLaw(p.joint, p.law) for p in made if isinstance(p, Force)]
+    assert len(laws) == on_link
+    goal, steps = 0.3, 20000
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    ctrl = np.full((1, steps, 1), goal)
+    motor, play = Engine(1).rollout(compiled, start, ctrl, laws=laws).qpos[0].T
+
+    dt, rotor, link = 2e-5, 0.02, 3 * (0.2**2 + 0.2**2) / 12
+    kp, kd = 5.0 * 2**2, 0.4 * 2**2  # the gear multiplies length and force
+    k, b = 1 / soft, (lag + dt) / soft
+    at = np.array([1 - on_link, on_link])  # where the loop is closed: motor, link
+    spring, damper = k * np.array([-1, 1]), b * np.array([-1, 1])
+    A = np.zeros((4, 4))
+    A[:2, 2:] = np.eye(2)
+    A[2] = np.concatenate([spring - kp * at, damper - kd * at]) / rotor
+    A[3] = np.concatenate([-spring, -damper]) / link
+    rest = goal / 2  # where the gear's length is the goal
+    move = np.stack([expm(A * t) for t in np.linspace(0, steps * dt, 5)])
+    exact = rest + move @ np.array([-rest, -rest, 0, 0])
+    rows = np.linspace(0, steps, 5).astype(int)
+    np.testing.assert_allclose(motor[rows], exact[:, 0], atol=2e-3 * rest)
+    np.testing.assert_allclose((motor + play)[rows], exact[:, 1], atol=2e-3 * rest)
