@@ -107,6 +107,8 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
         return None
+    if any(_loop(site, machine)):  # no search reached a gap in a loop that is closed at the link
+        sides = (_MOTOR_SIDE,)
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
     tight = _TIGHT * most
