@@ -227,7 +227,8 @@ def _controls(c: Case, model: mujoco.MjModel, parts: Sequence[Part], steps: int)
 def _inputs(
     c: Case, model: mujoco.MjModel, data: mujoco.MjData, ctrl: np.ndarray, t: float
 ) -> tuple:
-    joints = c.machine.joints
+    every = [model.joint(j) for j in range(model.njnt)]
+    joints = {j.name for j in every if len(j.qpos0) == 1}  # as a law is shown them
     names = [n.removeprefix("ctrl.") for n in c.model.ctrl_channels]
     return (
         np.array([t]),

@@ -89,6 +89,8 @@ class TestConformance:
         moved = []
         for site in c.some(effect):
             for x in c.points(effect, site)[-1:]:
+                if effect.hidden:  # of the stiffest: a loop closed behind a soft one is unstable
+                    x = min((p for p in c.points(effect, site) if p[-1] == x[-1]), key=list)
                 model, parts = edited(c, effect, site, x)
                 hidden = [p for p in parts if isinstance(p, Hidden)]
                 assert all(isinstance(p, TYPES) for p in parts)
