@@ -11,7 +11,14 @@ from scipy.optimize import least_squares
 from bo_sysid.diagnosis import starts
 from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.starts import estimated, prior
+from bo_sysid.diagnosis.linear import linearise
+from bo_sysid.diagnosis.problem import pose
+from bo_sysid.diagnosis.refit import settle
+from bo_sysid.diagnosis.starts import caught_up, estimated, prior
+from bo_sysid.effects import survey
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine
 
 HORIZON = 60
 
@@ -86,6 +93,41 @@ def test_windows_whose_slope_says_nothing_catch_up(windows, everything, monkeypa
     least = (problem.residual(hypothesis, well)[blind] ** 2).mean(axis=1)
     assert ((problem.residual(hypothesis, far)[blind] ** 2).mean(axis=1) > 100 * least).all()
     assert (left < 1.2 * least).all()
+
+
+def test_in_contact_windows_that_are_left_behind_catch_up():
+    """A hopper that lands: the start decides when, and no step for all windows leads there."""
+    model, sigma = Model.from_dm_control("hopper", "hop"), 3e-4
+    compiled = model.compile(timestep=0.0025)
+    data, rng = mujoco.MjData(compiled), np.random.default_rng(0)
+    time = np.arange(0, 4, 0.0025)
+    ctrl = np.clip(rng.normal(0, 0.5, (len(time) // 40, compiled.nu)).repeat(40, axis=0), -1, 1)
+    qpos = np.empty((len(time), compiled.nq))
+    for k, u in enumerate(ctrl):
+        qpos[k], data.ctrl[:] = data.qpos, u
+        mujoco.mj_step(compiled, data)
+    qpos += sigma * rng.normal(size=qpos.shape)
+    names = [compiled.joint(j).name for j in range(compiled.njnt)]
+    actuators = [compiled.actuator(a).name for a in range(compiled.nu)]
+    recording = Recording.from_arrays(
+        time,
+        qpos=dict(zip(names, qpos.T, strict=True)),
+        ctrl=dict(zip(actuators, ctrl.T, strict=True)),
+    )
+    problem = pose(
+        model, survey(model.compile(), [recording]), [recording],
+        {f"qpos.{n}": sigma for n in names}, (), horizon=40, timestep=0.0025, engine=Engine(1),
+    )  # fmt: skip
+    h, start = Hypothesis(), problem.windows.start
+    start, r = settle(problem, linearise(problem, h, start), h, start, 3, (1.0, 0.3, 0.1))
+    later, left = caught_up(problem, h, start, r)
+    before, after = ((x**2).mean(axis=1) ** 0.5 for x in (r, left))
+    np.testing.assert_allclose(problem.residual(h, later), left)
+    assert np.mean(before < 1.2) < 0.4
+    assert np.mean(after < 1.2) > 0.6
+    assert np.mean(after < 4.0) == 1.0
+    assert (after <= before).all()
+    np.testing.assert_array_equal(left[before < 1.2], r[before < 1.2])
 
 
 def test_only_what_is_known_is_used(windows, everything):

@@ -22,6 +22,7 @@ _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
+_GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, one after the other
 _LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
@@ -70,8 +71,9 @@ def caught_up(
 ) -> tuple[State, Float[np.ndarray, "W R"]]:
     """Return starts and residuals where windows that leave more than noise were fitted on.
 
-    In contact a start decides when something is touched: along one response to the starts of all
-    windows many are left behind, and what they leave asks for names that are not there.
+    In contact a start decides when something is touched, and no small step leads from one order of
+    impacts to another; what is left there asks for names that are not there. Each window begins
+    anew at the smoother's start and is fitted to its first part, then to more of it.
 
     Args:
         problem: the windows.
@@ -83,13 +85,17 @@ def caught_up(
     rows = np.flatnonzero(cost > _LEFT_BEHIND * (problem.weight > 0).sum(axis=(1, 2)))
     if not rows.size:
         return start, r
-    everything = np.ones(problem.count, bool)
-    found = _Starts(problem.rows(rows), hypothesis, start.rows(rows), everything, 1)
-    found.fit()
-    better = (found.residual**2).sum(axis=1) < cost[rows]
+    part, found = problem.rows(rows), problem.windows.start.rows(rows)
+    for share in _GROWING:
+        seen = np.zeros(problem.windows.observed.shape[1:], bool)
+        seen[: int(np.ceil(share * len(seen)))] = True
+        fitted = _Starts(part, hypothesis, found, seen.ravel(), 1)
+        fitted.fit()
+        found = fitted.start
+    better = (fitted.residual**2).sum(axis=1) < cost[rows]
     won, r = rows[better], r.copy()
-    r[won] = found.residual[better]
-    return _placed(start, won, found.start.rows(better)), r
+    r[won] = fitted.residual[better]
+    return _placed(start, won, found.rows(better)), r
 
 
 def first_starts(
