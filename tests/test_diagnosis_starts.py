@@ -95,6 +95,18 @@ def test_windows_whose_slope_says_nothing_catch_up(windows, everything, monkeypa
     assert (left < 1.2 * least).all()
 
 
+def test_the_beginning_of_windows_is_what_is_known_of_them_then(windows):
+    problem, _ = windows
+    seen = np.zeros(problem.windows.observed.shape[1:], bool)
+    seen[:17] = True
+    masked = estimated(problem, Hypothesis(), seen.ravel(), 1)
+    part = problem.beginning(17)
+    assert part.windows.steps < problem.windows.steps
+    cut = estimated(part, Hypothesis(), np.ones(part.count, bool), 1)
+    np.testing.assert_allclose(cut.qpos, masked.qpos, atol=1e-9)
+    np.testing.assert_allclose(cut.qvel, masked.qvel, atol=1e-7)
+
+
 def test_in_contact_windows_that_are_left_behind_catch_up():
     """A hopper that lands: the start decides when, and no step for all windows leads there."""
     model, sigma = Model.from_dm_control("hopper", "hop"), 3e-4

@@ -313,7 +313,8 @@ class Linear:
                 if position:
                     v = s[:, :, nv + column]
                     out[:, :, k] -= bend[..., None] * (v[row, after] - v[row, node])
-        out *= p.weight[..., None]
+        with np.errstate(over="ignore", invalid="ignore"):  # windows that diverge
+            out *= p.weight[..., None]
         return out.reshape(len(node), -1, s.shape[-1])
 
 

@@ -103,6 +103,16 @@ class Problem:
             correction=None if self.correction is None else self.correction[keep],
         )
 
+    def beginning(self, instants: int) -> "Problem":
+        """Return the problem with the first instants of every window."""
+        own = slice(0, instants * len(self.windows.channels))
+        return replace(
+            self,
+            windows=self.windows.beginning(instants),
+            weight=self.weight[:, :instants],
+            correction=None if self.correction is None else self.correction[:, own],
+        )
+
     def compiled(
         self, hypothesis: Hypothesis, timestep: float | None = None
     ) -> tuple[mujoco.MjModel, list[Part]]:

@@ -85,11 +85,10 @@ def caught_up(
     rows = np.flatnonzero(cost > _LEFT_BEHIND * (problem.weight > 0).sum(axis=(1, 2)))
     if not rows.size:
         return start, r
-    part, found = problem.rows(rows), problem.windows.start.rows(rows)
+    whole, found = problem.rows(rows), problem.windows.start.rows(rows)
     for share in _GROWING:
-        seen = np.zeros(problem.windows.observed.shape[1:], bool)
-        seen[: int(np.ceil(share * len(seen)))] = True
-        fitted = _Starts(part, hypothesis, found, seen.ravel(), 1)
+        part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
+        fitted = _Starts(part, hypothesis, found, np.ones(part.count, bool), 1)
         fitted.fit()
         found = fitted.start
     better = (fitted.residual**2).sum(axis=1) < cost[rows]

@@ -69,6 +69,19 @@ class Windows:
             recording=self.recording[index],
         )
 
+    def beginning(self, instants: int) -> "Windows":
+        """Return the first instants of every window."""
+        last = float((self.step + self.fraction)[:, :instants].max())
+        steps = int(np.ceil(last - 1e-9))
+        return replace(
+            self,
+            ctrl=self.ctrl[:, :steps],
+            signals={name: s[:, :steps] for name, s in self.signals.items()},
+            observed=self.observed[:, :instants],
+            step=self.step[:, :instants],
+            fraction=self.fraction[:, :instants],
+        )
+
     def with_start(self, start: State) -> "Windows":
         """Return the same windows from other starts."""
         return replace(self, start=start)
