@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import pose
-from bo_sysid.diagnosis.refit import settle
+from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.starts import caught_up, estimated, prior
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model

@@ -9,10 +9,11 @@ from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
-from bo_sysid.diagnosis.refit import FINAL, first_start, settle
+from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify, vary
 from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
 from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, assess
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.starts import caught_up
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
@@ -86,38 +87,6 @@ class _Space:
         )
 
 
-def settle(
-    problem: Problem,
-    frame: Linear,
-    hypothesis: Hypothesis,
-    start: State,
-    steps: int = 2,
-    shares: Sequence[float] = (1.0,),
-) -> tuple[State, Float[np.ndarray, "W R"]]:
-    """Move the starts to where the residual is least, window by window.
-
-    Args:
-        problem: the windows.
-        frame: gives the response to the start.
-        hypothesis: what is simulated.
-        start: first starts.
-        steps: most steps.
-        shares: of a step, tried in this order where the one before does not help a window.
-    """
-    r = problem.residual(hypothesis, start)
-    for _ in range(steps):
-        toward, done = r, np.zeros(len(r), bool)
-        for share in shares:
-            share_of = np.where(done, 0.0, share)[:, None] * toward
-            start, r, better = _moved(problem, frame, hypothesis, start, r, share_of)
-            done |= better
-            if done.all():
-                break
-        if not done.any():
-            break
-    return start, r
-
-
 def refit(
     frame: Linear,
     members: Sequence[Candidate],
@@ -158,19 +127,6 @@ def refit(
     return assess(problem, frame.Q, hypothesis, labels, point.start, point.r, S)
 
 
-def first_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
-    """Return for each window the better of the given start and the smoother's.
-
-    Starts fitted to another hypothesis took over part of what that one lacked. Joints that the
-    hypothesis adds are tried in all places where they may begin.
-    """
-    smooth = problem.windows.start
-    r = problem.residual(hypothesis, start)
-    for other in (smooth, *problem.starts(hypothesis, smooth)):
-        start, r, _ = better_of(start, r, other, problem.residual(hypothesis, other))
-    return start
-
-
 @dataclass(frozen=True)
 class _Point:
     theta: Float[np.ndarray, " p"]
@@ -186,7 +142,7 @@ class _Point:
 def _settled(frame: Linear, space: _Space, point: _Point) -> _Point:
     """Return a point with its starts moved once more along the response to them."""
     hypothesis = space.hypothesis(point.theta)
-    start, r, _ = _moved(frame.problem, frame, hypothesis, point.start, point.r, point.r)
+    start, r, _ = moved_along(frame.problem, frame, hypothesis, point.start, point.r, point.r)
     return _Point(point.theta, start, r, project(frame.Q, r))
 
 
@@ -300,7 +256,7 @@ def _line_search(
         if (r**2).sum() >= point.rss:
             stay = problem.residual(hypothesis, point.start)
             start, r, _ = better_of(point.start, stay, start, r)
-            start, r, _ = _moved(problem, frame, hypothesis, start, r, r)
+            start, r, _ = moved_along(problem, frame, hypothesis, start, r, r)
         if (r**2).sum() < point.rss:
             return _Point(theta, start, r, project(frame.Q, r))
         share *= _SHRINK
@@ -316,25 +272,3 @@ def _broyden(
     if denominator <= 0:
         return S
     return np.asarray(S + (seen - S @ moved)[..., None] * (scaled / denominator))
-
-
-def _moved(
-    problem: Problem,
-    frame: Linear,
-    hypothesis: Hypothesis,
-    start: State,
-    r: Float[np.ndarray, "W R"],
-    toward: Float[np.ndarray, "W R"],
-) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
-    """Return starts moved to explain `toward`, where that lowers the residual of a window."""
-    change = np.einsum("wki,wi->wk", frame.start_gain, toward)
-    moved = start.moved(problem.machine.model, change)
-    return better_of(start, r, moved, problem.residual(hypothesis, moved))
-
-
-def better_of(
-    start: State, r: Float[np.ndarray, "W R"], moved: State, rn: Float[np.ndarray, "W R"]
-) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
-    """Return for each window the one of two starts that leaves less, and where it is the second."""
-    better = (rn**2).sum(axis=1) < (r**2).sum(axis=1)
-    return start.picked(better, moved), np.where(better[:, None], rn, r), better

@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
-from bo_sysid.diagnosis.refit import settle
+from bo_sysid.diagnosis.settling import settle
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion

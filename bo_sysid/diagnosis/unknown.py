@@ -16,8 +16,8 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.refit import settle
 from bo_sysid.diagnosis.rules import MARGIN
+from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force
