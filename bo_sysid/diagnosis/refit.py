@@ -24,8 +24,7 @@ _NUMERICS = (-0.5, 2.0)
 _SHRINK = 0.35
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _CUT = 1e9
-_RETURNS = 2  # times that windows left behind catch up
-_WORTH, _HOPELESS = 0.02, 2.5  # gain to go on for; times the best rms of others to give up at
+_WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
 
 @dataclass(frozen=True)
@@ -150,14 +149,14 @@ def _caught_up(
     frame: Linear, space: _Space, point: _Point, J: np.ndarray, effort: Effort
 ) -> tuple[_Point, np.ndarray]:
     """Return a point whose windows were fitted on each by itself, and magnitudes with them."""
-    for k in range(_RETURNS):
+    for go_on in (True, False) if effort.final else (True,):
         if np.sqrt(point.rss / frame.problem.dof) > _HOPELESS * max(effort.rival, 1.0):
             break
         hypothesis = space.hypothesis(point.theta)
         start, r = caught_up(frame.problem, hypothesis, point.start, point.r)
         gain = point.rss - float((r**2).sum())
         point = _Point(point.theta, start, r, project(frame.Q, r))
-        if k == _RETURNS - 1 or gain < _WORTH * point.rss or not len(point.theta):
+        if not go_on or gain < _WORTH * point.rss or not len(point.theta):
             break
         point, J = _descend(frame, space, point, None, effort)
     return point, J
