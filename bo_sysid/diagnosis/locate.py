@@ -31,7 +31,8 @@ _HALVINGS = 3
 _SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _WINDOWS = 24  # in the search
-_MOST = 10  # times that number in the final fits, all of them where they are no more
+_MOST = 10  # times that number at most in the final fits
+_MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
 _POLISH = 6  # times at most that the leader is linearised anew on all windows
@@ -148,7 +149,10 @@ def _lengthened(
 def _problem(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
-    stride = 1 if everything and count <= _MOST * _WINDOWS else max(round(count / _WINDOWS), 1)
+    stride = max(round(count / _WINDOWS), 1)
+    if everything:
+        most = _MOST_IN_CONTACT if can_touch(evidence.machine.model) else _MOST
+        stride = -(-count // (most * _WINDOWS))
     return pose(
         evidence.model,
         evidence.machine,
