@@ -10,8 +10,9 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.sessions import Sessions, by_recording
+from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
+from bo_sysid.diagnosis.windowing import in_contact
 
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
@@ -153,7 +154,10 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
             break
         fit = _without(located, fit, kept)
         sessions = by_recording(located.prepared.problem, fit)
-    return replace(fit, covariance=sessions.covariance), sessions
+    fit = replace(fit, covariance=sessions.covariance)
+    if in_contact(located.prepared.problem):
+        fit = replace(fit, covariance=by_stretch(located.prepared.problem, fit))
+    return fit, sessions
 
 
 def _significant(fit: Fit, sessions: Sessions) -> list[bool]:

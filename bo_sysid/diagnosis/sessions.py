@@ -1,5 +1,6 @@
 """Magnitudes by recording: where sessions of one machine disagree, the interval must say so."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import Effort, refit
 
 _LEAST = 4  # windows that a recording must have to be fitted alone
+_STRETCHES = 4  # of recordings in contact
 _EFFORT = Effort(iterations=4, gain=1.0, final=True)
 
 
@@ -39,18 +41,33 @@ def by_recording(problem: Problem, fit: Fit) -> Sessions:
     used = [i for i in numbers if counts[i] >= _LEAST]
     if len(used) < 2 or not fit.members:
         return Sessions(_table([]), fit.covariance)
+    alone = [_alone(problem, fit, problem.windows.recording == i) for i in used]
+    rows = [
+        r for i, f in zip(used, alone, strict=True) for r in _rows(problem.recordings[i].name, f)
+    ]
+    return Sessions(_table(rows), _widened(fit, alone))
+
+
+def by_stretch(problem: Problem, fit: Fit) -> Float[np.ndarray, "p p"]:
+    """Return the covariance of a fit, widened where stretches of the recordings disagree.
+
+    In contact slopes say little of how sure a magnitude is: impacts bend what they tell.
+    """
+    count = len(problem.windows)
+    if count < _STRETCHES * _LEAST or not fit.members:
+        return fit.covariance
+    number = np.arange(count) * _STRETCHES // count
+    return _widened(fit, [_alone(problem, fit, number == i) for i in range(_STRETCHES)])
+
+
+def _widened(fit: Fit, alone: Sequence[Fit]) -> Float[np.ndarray, "p p"]:
+    """Return the covariance of a fit with what fits of parts of its windows differ by more."""
     size = sum(c.size for c in fit.members)
-    rows, values, variances = [], [], []
-    for i in used:
-        alone = _alone(problem, fit, problem.windows.recording == i)
-        values.append(np.concatenate(alone.x))
-        variances.append(np.diag(alone.covariance)[:size])
-        rows += _rows(problem.recordings[i].name, alone)
-    spread = np.var(values, axis=0, ddof=1)
-    between = np.maximum(spread - np.mean(variances, axis=0), 0.0) / len(used)
+    spread = np.var([np.concatenate(f.x) for f in alone], axis=0, ddof=1)
+    own = np.mean([np.diag(f.covariance)[:size] for f in alone], axis=0)
     covariance = fit.covariance.copy()
-    covariance[np.arange(size), np.arange(size)] += between
-    return Sessions(_table(rows), covariance)
+    covariance[np.arange(size), np.arange(size)] += np.maximum(spread - own, 0.0) / len(alone)
+    return covariance
 
 
 def _alone(problem: Problem, fit: Fit, rows: Float[np.ndarray, " W"] | np.ndarray) -> Fit:

@@ -1,0 +1,43 @@
+"""Intervals where parts of the recordings disagree, against the spread that was put in."""
+
+import numpy as np
+import pytest
+from diagnosis_helpers import SIGMA, arm, candidate, record
+
+from bo_sysid.diagnosis.problem import pose
+from bo_sysid.diagnosis.refit import refit
+from bo_sysid.diagnosis.sessions import by_recording, by_stretch
+from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import survey
+from bo_sysid.simulation import Engine
+
+
+def fitted(dampings: tuple[float, float]):
+    recordings = [
+        record([("viscous_damping", "joint", "elbow", [d])], seed=k, duration=4.0)
+        for k, d in enumerate(dampings)
+    ]
+    machine = survey(arm().compile(), recordings)
+    sigma = {"qpos.shoulder": SIGMA, "qpos.elbow": SIGMA}
+    problem = pose(arm(), machine, recordings, sigma, (), horizon=100, engine=Engine(1))
+    ready = prepare(problem)
+    member = candidate(machine, "viscous_damping", "elbow")
+    return ready.problem, refit(ready.linear, [member], [member.probe])
+
+
+@pytest.mark.parametrize("of", [by_stretch, lambda p, f: by_recording(p, f).covariance])
+def test_the_interval_holds_what_parts_differ_by(of) -> None:
+    low, high = 0.02, 0.05
+    problem, fit = fitted((low, high))
+    assert low < fit.x[0][0] < high
+    parts = 4 if of is by_stretch else 2
+    values = np.repeat([low, high], parts // 2)
+    expected = np.std(values, ddof=1) / np.sqrt(parts)  # of a mean of so many parts
+    assert np.sqrt(of(problem, fit)[0, 0]) == pytest.approx(expected, rel=0.15)
+    assert np.sqrt(fit.covariance[0, 0]) < expected
+
+
+def test_the_interval_stays_where_parts_agree() -> None:
+    problem, fit = fitted((0.03, 0.03))
+    assert abs(fit.x[0][0] - 0.03) < 3e-3
+    assert by_stretch(problem, fit)[0, 0] < 2.0 * fit.covariance[0, 0]
