@@ -154,10 +154,10 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
             break
         fit = _without(located, fit, kept)
         sessions = by_recording(located.prepared.problem, fit)
-    fit = replace(fit, covariance=sessions.covariance)
-    if in_contact(located.prepared.problem):
-        fit = replace(fit, covariance=by_stretch(located.prepared.problem, fit))
-    return fit, sessions
+    covariance = sessions.covariance
+    if in_contact(located.prepared.problem):  # stretches also differ by what recordings do
+        covariance = np.maximum(covariance, by_stretch(located.prepared.problem, fit))
+    return replace(fit, covariance=covariance), sessions
 
 
 def _significant(fit: Fit, sessions: Sessions) -> list[bool]:

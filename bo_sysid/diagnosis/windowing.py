@@ -22,7 +22,7 @@ from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
-_WORTH_A_ROUND, _TINY = 1e-3, 1e-300  # of the squared residual, what a round must gain
+_WORTH_A_ROUND = 1e-3  # of the squared residual, what a round must gain
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
@@ -64,13 +64,15 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     first = [] if known is None else [known]
     if known is None or problem.loose(at):  # in a gap no step leads from one arrival to another
         first = [*first_starts(problem, at), *first]
-    linear = _settled(problem, at, first)
-    if can_touch(problem.machine.model):
+    linear, contact = _settled(problem, at, first), can_touch(problem.machine.model)
+    if contact:
         start, _ = caught_up(problem, at, linear.start, problem.residual(at, linear.start))
         linear = linear if start is linear.start else linearise(problem, at, start)
         linear = linear.observing(weighted_by_chaos(linear))
-        linear = linear.observing(weighted_by_step(linear))
-    correction = correction_at(linear)
+    change = _by_a_finer_step(linear)
+    if contact:
+        linear, change = _weighted_by_step(linear, change)
+    correction = project(linear.Q, change)
     size = np.sqrt((correction**2).mean(axis=1))
     keep = size < _CHAOTIC * np.median(size) + 0.5
     linear, correction = linear.rows(keep), correction[keep]
@@ -95,10 +97,9 @@ def _settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear
         linear, r = linearise(problem, at, start), problem.residual(at, start)
         for _ in range(_ROUNDS):
             moved, rn = settle(problem, linear, at, start, 1, _SHARES)
-            gain, r = 1 - (rn**2).sum() / max((r**2).sum(), _TINY), rn
-            if gain < _WORTH_A_ROUND:
+            if (rn**2).sum() > (1 - _WORTH_A_ROUND) * (r**2).sum():
                 break
-            start = moved
+            start, r = moved, rn
             linear = linearise(problem, at, start)
         found = (start, r) if found is None else better_of(*found, start, r)[:2]
     assert found is not None  # noqa: S101 - there is always a first start
@@ -161,19 +162,21 @@ def weighted_by_chaos(linear: Linear) -> Problem:
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
 
 
-def weighted_by_step(linear: Linear) -> Problem:
-    """Return the problem with less weight where the time step decides.
+def _weighted_by_step(
+    linear: Linear, change: Float[np.ndarray, "W R"]
+) -> tuple[Linear, Float[np.ndarray, "W R"]]:
+    """Return the linear model, and what a finer step changes, with less weight where that decides.
 
     One share of the correction holds for all of a smooth motion, not for impacts: half of what a
     finer step changes there is a standard deviation of every sample, added to the sensor's.
     """
-    weight = linear.problem.weight
-    left = _NOT_SHARED * correction_at(linear).reshape(weight.shape)
-    return replace(linear.problem, weight=weight / np.sqrt(1.0 + left**2))
+    light = 1.0 / np.sqrt(1.0 + (_NOT_SHARED * project(linear.Q, change)) ** 2)
+    weight = linear.problem.weight * light.reshape(linear.problem.weight.shape)
+    return linear.observing(replace(linear.problem, weight=weight)), change * light
 
 
-def correction_at(linear: Linear) -> Float[np.ndarray, "W R"]:
-    """Return the projected difference that a finer time step makes to a hypothesis."""
+def _by_a_finer_step(linear: Linear) -> Float[np.ndarray, "W R"]:
+    """Return the difference that a finer time step makes to a hypothesis."""
     problem, plain = linear.problem, replace(linear.hypothesis, numerics=0.0)
     fine = problem.residual(plain, linear.start, finer=FINER)
-    return project(linear.Q, problem.residual(plain, linear.start) - fine)
+    return np.asarray(problem.residual(plain, linear.start) - fine)
