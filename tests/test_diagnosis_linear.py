@@ -8,9 +8,12 @@ from diagnosis_helpers import candidate, posed, record
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
+from bo_sysid.diagnosis.shown import observe
 from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import Reading
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.simulation import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +108,23 @@ def test_signatures_hold_at_a_hypothesis_that_is_not_nominal(prepared) -> None:
     exact = project(linear.Q, exact).ravel() / x[0]
     signature = linear.signatures([damping])[..., 0].ravel()
     assert signature @ exact / np.linalg.norm(signature) / np.linalg.norm(exact) > 0.99
+
+
+def test_a_late_sensor_shows_what_was_before_the_window(prepared) -> None:
+    """A window cut out of a longer motion, as far back as its own acceleration tells."""
+    ready, _ = prepared
+    problem, late = ready.problem, 15
+    windows = problem.windows.beginning(60)
+    t = problem.simulate(Hypothesis(), ready.start).trajectory
+    later = Trajectory(t.qpos[:, late:], t.qvel[:, late:], t.act[:, late:], None, t.diverged)
+    reading = Reading("qpos.elbow", delay=late * windows.timestep)
+    k, now = windows.channels.index("qpos.elbow"), windows.step[0]
+    seen, truth = observe(problem.layout, windows, later, [reading])[..., k], t.qpos[:, now, 1]
+    back, early = windows.timestep * (now - late), now < late
+    straight = later.qpos[:, :1, 1] + later.qvel[:, :1, 1] * back
+    np.testing.assert_allclose(seen[:, ~early], truth[:, ~early], atol=1e-9)
+    missed = np.abs(seen - truth)[:, early].max()
+    assert missed < 0.3 * np.abs(straight - truth)[:, early].max()
 
 
 def test_contact_is_expected_where_it_can_happen_only() -> None:

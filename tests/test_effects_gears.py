@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
+from bo_sysid.diagnosis.repaired import BESIDE, MODEL, write_model
 from bo_sysid.effects import CATALOGUE, Force, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, ForceLaw, State
+from bo_sysid.simulation.stepper import Stepper
 
 GEARED = """
 <mujoco>
@@ -59,3 +62,31 @@ def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(on_link:
     rows = np.linspace(0, steps, 5).astype(int)
     np.testing.assert_allclose(motor[rows], exact[:, 0], atol=2e-3 * rest)
     np.testing.assert_allclose((motor + play)[rows], exact[:, 1], atol=2e-3 * rest)
+
+
+def test_a_repaired_model_is_stepped_with_its_loop_closed_at_the_link(tmp_path) -> None:
+    """In plain MuJoCo, from the files that a diagnosis writes, as it was simulated."""
+    model, time = Model.from_xml(GEARED), np.arange(0, 2, 0.01)
+    recording = Recording.from_arrays(
+        time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)}
+    )
+    machine = survey(model.compile(), [recording])
+    found = candidates([CATALOGUE["joint_compliance"]], machine)
+    member = next(c for c in found if c.point[-1] == 1.0)  # the encoder on the link
+    hypothesis = Hypothesis((member,), (np.array([0.01, 0.004, 0.5]),))
+    edits, parts = edits_and_parts(hypothesis, machine)
+    compiled = model.compile(edits)
+    laws = [ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force)]
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    ctrl = np.full((1, 500, 1), 0.3)
+    simulated = Engine(1).rollout(compiled, start, ctrl, laws=laws).qpos[0, -1]
+    motor_side = Engine(1).rollout(compiled, start, ctrl).qpos[0, -1]
+    assert np.abs(simulated - motor_side).max() > 1e-3
+
+    written = write_model(model, machine, hypothesis, tmp_path, timestep=2e-5)
+    assert written.unrecorded == {"hinge_flex": "hinge"}
+    stepper = Stepper(tmp_path / MODEL, tmp_path / BESIDE)
+    for _ in range(500):
+        stepper.data.ctrl[:] = 0.3
+        stepper.step()
+    np.testing.assert_allclose(stepper.data.qpos, simulated, atol=1e-9)
