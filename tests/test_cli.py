@@ -263,27 +263,39 @@ code = main(sys.argv[1:])
 heavy = {"torch", "botorch", "gpytorch", "dm_control", "matplotlib", "numpy"} & set(sys.modules)
 print(time.process_time(), code, *sorted(heavy), file=sys.stderr)
 """
+LIBRARIES = """
+import sys, time
+import mujoco, numpy, pandas, pydantic, scipy.stats, yaml
+print(time.process_time(), file=sys.stderr)
+"""
+
+
+def _last_words(program: str, *arguments: str) -> list[str]:
+    """Return the last line that a program of its own writes to stderr, split."""
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    return done.stderr.splitlines()[-1].split()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "loaded", "within"),
+    ("arguments", "code", "loaded", "times"),
     [
-        (["--help"], 0, set(), 0.3),
-        (["identify", "--help"], 0, set(), 0.3),
+        (["--help"], 0, set(), 0.6),
+        (["identify", "--help"], 0, set(), 0.6),
         (["identify", "arm.yaml", "--set", "search.budgett=3"], 2, set(), 1.0),
-        (["identify", "arm.yaml", "--set", "recordings.train=nothing.csv"], 2, {"numpy"}, 1.5),
-        (["check", "arm.yaml"], 0, {"numpy"}, 1.5),
-        (["schema"], 0, {"numpy"}, 1.5),
+        (["identify", "arm.yaml", "--set", "recordings.train=nothing.csv"], 2, {"numpy"}, 4.0),
+        (["check", "arm.yaml"], 0, {"numpy"}, 4.0),
+        (["schema"], 0, {"numpy"}, 4.0),
     ],
 )
 def test_answers_at_once_without_torch(
-    folder: Path, arguments: list[str], code: int, loaded: set[str], within: float
+    folder: Path, arguments: list[str], code: int, loaded: set[str], times: float
 ) -> None:
-    command = [sys.executable, "-c", QUICK, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
-    taken, *said = done.stderr.splitlines()[-1].split()
+    # CPU time, against that of importing the libraries without torch, on this machine and now:
+    # .8 s on a quiet one, where help takes .1 s
+    taken, *said = _last_words(QUICK, *arguments)
     assert said == [str(code), *sorted(loaded)]
-    assert float(taken) < within  # of the processor, which others may keep busy
+    assert float(taken) < times * float(_last_words(LIBRARIES)[0])
 
 
 def test_an_actuator_with_a_bias_alone_needs_no_control(folder: Path, say: Say) -> None:

@@ -233,4 +233,4 @@ def test_many_aliases_are_read_at_once(tmp_path: Path) -> None:
     began = time.perf_counter()
     found = message(tmp_path, BASE + "a0: &a0 [1]\n" + "\n".join(levels) + "\n")
     assert "a7: unknown key" in found
-    assert time.perf_counter() - began < 2
+    assert time.perf_counter() - began < 20  # 9^7 aliases would take minutes
