@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
@@ -82,7 +82,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     finer = finer_step(hypothesis.numerics)
     plain = _plain(hypothesis)
     channels = len(problem.windows.channels)
-    start = estimated(problem, plain, _of_the_past(problem, past), finer, resting=True)
+    start = estimated(problem.beginning(past), plain, finer, resting=True)
     r = problem.residual(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
     return Errors(float(np.sqrt(np.mean(r**2))), _by_channel(problem, r, past), r, start)
 
@@ -103,8 +103,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     """Return the errors with starts fitted inside the windows, over √((n - p)/n)."""
     finer = finer_step(hypothesis.numerics)
     plain = _plain(hypothesis)
-    everything = np.ones(problem.count, bool)
-    start = estimated(problem, plain, everything, finer)
+    start = estimated(problem, plain, finer)
     r = problem.residual(plain, start, finer)
     n, p = problem.count, 2 * problem.machine.model.nv
     spare = np.sqrt(max(n - p, 1) / n)
@@ -115,12 +114,6 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
 
 def _plain(hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, numerics=0.0)
-
-
-def _of_the_past(problem: Problem, past: int) -> Bool[np.ndarray, " R"]:
-    known = np.zeros(problem.windows.observed.shape[1:], bool)
-    known[:past] = True
-    return known.ravel()
 
 
 def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
@@ -134,17 +127,16 @@ def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
 
 
 def _floor(problem: Problem, past: int, plain: Hypothesis, errors: Errors) -> float:
-    known = _of_the_past(problem, past)
     good = np.abs(errors.residual).max(axis=(1, 2)) < _DIVERGED
     linear = linearise(problem, plain, errors.start)
     J, spread = linear.J, prior(problem, linear.points.coordinates)
     J = J[good & (np.abs(J) < DIVERGING).all(axis=(1, 2))]
     if not len(J):
         return 1.0
-    past, ahead = J[:, known], J[:, ~known]
-    # what noise leaves of the start: ahead·(past'past + prior)⁻¹·ahead', by least squares
+    known, ahead = np.split(J, [past * len(problem.windows.channels)], axis=1)
+    # what noise leaves of the start: ahead·(known'known + prior)⁻¹·ahead', by least squares
     about = np.broadcast_to(np.diag(1 / spread), (len(J), *[J.shape[-1]] * 2))
-    R = np.linalg.qr(np.concatenate([past, about], axis=1), mode="r")
+    R = np.linalg.qr(np.concatenate([known, about], axis=1), mode="r")
     noise = ahead @ np.linalg.pinv(R, rcond=1e-12)
     return float(np.sqrt(1.0 + np.mean((noise**2).sum(axis=(1, 2)) / ahead.shape[1])))
 

@@ -166,25 +166,42 @@ def eliminate(search: Search, steps: int = 14) -> None:
     """Leave out what is too small until the leading set is admissible.
 
     Where contact bends the response, that is known of a set only once it was fitted without each
-    of its members.
+    of its members, from its own magnitudes and starts: a smaller set that stayed on the far side of
+    an impact makes anything that leads across look needed.
     """
     bent = can_touch(search.prepared.problem.machine.model)
+    done: set[tuple[object, object]] = set()
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
-            before = len(search.fits)
+            before, nearer = len(search.fits), False
             small = weak(f, search.nominal, search.fits.values())
             if small:
                 simplify(search, f, FINAL)
                 _fit_some(search, f, _without_weak(search, f, small))
             elif bent:
-                for k in range(len(f.members)):
-                    _fit_some(search, f, [i for i in range(len(f.members)) if i != k])
-            if len(search.fits) > before:
+                nearer = _fitted_without_each(search, f, done)
+            if nearer or len(search.fits) > before:
                 break
             if not small:
                 return
         else:
             return
+
+
+def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]]) -> bool:
+    """Fit a set without each of its members from where it is; whether that came nearer."""
+    nearer = False
+    for k in range(len(f.members)):
+        members, x = subset(f, [i for i in range(len(f.members)) if i != k])
+        key = set_key(members)
+        if (f.key, key) not in done:
+            done.add((f.key, key))
+            known = search.fits.get(key)
+            made = search.fit(
+                members, x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL
+            )
+            nearer |= known is None or made.rss < known.rss
+    return nearer
 
 
 def _fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:

@@ -153,7 +153,7 @@ def _caught_up(
         if np.sqrt(point.rss / frame.problem.dof) > _HOPELESS * max(effort.rival, 1.0):
             break
         hypothesis = space.hypothesis(point.theta)
-        start, r = caught_up(frame.problem, hypothesis, point.start, point.r)
+        start, r = caught_up(frame.problem, hypothesis, point.start)
         gain = point.rss - float((r**2).sum())
         point = _Point(point.theta, start, r, project(frame.Q, r))
         if not go_on or gain < _WORTH * point.rss or not len(point.theta):

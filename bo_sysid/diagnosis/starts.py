@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 DIVERGING = 1e9
@@ -34,29 +35,24 @@ _STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
 
 
 def estimated(
-    problem: Problem,
-    hypothesis: Hypothesis,
-    known: Bool[np.ndarray, " R"],
-    finer: int,
-    *,
-    resting: bool = False,
+    problem: Problem, hypothesis: Hypothesis, finer: int, *, resting: bool = False
 ) -> State:
     """Return the least-squares start of every window.
 
     Args:
         problem: its windows begin where a smoother says.
         hypothesis: simulates.
-        known: the observations of a window that are used.
         finer: divides the time step.
         resting: whether joints that hardly move are tried at rest as well: with dry friction no
             small change of the start leads from one to the other.
     """
-    first, *more = first_starts(problem, hypothesis, known, finer)
-    everything = np.arange(len(first))
-    found = _Starts(problem, hypothesis, first, known, finer)
+    first, *more = first_starts(problem, hypothesis, finer)
+    found = _Starts(problem, hypothesis, first, finer)
     found.fit()
     for start in more:
-        found.tried(everything, start)
+        found.tried(np.arange(len(first)), start)
+    if can_touch(problem.machine.model):
+        found.grown()
     if not resting:
         return found.start
     at_rest = _at_rest(problem, found.start)
@@ -67,42 +63,26 @@ def estimated(
 
 
 def caught_up(
-    problem: Problem, hypothesis: Hypothesis, start: State, r: Float[np.ndarray, "W R"]
+    problem: Problem, hypothesis: Hypothesis, start: State, finer: int = 1
 ) -> tuple[State, Float[np.ndarray, "W R"]]:
     """Return starts and residuals where windows that leave more than noise were fitted on.
 
     In contact a start decides when something is touched, and no small step leads from one order of
-    impacts to another; what is left there asks for names that are not there. Each window begins
-    anew at the smoother's start and is fitted to its first part, then to more of it.
+    impacts to another; what is left there asks for names that are not there. Each such window
+    begins anew at the smoother's start and is fitted to its first part, then to more of it.
 
     Args:
         problem: the windows.
         hypothesis: simulates.
         start: starts so far.
-        r: what they leave.
+        finer: divides the time step.
     """
-    cost = (r**2).sum(axis=1)
-    rows = np.flatnonzero(cost > _LEFT_BEHIND * (problem.weight > 0).sum(axis=(1, 2)))
-    if not rows.size:
-        return start, r
-    whole, found = problem.rows(rows), problem.windows.start.rows(rows)
-    for share in _GROWING:
-        part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
-        fitted = _Starts(part, hypothesis, found, np.ones(part.count, bool), 1)
-        fitted.fit()
-        found = fitted.start
-    better = (fitted.residual**2).sum(axis=1) < cost[rows]
-    won, r = rows[better], r.copy()
-    r[won] = fitted.residual[better]
-    return _placed(start, won, found.rows(better)), r
+    found = _Starts(problem, hypothesis, start, finer)
+    found.grown()
+    return found.start, found.residual
 
 
-def first_starts(
-    problem: Problem,
-    hypothesis: Hypothesis,
-    known: Bool[np.ndarray, " R"] | None = None,
-    finer: int = 1,
-) -> list[State]:
+def first_starts(problem: Problem, hypothesis: Hypothesis, finer: int = 1) -> list[State]:
     """Return first starts: for each window what leaves least, then what leaves a little more.
 
     More than one only where a joint moves in a gap: with what speed it is on its way there decides
@@ -111,15 +91,13 @@ def first_starts(
     Args:
         problem: its windows begin where a smoother says.
         hypothesis: simulates.
-        known: the observations of a window that are used, by default all.
         finer: divides the time step.
     """
     smooth = problem.windows.start
     tried = [smooth, *problem.starts(hypothesis, smooth, moving=True)]
     if len(tried) == 1:
         return tried
-    used = np.ones(problem.count, bool) if known is None else known
-    left = [(problem.residual(hypothesis, s, finer)[:, used] ** 2).sum(axis=1) for s in tried]
+    left = [(problem.residual(hypothesis, s, finer) ** 2).sum(axis=1) for s in tried]
     found = []
     for rank in np.argsort(left, axis=0)[: _IN_A_GAP if problem.loose(hypothesis) else 1]:
         start = smooth
@@ -155,15 +133,8 @@ def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]
 class _Starts:
     """Starts that are being fitted, with their residuals and costs."""
 
-    def __init__(
-        self,
-        problem: Problem,
-        hypothesis: Hypothesis,
-        start: State,
-        known: Bool[np.ndarray, " R"],
-        finer: int,
-    ) -> None:
-        self._problem, self._hypothesis, self._known = problem, hypothesis, known
+    def __init__(self, problem: Problem, hypothesis: Hypothesis, start: State, finer: int) -> None:
+        self._problem, self._hypothesis = problem, hypothesis
         self._finer, self.start = finer, start
         everything = np.arange(len(start))
         self.residual = self._residual(everything, start)
@@ -172,11 +143,30 @@ class _Starts:
 
     def tried(self, rows: Int[np.ndarray, " L"], start: State) -> None:
         """Fit some windows from other starts, and take what costs less."""
-        other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._known, self._finer)
+        other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._finer)
         other.fit()
+        self._take(rows, other)
+
+    def grown(self) -> None:
+        """Fit windows that leave more than noise to more and more of them, from the smoother on."""
+        count = (self._problem.weight > 0).sum(axis=(1, 2))
+        rows = np.flatnonzero((self.residual**2).sum(axis=1) > _LEFT_BEHIND * count)
+        if not rows.size:
+            return
+        whole = self._problem.rows(rows)
+        start = whole.windows.start
+        for share in _GROWING:
+            part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
+            other = _Starts(part, self._hypothesis, start, self._finer)
+            other.fit()
+            start = other.start
+        self._take(rows, other)
+
+    def _take(self, rows: Int[np.ndarray, " L"], other: "_Starts") -> None:
+        """Take other starts of some windows where they cost less."""
         better = other.cost < self.cost[rows]
         won = rows[better]
-        self.cost[won] = other.cost[better]
+        self.cost[won], self.residual[won] = other.cost[better], other.residual[better]
         self.start = _placed(self.start, won, other.start.rows(better))
 
     def fit(self) -> None:
@@ -203,7 +193,7 @@ class _Starts:
 
         Where friction reverses right after the start, no slope along one motion tells of the next.
         """
-        usual = max(float(np.median(self.cost)), float(self._known.sum()))
+        usual = max(float(np.median(self.cost)), float(self._problem.count))
         busy = np.flatnonzero(self.cost > _BEHIND * usual)
         for _ in range(_ROUNDS):
             if not busy.size:
@@ -218,13 +208,13 @@ class _Starts:
         rows = np.tile(busy, len(sizes))
         model = self._problem.machine.model
         moved = self._anchor.rows(rows).moved(model, away.reshape(len(rows), -1))
-        r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)[:, self._known]
+        r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)
         change = self.residual[busy] - r.reshape(len(sizes), len(busy), -1)
         return np.asarray(np.moveaxis(change, 0, -1) / sizes)
 
     def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
         linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
-        J = linear.J[:, self._known]
+        J = linear.J
         if first:
             self._spread = prior(self._problem, linear.points.coordinates)
             count, n = len(self.start), len(self._spread)
@@ -257,16 +247,13 @@ class _Starts:
                 break
             away = self._away[left] + share * step
             tried = self._anchor.rows(left).moved(self._problem.machine.model, away)
-            better = self._take(left, tried, ((away / self._spread) ** 2).sum(axis=1))
+            better = self._taken(left, tried, ((away / self._spread) ** 2).sum(axis=1))
             self._away[left[better]], moved[left[better]] = away[better], True
             left, step = left[~better], step[~better]
         return np.flatnonzero(moved)
 
-    def _take(
-        self,
-        rows: Int[np.ndarray, " L"],
-        tried: State,
-        penalty: Float[np.ndarray, " L"] | float = 0.0,
+    def _taken(
+        self, rows: Int[np.ndarray, " L"], tried: State, penalty: Float[np.ndarray, " L"]
     ) -> Bool[np.ndarray, " L"]:
         """Take other starts of some windows where they cost less; return where."""
         r = self._residual(rows, tried)
@@ -279,7 +266,7 @@ class _Starts:
 
     def _residual(self, rows: Int[np.ndarray, " L"], start: State) -> Float[np.ndarray, "L R"]:
         problem = self._problem if len(rows) == len(self.start) else self._problem.rows(rows)
-        return problem.residual(self._hypothesis, start, self._finer)[:, self._known]
+        return problem.residual(self._hypothesis, start, self._finer)
 
 
 def _placed(start: State, rows: Int[np.ndarray, " L"], other: State) -> State:

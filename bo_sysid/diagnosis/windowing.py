@@ -66,7 +66,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         first = [*first_starts(problem, at), *first]
     linear, contact = _settled(problem, at, first), can_touch(problem.machine.model)
     if contact:
-        start, _ = caught_up(problem, at, linear.start, problem.residual(at, linear.start))
+        start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
         linear = linear.observing(weighted_by_chaos(linear))
     change = _by_a_finer_step(linear)
