@@ -25,16 +25,23 @@ def fitted(dampings: tuple[float, float]):
     return ready.problem, refit(ready.linear, [member], [member.probe])
 
 
-@pytest.mark.parametrize("of", [by_stretch, lambda p, f: by_recording(p, f).covariance])
-def test_the_interval_holds_what_parts_differ_by(of) -> None:
-    low, high = 0.02, 0.05
-    problem, fit = fitted((low, high))
-    assert low < fit.x[0][0] < high
-    parts = 4 if of is by_stretch else 2
-    values = np.repeat([low, high], parts // 2)
-    expected = np.std(values, ddof=1) / np.sqrt(parts)  # of a mean of so many parts
-    assert np.sqrt(of(problem, fit)[0, 0]) == pytest.approx(expected, rel=0.15)
+LOW, HIGH = 0.02, 0.05
+
+
+def test_the_interval_holds_what_recordings_differ_by() -> None:
+    problem, fit = fitted((LOW, HIGH))
+    assert LOW < fit.x[0][0] < HIGH
+    expected = np.std([LOW, HIGH], ddof=1) / np.sqrt(2)  # of a mean of two
+    found = by_recording(problem, fit).covariance
+    assert np.sqrt(found[0, 0]) == pytest.approx(expected, rel=0.15)
     assert np.sqrt(fit.covariance[0, 0]) < expected
+
+
+def test_the_interval_holds_what_stretches_end_at() -> None:
+    problem, fit = fitted((LOW, HIGH))
+    ends = [fit.x[0][0], LOW, LOW, HIGH, HIGH]
+    found = np.sqrt(by_stretch(problem, fit)[0, 0])
+    assert found == pytest.approx(np.std(ends, ddof=1), rel=0.15)
 
 
 def test_the_interval_stays_where_parts_agree() -> None:

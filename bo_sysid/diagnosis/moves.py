@@ -166,8 +166,8 @@ def eliminate(search: Search, steps: int = 14) -> None:
     """Leave out what is too small until the leading set is admissible.
 
     Where contact bends the response, that is known of a set only once it was fitted without each
-    of its members, from its own magnitudes and starts: a smaller set that stayed on the far side of
-    an impact makes anything that leads across look needed.
+    of its members, from its own magnitudes, from its starts and anew from the smoother's: a smaller
+    set that stayed on the far side of an impact makes anything that leads across look needed.
     """
     bent = can_touch(search.prepared.problem.machine.model)
     done: set[tuple[object, object]] = set()
@@ -190,17 +190,17 @@ def eliminate(search: Search, steps: int = 14) -> None:
 
 def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]]) -> bool:
     """Fit a set without each of its members from where it is; whether that came nearer."""
-    nearer = False
+    nearer, smooth = False, search.prepared.problem.windows.start
     for k in range(len(f.members)):
         members, x = subset(f, [i for i in range(len(f.members)) if i != k])
         key = set_key(members)
-        if (f.key, key) not in done:
-            done.add((f.key, key))
-            known = search.fits.get(key)
-            made = search.fit(
-                members, x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL
-            )
-            nearer |= known is None or made.rss < known.rss
+        if (f.key, key) in done:
+            continue
+        done.add((f.key, key))
+        known = search.fits.get(key)
+        for start in (f.start, smooth):
+            made = search.fit(members, x, start=start, guess=f.hypothesis, again=True, effort=FINAL)
+        nearer |= known is None or made.rss < known.rss
     return nearer
 
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.linalg import hadamard
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import linearise
@@ -14,6 +15,8 @@ from bo_sysid.diagnosis.refit import Effort, refit
 
 _LEAST = 4  # windows that a recording must have to be fitted alone
 _STRETCHES = 4  # of recordings in contact
+_AWAY = 0.2  # of a magnitude, where the fit of a stretch begins
+_AS_NEAR = 1.2  # times the squares that the whole fit leaves of a stretch
 _EFFORT = Effort(iterations=4, gain=1.0, final=True)
 
 
@@ -49,34 +52,56 @@ def by_recording(problem: Problem, fit: Fit) -> Sessions:
 
 
 def by_stretch(problem: Problem, fit: Fit) -> Float[np.ndarray, "p p"]:
-    """Return the covariance of a fit, widened where stretches of the recordings disagree.
+    """Return the covariance of a fit, widened by what stretches of the recordings end at.
 
-    In contact slopes say little of how sure a magnitude is: impacts bend what they tell.
+    In contact slopes say little of how sure a magnitude is: impacts bend what they tell, and leave
+    many magnitudes from which no small step leads on. Each stretch therefore begins a share above
+    or below what was found, in another combination for every magnitude. Those that come as near to
+    their recordings as the whole fit does say where else it might have ended.
     """
     count = len(problem.windows)
     if count < _STRETCHES * _LEAST or not fit.members:
         return fit.covariance
     number = np.arange(count) * _STRETCHES // count
-    return _widened(fit, [_alone(problem, fit, number == i) for i in range(_STRETCHES)])
+    signs = hadamard(_STRETCHES)[1:]  # rows: magnitudes, columns: stretches
+    near = []
+    for i in range(_STRETCHES):
+        rows = number == i
+        away = [1.0 + _AWAY * signs[k % len(signs), i] for k in range(len(fit.members))]
+        alone = _alone(problem, fit, rows, [a * v for a, v in zip(away, fit.x, strict=True)])
+        if (alone.residual**2).sum() < _AS_NEAR * (fit.residual[rows] ** 2).sum():
+            near.append(alone)
+    return _with_more(fit, _excess([fit, *near])) if near else fit.covariance
 
 
 def _widened(fit: Fit, alone: Sequence[Fit]) -> Float[np.ndarray, "p p"]:
     """Return the covariance of a fit with what fits of parts of its windows differ by more."""
-    size = sum(c.size for c in fit.members)
-    spread = np.var([np.concatenate(f.x) for f in alone], axis=0, ddof=1)
-    own = np.mean([np.diag(f.covariance)[:size] for f in alone], axis=0)
-    covariance = fit.covariance.copy()
-    covariance[np.arange(size), np.arange(size)] += np.maximum(spread - own, 0.0) / len(alone)
+    return _with_more(fit, _excess(alone) / len(alone))
+
+
+def _excess(fits: Sequence[Fit]) -> Float[np.ndarray, " m"]:
+    """Return the variance between the magnitudes of fits, less the mean of their own."""
+    spread = np.var([np.concatenate(f.x) for f in fits], axis=0, ddof=1)
+    own = np.mean([np.diag(f.covariance)[: len(spread)] for f in fits], axis=0)
+    return np.asarray(np.maximum(spread - own, 0.0))
+
+
+def _with_more(fit: Fit, variance: Float[np.ndarray, " m"]) -> Float[np.ndarray, "p p"]:
+    """Return the covariance of a fit with more variance of its magnitudes."""
+    covariance, own = fit.covariance.copy(), np.arange(len(variance))
+    covariance[own, own] += variance
     return covariance
 
 
-def _alone(problem: Problem, fit: Fit, rows: Float[np.ndarray, " W"] | np.ndarray) -> Fit:
+def _alone(
+    problem: Problem, fit: Fit, rows: Bool[np.ndarray, " W"], x: Sequence[np.ndarray] | None = None
+) -> Fit:
     part, start = problem.rows(rows), fit.start.rows(rows)
     linear = linearise(part, fit.hypothesis, start)
     return refit(
         replace(linear, problem=part),
         fit.members,
-        fit.x,
+        fit.x if x is None else x,
         groups=fit.groups,
         start=start,
         guess=fit.hypothesis,

@@ -2,6 +2,7 @@
 
 from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
     actuation,
+    commands,
     contact,
     environment,
     friction,

@@ -1,15 +1,14 @@
-"""Actuators that are weaker, slower or later than the model's, and servos tuned otherwise."""
+"""Actuators that are weaker than the model's, and servos tuned otherwise."""
 
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import with_own_bias
+from bo_sysid.effects.actuators import actuator_at, affine, drives, with_own_bias
 from bo_sysid.effects.contract import (
     Component,
     Extent,
-    Filter,
     Force,
     Magnitudes,
     Motion,
@@ -17,35 +16,14 @@ from bo_sysid.effects.contract import (
     Signal,
     Site,
 )
-from bo_sysid.effects.filters import cut_out, delayed, lagged, limited
-from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
+from bo_sysid.effects.machine import ChannelScale, Machine
 from bo_sysid.effects.registry import effect
 
-_LAGS = (0.004, 0.03)
-_DELAYS = (0.004, 0.02)
-_RAMPS = (0.004, 0.015, 0.06)  # [s] that the largest change of a control may take
 _SAG = 0.005  # of a supply's voltage: less is no sag
-_APART = 1.5  # ratio of rates that are tried
-_INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
-
-
-def _at(site: Site, machine: Machine) -> ActuatorScale:
-    return machine.actuators[site.name]
-
-
-def _moves(site: Site, machine: Machine) -> bool:
-    """Whether the actuator drives one joint and was used."""
-    a = _at(site, machine)
-    return a.joint in machine.joints and a.ctrl_max > 0
-
-
-def _plain(site: Site, machine: Machine) -> bool:
-    """Whether it moves its joint by a force affine in control, length and velocity."""
-    return _moves(site, machine) and _at(site, machine).plain
 
 
 def _gain_extent(site: Site, machine: Machine) -> Extent | None:
-    return Extent((0.02,), (-0.95,), (3.0,)) if _plain(site, machine) else None
+    return Extent((0.02,), (-0.95,), (3.0,)) if affine(site, machine) else None
 
 
 @effect(
@@ -68,12 +46,12 @@ def actuator_gain(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machi
 
 
 def _kp(site: Site, machine: Machine) -> float:
-    return _at(site, machine).gain
+    return actuator_at(site, machine).gain
 
 
 def _kp_extent(site: Site, machine: Machine) -> Extent | None:
-    a = _at(site, machine)
-    if not (a.servo and _plain(site, machine)):
+    a = actuator_at(site, machine)
+    if not (a.servo and affine(site, machine)):
         return None
     return Extent((0.02 * a.gain,), (-0.9 * a.gain,), (3 * a.gain,))
 
@@ -98,12 +76,12 @@ def servo_kp(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 
 def _kd(site: Site, machine: Machine) -> float:
-    return -_at(site, machine).bias[2]
+    return -actuator_at(site, machine).bias[2]
 
 
 def _kd_extent(site: Site, machine: Machine) -> Extent | None:
-    a = _at(site, machine)
-    if not (a.servo and _plain(site, machine)):
+    a = actuator_at(site, machine)
+    if not (a.servo and affine(site, machine)):
         return None
     speed = machine.joints[a.joint or ""].speed
     scale = max(-a.bias[2], 0.05 * a.force_std / speed)
@@ -129,110 +107,9 @@ def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     a.biasprm[2] = a.biasprm[2] - x[0]
 
 
-def _lag_extent(site: Site, machine: Machine) -> Extent | None:
-    if not _moves(site, machine):
-        return None
-    return Extent((_LAGS[0],), (0.0,), (0.5,), tuple((p,) for p in _LAGS))
-
-
-def _lag_filter(site: Site, x: Magnitudes) -> Filter:
-    return Filter(site.name, lambda channel, dt: lagged(channel, float(x[0]), dt))
-
-
-def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
-    """Write the lag as the actuator's activation, where it has none."""
-    a = spec.actuator(site.name)
-    if a.dyntype != mujoco.mjtDyn.mjDYN_NONE:
-        return _lag_filter(site, x)
-    a.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-    a.dynprm[0] = float(x[0])
-    return None
-
-
-@effect(
-    "actuator_lag",
-    kind="actuator",
-    components=(Component("time constant", "s"),),
-    extent=_lag_extent,
-    noun="a lag",
-    sentence="{site} follows its command with a time constant of {value}.",
-    form="filter; filterexact in a file",
-    evidence="roll-off of fast commands",
-    separation="commands over two decades of frequency",
-    written=_write_lag,
-)
-def actuator_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """First-order lag of the command with time constant x[0]."""
-    return _lag_filter(site, x)
-
-
-def _delay_extent(site: Site, machine: Machine) -> Extent | None:
-    if not _moves(site, machine):
-        return None
-    return Extent((_DELAYS[0],), (0.0,), (0.1,), tuple((p,) for p in _DELAYS))
-
-
-def _delay_filter(site: Site, x: Magnitudes) -> Filter:
-    return Filter(site.name, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
-
-
-def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
-    """Write the delay as the actuator's own, interpolated between steps.
-
-    MuJoCo has no command newer than the last step's: a delay of less than a step remains a filter.
-    """
-    a, dt = spec.actuator(site.name), spec.option.timestep
-    late = a.delay + float(x[0])
-    if late < dt:
-        return _delay_filter(site, x)
-    a.delay, a.nsample, a.interp = late, int(np.ceil(late / dt)) + 1, _INTERPOLATED
-    return None
-
-
-@effect(
-    "actuator_delay",
-    kind="actuator",
-    components=(Component("delay", "s"),),
-    extent=_delay_extent,
-    noun="a delay",
-    sentence="{site} acts on its command {value} later than the model says.",
-    form="filter; delay in a file",
-    evidence="a shift in time that is the same at every frequency",
-    separation="commands over two decades of frequency; a sensor with another clock",
-    grouped=True,
-    written=_write_delay,
-)
-def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """The command arrives x[0] later."""
-    return _delay_filter(site, x)
-
-
-def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
-    a = _at(site, machine)
-    if a.servo or not _moves(site, machine):
-        return None
-    return Extent((0.05 * a.ctrl_std,), (0.0,), (0.8 * a.ctrl_std,))
-
-
-@effect(
-    "actuator_deadzone",
-    kind="actuator",
-    components=(Component("half width", "control units"),),
-    extent=_deadzone_extent,
-    noun="a dead zone",
-    sentence="{site} does not act on commands below {value}.",
-    form="filter",
-    evidence="small commands do nothing, large ones lack a constant",
-    separation="reversals while moving; an unpowered run",
-)
-def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """Commands within ±x[0] do nothing; beyond, x[0] is lost."""
-    return Filter(site.name, lambda channel, dt: cut_out(channel, float(x[0])))
-
-
 def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
-    a = _at(site, machine)
-    if not _moves(site, machine) or not a.levels:
+    a = actuator_at(site, machine)
+    if not drives(site, machine) or not a.levels:
         return None
     lost = tuple(((1.0 - level) * a.force_max,) for level in a.levels)
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)
@@ -253,67 +130,25 @@ def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, t
     evidence="large commands do no more than smaller ones",
     separation="steps of several sizes",
     threshold=True,
-    absolute=lambda x, machine, site: _at(site, machine).force_max - float(x[0]),
+    absolute=lambda x, machine, site: actuator_at(site, machine).force_max - float(x[0]),
     details=_saturation_lost,
 )
 def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Limit the force so that x[0] of the largest one used is lost."""
-    a, scale = spec.actuator(site.name), _at(site, machine)
+    a, scale = spec.actuator(site.name), actuator_at(site, machine)
     most = max(scale.force_max - float(x[0]), 1e-9) / abs(scale.gear)
     a.forcerange = [-most, most]
     a.forcelimited = True
 
 
-def _fastest(site: Site, machine: Machine) -> float:
-    """Return the rate at which the largest recorded change of the control takes one step."""
-    return _at(site, machine).jumps[0] / float(machine.model.opt.timestep)
-
-
-def _rate_extent(site: Site, machine: Machine) -> Extent | None:
-    jumps = _at(site, machine).jumps
-    if not (_moves(site, machine) and jumps):
-        return None
-    most = _fastest(site, machine)
-    wanted = {j / machine.sampling for j in jumps[1:]} | {jumps[0] / t for t in _RAMPS}
-    lost: list[float] = []
-    for rate in sorted(wanted, reverse=True):
-        if rate < (most - lost[-1] if lost else most) / _APART:
-            lost.append(most - rate)
-    if not lost:
-        return None
-    return Extent((lost[0],), (0.0,), (most * (1 - 1e-6),), tuple((x,) for x in lost))
-
-
-def _rate(x: Magnitudes, machine: Machine, site: Site) -> float:
-    return _fastest(site, machine) - float(x[0])
-
-
-@effect(
-    "command_rate",
-    kind="actuator",
-    components=(Component("rate lost", "control units/s"),),
-    extent=_rate_extent,
-    noun="a limit of the command's rate",
-    sentence="{site} follows its command no faster than {value}.",
-    form="filter",
-    evidence="large changes of the command arrive as ramps, small ones at once",
-    separation="steps of several sizes",
-    absolute=_rate,
-)
-def command_rate(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
-    """The command changes no faster than the largest recorded rate less x[0]."""
-    rate = max(_rate(x, machine, site), 1e-9)
-    return Filter(site.name, lambda channel, dt: limited(channel, rate, dt))
-
-
 def _back_emf(site: Site, machine: Machine) -> float:
-    a = _at(site, machine)
+    a = actuator_at(site, machine)
     return -a.bias[2] * a.gear**2
 
 
 def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
-    a = _at(site, machine)
-    if a.servo or not _plain(site, machine):
+    a = actuator_at(site, machine)
+    if a.servo or not affine(site, machine):
         return None
     scale = a.force_std / machine.joints[a.joint or ""].speed
     nominal = _back_emf(site, machine)
@@ -336,7 +171,7 @@ def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
 def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Torque -x[0]·v at the joint, inside the actuator's limits."""
     a = with_own_bias(spec, site.name, machine)
-    a.biasprm[2] = a.biasprm[2] - float(x[0]) / _at(site, machine).gear ** 2
+    a.biasprm[2] = a.biasprm[2] - float(x[0]) / actuator_at(site, machine).gear ** 2
 
 
 def _supply(site: Site, machine: Machine) -> str | None:
@@ -353,14 +188,14 @@ def _sags(channel: ChannelScale) -> bool:
 
 def _sag_extent(site: Site, machine: Machine) -> Extent | None:
     supply = _supply(site, machine)
-    if supply is None or not _plain(site, machine):
+    if supply is None or not affine(site, machine):
         return None
     sag = machine.scales[supply].high - machine.scales[supply].low
     return Extent((0.2 * sag,), (0.0,), (4 * sag,))
 
 
 def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motion], Signal]:
-    a, supply = _at(site, machine), _supply(site, machine) or ""
+    a, supply = actuator_at(site, machine), _supply(site, machine) or ""
     c, joint = machine.scales[supply], a.joint or ""
 
     def law(m: Motion) -> Signal:
@@ -393,4 +228,4 @@ def voltage_sag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 
     With x[0] = Vmax - Vmin it is in proportion to V(t).
     """
-    return Force(_at(site, machine).joint or "", _lost_torque(x, site, machine))
+    return Force(actuator_at(site, machine).joint or "", _lost_torque(x, site, machine))

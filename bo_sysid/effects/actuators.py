@@ -3,10 +3,27 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.contract import Site
+from bo_sysid.effects.machine import ActuatorScale, Machine
 
 _NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
 _MOTOR_CONSTANT = 1e-6  # must be positive
+
+
+def actuator_at(site: Site, machine: Machine) -> ActuatorScale:
+    """Return what is known of the actuator of a site."""
+    return machine.actuators[site.name]
+
+
+def drives(site: Site, machine: Machine) -> bool:
+    """Whether the actuator drives one joint and was used."""
+    a = actuator_at(site, machine)
+    return a.joint in machine.joints and a.ctrl_max > 0
+
+
+def affine(site: Site, machine: Machine) -> bool:
+    """Whether it drives its joint by a force affine in control, length and velocity."""
+    return drives(site, machine) and actuator_at(site, machine).plain
 
 
 def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActuator:

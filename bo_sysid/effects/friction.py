@@ -18,6 +18,7 @@ from bo_sysid.effects.contract import (
 )
 from bo_sysid.effects.machine import JointScale, Machine
 from bo_sysid.effects.registry import effect
+from bo_sysid.mjcf.touching import can_touch
 
 # With MuJoCo's default solver settings dry friction creeps under load; with these the speed is
 # (1 - d)/d of the free one after a time constant: a load held at 33 rad/s² creeps 6.5e-6 rad/s.
@@ -25,6 +26,7 @@ _SOLREF = (0.002, 1.0)
 _SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 _HOLDS, _CREEPS = 1.0, 0.0
 _HELD = 1.2  # of the most that a joint's actuators did: friction that holds it all the time
+_LOADED = 3.0  # times that, which impacts load a joint with
 _FINER = (0.55, 0.75, 1.35, 1.8)
 _STIFF = 1e-4  # [rad] or [m] by which bristles bend before they slip where that is not known
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the joint's travel, that are tried
@@ -50,7 +52,8 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     joint = machine.joints[site.name]
     low = -_frictionloss(site, machine) - 1e-12
     held = _HELD * sum(machine.actuators[a].force_max for a in joint.actuators)
-    most = max(3 * joint.force, held)
+    loaded = _LOADED if can_touch(machine.model) else 1.0
+    most = max(3 * joint.force, loaded * held)
     bends = tuple((_HOLDS, bend * joint.travel) for bend in _BENDS)
     return Extent(
         (0.05 * joint.force, _HOLDS, 0.0),
