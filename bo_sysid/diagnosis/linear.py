@@ -1,13 +1,12 @@
-"""Signatures: how each candidate would move the predictions, from a time-varying linear model.
+"""The linear time-varying model along a prediction.
 
-Along the predicted motion the simulator is linearised every few steps by one-step finite
-differences, s⁺ = A s + w. The response to a candidate is then one propagation of what it adds in
-a step: B times a force, E times a change of control, or the one-step difference of the edited
-model. A change of start is a nuisance: J₀, the response to the start, is projected out of
-everything, window by window, P = I - QQᵀ with Q = orth(J₀).
+The simulator is linearised every few steps by one-step finite differences, s⁺ = A s + w: w is what
+is added in a step, such as B times a force or E times a change of control. A change of start is a
+nuisance: J₀, the response to the start, is projected out of everything, window by window,
+P = I - QQᵀ with Q = orth(J₀).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,18 +14,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.points import (
     Points,
     control_matrix,
-    differ,
     force_matrix,
     points_along,
     state_matrix,
 )
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.shown import observe
-from bo_sysid.effects import Force, Part
+from bo_sysid.effects import Part
 from bo_sysid.simulation import (
     State,
     Trajectory,
@@ -34,9 +31,7 @@ from bo_sysid.simulation import (
 
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
-_BATCH = 24  # columns propagated at once
 _UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
-_FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges
 
 
 def project(
@@ -113,6 +108,11 @@ class Linear:
         return control_matrix(self.problem, self.points, len(self.start))
 
     @cached_property
+    def residual(self) -> Float[np.ndarray, "W R"]:
+        """What was recorded less the prediction, in sigma."""
+        return self.problem.residual(self.hypothesis, self.start)
+
+    @cached_property
     def along(self) -> Along:
         """The motion at the beginning of every macro step."""
         rows = slice(0, self.macros * self.macro, self.macro)
@@ -167,107 +167,11 @@ class Linear:
         gain = np.linalg.pinv(R, rcond=1e-10) @ Q.transpose(0, 2, 1)
         return replace(self, J=J, Q=Q, start_gain=gain)
 
-    def signatures(self, candidates: Sequence[Candidate]) -> Float[np.ndarray, "W R p"]:
-        """Return the projected response to each magnitude of each candidate, per unit, in sigma."""
-        out: list[np.ndarray] = []
-        waiting: list[tuple[np.ndarray, np.ndarray]] = []
-
-        def flush() -> None:
-            if waiting:
-                forced = np.concatenate([w for w, _ in waiting], axis=-1)
-                shown = np.concatenate([s for _, s in waiting], axis=-1)
-                response = self._shown(self._propagate(forced)) + shown
-                response = np.clip(np.nan_to_num(project(self.Q, response)), -_FAR, _FAR)
-                out.append(response.astype(np.float32))
-                waiting.clear()
-
-        for candidate in candidates:
-            waiting.append(self._forcing(candidate))
-            if sum(w.shape[-1] for w, _ in waiting) >= _BATCH:
-                flush()
-        flush()
-        if not out:
-            return np.zeros((*self.Q.shape[:2], 0), np.float32)
-        return np.concatenate(out, axis=-1)
-
-    def response_to_forces(
-        self, joint: str, forces: Float[np.ndarray, "W M k"]
-    ) -> Float[np.ndarray, "W R k"]:
-        """Return the projected response to forces on a joint, one in each macro step."""
-        dof = self.problem.machine.joints[joint].dof
-        B = self._held(self.B[..., dof])[..., None]
-        parts = [
-            project(self.Q, self._shown(self._propagate(B * forces[:, :, None, k : k + _BATCH])))
-            for k in range(0, forces.shape[-1], _BATCH)
-        ]
-        return np.concatenate(parts, axis=-1)
-
-    def _forcing(self, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
-        """Return what each magnitude adds in a macro step, and directly to the observations."""
-        W, M, n = len(self.start), self.macros, self.A.shape[-1]
-        w = np.zeros((W, M, n, candidate.size))
-        shown = np.zeros((W, self.problem.count, candidate.size))
-        for i in range(candidate.size):
-            x = np.zeros(candidate.size)
-            x[i] = candidate.point[i]
-            w[..., i], shown[..., i] = self._difference(candidate, x)
-            w[..., i] /= x[i]
-            shown[..., i] /= x[i]
-        return w, shown
-
-    def _difference(self, candidate: Candidate, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        law = candidate.effect.force
-        if law is not None and not candidate.secant:
-            joint = candidate.site.name
-            force = law(candidate.site, candidate.full(x), self.problem.machine)(self.along)
-            return self._by_force(joint, force), np.zeros(self.Q.shape[:2])
-        h = self.hypothesis
-        added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
-        if candidate.effect.hidden and any(candidate.takes & c.takes for c in h.members):
-            return self._nothing, np.zeros(self.Q.shape[:2])  # another joint is added there
-        if candidate.effect.hidden or candidate.secant:
-            return self._nothing, self._simulated(added)
-        model, parts = self.problem.compiled(added)
-        new = parts[len(self.parts) :]
-        w = self._nothing
-        if differ(model, self.points.model):
-            step = self.points.stepped(model) - self.points.base
-            w = w + self._held(step.reshape(len(self.start), -1, self.A.shape[-1]))
-        for part in new:
-            if isinstance(part, Force):
-                w = w + self._by_force(part.joint, part.law(self.along))
-        shown = np.zeros(self.Q.shape[:2])
-        if new:
-            ctrl = self.problem.controls(parts, self.problem.windows)
-            change = _per_macro(ctrl - self.ctrl[:, : ctrl.shape[1]], self.macro, self.macros)
-            if change.any():
-                w = w + np.einsum("wmnu,wmu->wmn", self._held(self.E), change)
-            before = observe(self.problem.layout, self.problem.windows, self.trajectory, self.parts)
-            after = observe(self.problem.layout, self.problem.windows, self.trajectory, parts)
-            shown = self.problem.weighted(after - before)
-        return w, shown
-
-    @property
-    def _nothing(self) -> np.ndarray:
-        return np.zeros((len(self.start), self.macros, self.A.shape[-1]))
-
-    def _simulated(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Return the change of the observations by simulation: the state has more coordinates."""
-        return np.asarray(self._residual - self.problem.residual(hypothesis, self.start))
-
-    @cached_property
-    def _residual(self) -> np.ndarray:
-        return self.problem.residual(self.hypothesis, self.start)
-
-    def _by_force(self, joint: str, force: np.ndarray) -> np.ndarray:
-        dof = self.problem.machine.joints[joint].dof
-        return np.asarray(self._held(self.B[..., dof]) * force[..., None])
-
-    def _held(self, values: np.ndarray) -> np.ndarray:
+    def held(self, values: np.ndarray) -> np.ndarray:
         """Return values given every `hold` macro steps for each macro step."""
         return np.asarray(values[:, np.arange(self.macros) // self.hold])
 
-    def _propagate(
+    def propagate(
         self, w: Float[np.ndarray, "W M n c"] | None, s0: Float[np.ndarray, "W n c"] | None = None
     ) -> Float[np.ndarray, "W M1 n c"]:
         """Return s⁺ = A s + w from s0, at the macro steps."""
@@ -285,7 +189,7 @@ class Linear:
                 out[:, k + 1] = s
         return out
 
-    def _shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
+    def shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
         """Return what the channels show of a change of state, in sigma."""
         p = self.problem
         if not self.points.coordinates.same:
@@ -334,12 +238,5 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
         empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
-    J = np.clip(np.nan_to_num(linear._shown(linear._propagate(None, moves))), -1e12, 1e12)
+    J = np.clip(np.nan_to_num(linear.shown(linear.propagate(None, moves))), -1e12, 1e12)
     return linear._responding(J)
-
-
-def _per_macro(values: np.ndarray, macro: int, macros: int) -> np.ndarray:
-    """Return the mean of `W x S x nu` over each macro step."""
-    spare = macros * macro - values.shape[1]
-    padded = np.pad(values, ((0, 0), (0, spare), (0, 0)), mode="edge")
-    return np.asarray(padded.reshape(len(values), macros, macro, -1).mean(axis=2))

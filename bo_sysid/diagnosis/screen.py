@@ -10,6 +10,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.rules import clean
+from bo_sysid.diagnosis.signatures import signatures
 from bo_sysid.diagnosis.subsets import Gram, gram
 
 _NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
@@ -45,8 +46,8 @@ class Screen:
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
         left_out = [clean(fit) and c.effect.hidden and c not in fit.members for c in held]
         S = np.zeros((*frame.Q.shape[:2], len(owner)), np.float32)
-        S[..., ~np.array(left_out)[owner]] = frame.signatures(
-            [c for c, out in zip(held, left_out, strict=True) if not out]
+        S[..., ~np.array(left_out)[owner]] = signatures(
+            frame, [c for c, out in zip(held, left_out, strict=True) if not out]
         )
         owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:

@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.settling import settle
+from bo_sysid.diagnosis.signatures import response_to_forces
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -131,7 +132,9 @@ def _forces(
     y = project(linear.Q, problem.residual(hypothesis, start))
     joints = problem.machine.joints
     one = np.ones((len(y), linear.macros, 1))
-    A = np.concatenate([linear.response_to_forces(n, j.force * one) for n, j in joints.items()], -1)
+    A = np.concatenate(
+        [response_to_forces(linear, n, j.force * one) for n, j in joints.items()], -1
+    )
     N = np.einsum("wri,wrj->wij", A, A) + np.eye(len(joints)) / _PRIOR**2
     covariance = np.linalg.inv(N)
     scale = np.array([j.force for j in joints.values()])

@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import MARGIN
 from bo_sysid.diagnosis.settling import settle
+from bo_sysid.diagnosis.signatures import response_to_forces, signatures
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force
@@ -196,7 +197,7 @@ def law_columns(linear: Linear, joint: str, terms: Sequence[Feature]) -> Float[n
     """Return the projected response to each term of a law, per unit of the joint's force."""
     scale = linear.problem.machine.joints[joint].force
     forces = np.stack([scale * np.asarray(t.value(linear.along)) for t in terms], axis=-1)
-    return linear.response_to_forces(joint, forces)
+    return response_to_forces(linear, joint, forces)
 
 
 def _clues(linear: Linear, best: Fit) -> list[Clue]:
@@ -255,7 +256,7 @@ def _step(
 ) -> Hypothesis:
     """Return the hypothesis after one Gauss-Newton step on members and law together."""
     named = hypothesis.members[:-1]
-    S = linear.signatures(named).astype(float) if named else np.zeros((*r.shape, 0))
+    S = signatures(linear, named).astype(float) if named else np.zeros((*r.shape, 0))
     A = np.concatenate([S, law_columns(linear, joint, terms)], axis=-1)
     y = project(linear.Q, r)
     scale = np.sqrt((A**2).sum(axis=(0, 1))) + 1e-12

@@ -4,6 +4,7 @@ from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
     actuation,
     commands,
     contact,
+    damping,
     environment,
     friction,
     gears,
