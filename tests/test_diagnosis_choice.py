@@ -6,9 +6,15 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from diagnosis_helpers import SIGMA, arm, record
+from diagnosis_helpers import SIGMA, arm, candidate, record
 
-from bo_sysid.diagnosis.answer import leaves_much, left_sentence, make_answer
+from bo_sysid.diagnosis.answer import (
+    bending,
+    bending_sentence,
+    leaves_much,
+    left_sentence,
+    make_answer,
+)
 from bo_sysid.diagnosis.argmin import argmin_sets
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
@@ -125,6 +131,19 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     assert outcome.fit.members == ()
     assert outcome.unexplained.flagged
     assert outcome.sessions.table.empty
+
+
+def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+
+    def beside(joint: str):
+        springy = candidate(machine, "joint_compliance", joint)
+        members, x = (*best.members, springy), (*best.x, springy.point[: springy.size])
+        return replace(best, hypothesis=replace(best.hypothesis, members=members, x=x))
+
+    assert bending(best) == bending(beside("shoulder")) == ()
+    assert bending(beside("elbow")) == ("elbow",)
+    assert "The compliance at elbow may be the friction there" in bending_sentence(["elbow"])
 
 
 def test_names_that_leave_much_are_hints(friction) -> None:

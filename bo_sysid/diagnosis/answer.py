@@ -23,6 +23,7 @@ _ALTERNATIVES = 5
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
+_RUBS = frozenset({"dry_friction", "stribeck_friction", "load_dependent_friction"})
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 
 
@@ -104,8 +105,9 @@ def make_answer(
     """Freeze a decision into an answer, with what to record next.
 
     Where names are doubtful an effect outside the catalogue is as probable as beside something
-    that stays unexplained: in contact, where they were wrong more often than their fits say, and
-    where they leave much more than noise (`leaves_much`).
+    that stays unexplained: in contact, where they were wrong more often than their fits say,
+    where they leave much more than noise (`leaves_much`), and where a compliance may be the bend of
+    friction (`bending`).
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
@@ -135,6 +137,25 @@ def make_answer(
 def leaves_much(best: Fit) -> bool:
     """Return whether the best set leaves so much that something else must be missing, too."""
     return best.excess > _LEFT
+
+
+def bending(best: Fit) -> tuple[str, ...]:
+    """Return the joints with a compliance beside friction: friction bends, too, before it slips.
+
+    The catalogue lets dry friction bend, and one joint's at a time; what bends otherwise was named
+    a compliance.
+    """
+    rubbing = {c.site.name for c in best.members if c.effect.id in _RUBS}
+    springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]
+    return tuple(joint for joint in springy if joint in rubbing)
+
+
+def bending_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a compliance may be the friction beside it, and what would tell."""
+    return (
+        f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
+        "it slips: a load that changes while the joint moves one way would tell."
+    )
 
 
 def left_sentence(best: Fit, most: int) -> str:

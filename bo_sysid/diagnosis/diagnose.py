@@ -6,7 +6,14 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.diagnosis.answer import Answer, leaves_much, left_sentence, make_answer
+from bo_sysid.diagnosis.answer import (
+    Answer,
+    bending,
+    bending_sentence,
+    leaves_much,
+    left_sentence,
+    make_answer,
+)
 from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
@@ -101,6 +108,8 @@ class Diagnosis:
         best = self.located.decision.best
         if self.answer.findings and not self.contact and leaves_much(best):
             said.append(left_sentence(best, self.evidence.most))
+        if bending(self.outcome.fit):
+            said.append(bending_sentence(bending(self.outcome.fit)))
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -136,7 +145,8 @@ def diagnose(
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    doubtful = contact or leaves_much(located.decision.best)
+    best = located.decision.best
+    doubtful = contact or leaves_much(best) or bool(bending(best))
     answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=doubtful)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
