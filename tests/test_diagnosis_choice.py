@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.argmin import argmin_sets
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
 from bo_sysid.diagnosis.explain import explain
+from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.forecast import AHEAD
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
@@ -144,6 +145,17 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
     assert bending(best) == bending(beside("shoulder")) == ()
     assert bending(beside("elbow")) == ("elbow",)
     assert "The compliance at elbow may be the friction there" in bending_sentence(["elbow"])
+
+
+def test_intervals_of_details_end_where_nothing_was_searched_for(friction) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    c = candidate(machine, "joint_compliance", "elbow")
+    hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+    J, covariance = np.zeros((*best.residual.shape, c.size)), 1e20 * np.eye(c.size)
+    blind = replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance)
+    (finding,) = findings(blind, machine, 1.0, ())
+    for i, name in enumerate(("damping over stiffness", "damping on the link"), 1):
+        assert finding.details[name].interval == (c.low[i], c.high[i])
 
 
 def test_names_that_leave_much_are_hints(friction) -> None:

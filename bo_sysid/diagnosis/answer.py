@@ -142,8 +142,8 @@ def leaves_much(best: Fit) -> bool:
 def bending(best: Fit) -> tuple[str, ...]:
     """Return the joints with a compliance beside friction: friction bends, too, before it slips.
 
-    The catalogue lets dry friction bend, and one joint's at a time; what bends otherwise was named
-    a compliance.
+    Of the catalogue's frictions only the dry one may bend, and its bend is not always found: a
+    compliance was named in its place.
     """
     rubbing = {c.site.name for c in best.members if c.effect.id in _RUBS}
     springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]

@@ -1,7 +1,7 @@
 """Findings: what a fit says in numbers and in words."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -200,8 +200,13 @@ def _value(
     if c.size > 1:
         return found
     low, high = sorted((reported(c.low), reported(c.high)))
-    low, high = max(low, found.interval[0]), min(high, found.interval[1])
-    return Quantity(at, unit, (low, high))
+    return _within(found, low, high)
+
+
+def _within(quantity: Quantity, low: float, high: float) -> Quantity:
+    """Return a quantity whose interval ends where the magnitude was not searched for."""
+    first, last = quantity.interval
+    return replace(quantity, interval=(max(low, first), min(high, last)))
 
 
 def _quantity(value: float, variance: float, unit: str) -> Quantity:
@@ -220,9 +225,11 @@ def _details(
         if i >= c.size and c.extent.variants and full[i] == c.extent.probe[i]:
             continue  # as it usually is
         component = c.effect.components[i]
-        variance = float(covariance[i, i]) if i < c.size else 0.0
         unit = unit_at(component.unit, c.site, machine)
-        out[component.name] = _quantity(float(full[i]), variance, unit)
+        variance = float(covariance[i, i]) if i < c.size else 0.0
+        found = _quantity(float(full[i]), variance, unit)
+        fitted = i < c.size
+        out[component.name] = _within(found, c.low[i], c.high[i]) if fitted else found
     if c.effect.details is not None:
         derived = c.effect.details(full, machine, c.site)
         for name, (value, unit) in derived.items():

@@ -63,7 +63,7 @@ def estimated(
 
 
 def caught_up(
-    problem: Problem, hypothesis: Hypothesis, start: State, finer: int = 1
+    problem: Problem, hypothesis: Hypothesis, start: State
 ) -> tuple[State, Float[np.ndarray, "W R"]]:
     """Return starts and residuals where windows that leave more than noise were fitted on.
 
@@ -75,9 +75,8 @@ def caught_up(
         problem: the windows.
         hypothesis: simulates.
         start: starts so far.
-        finer: divides the time step.
     """
-    found = _Starts(problem, hypothesis, start, finer)
+    found = _Starts(problem, hypothesis, start, 1)
     found.grown()
     return found.start, found.residual
 
@@ -145,7 +144,7 @@ class _Starts:
         """Fit some windows from other starts, and take what costs less."""
         other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._finer)
         other.fit()
-        self._take(rows, other)
+        self._adopt(rows, other)
 
     def grown(self) -> None:
         """Fit windows that leave more than noise to more and more of them, from the smoother on."""
@@ -160,9 +159,9 @@ class _Starts:
             other = _Starts(part, self._hypothesis, start, self._finer)
             other.fit()
             start = other.start
-        self._take(rows, other)
+        self._adopt(rows, other)
 
-    def _take(self, rows: Int[np.ndarray, " L"], other: "_Starts") -> None:
+    def _adopt(self, rows: Int[np.ndarray, " L"], other: "_Starts") -> None:
         """Take other starts of some windows where they cost less."""
         better = other.cost < self.cost[rows]
         won = rows[better]
@@ -214,13 +213,12 @@ class _Starts:
 
     def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
         linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
-        J = linear.J
         if first:
             self._spread = prior(self._problem, linear.points.coordinates)
             count, n = len(self.start), len(self._spread)
             self._away = np.zeros((count, n))
-            self._J, self._gain = np.zeros((count, J.shape[1], n)), np.zeros((count, n, n))
-        self._use(busy, J)
+            self._J, self._gain = np.zeros((count, linear.J.shape[1], n)), np.zeros((count, n, n))
+        self._use(busy, linear.J)
 
     def _use(self, busy: Int[np.ndarray, " B"], J: Float[np.ndarray, "B R n"]) -> None:
         """Take the response of some windows to their starts."""
@@ -247,12 +245,12 @@ class _Starts:
                 break
             away = self._away[left] + share * step
             tried = self._anchor.rows(left).moved(self._problem.machine.model, away)
-            better = self._taken(left, tried, ((away / self._spread) ** 2).sum(axis=1))
+            better = self._take(left, tried, ((away / self._spread) ** 2).sum(axis=1))
             self._away[left[better]], moved[left[better]] = away[better], True
             left, step = left[~better], step[~better]
         return np.flatnonzero(moved)
 
-    def _taken(
+    def _take(
         self, rows: Int[np.ndarray, " L"], tried: State, penalty: Float[np.ndarray, " L"]
     ) -> Bool[np.ndarray, " L"]:
         """Take other starts of some windows where they cost less; return where."""
