@@ -6,6 +6,7 @@ import pytest
 from effect_bench import MOTOR, SERVO, SLIDE, Bench, G, pendulum, period
 
 from bo_sysid.effects import CATALOGUE, Hidden, Site
+from bo_sysid.effects.bristles import bristled
 from bo_sysid.simulation.lockstep import LawInputs
 
 
@@ -103,6 +104,39 @@ class TestFriction:
         free = rod.run(rod.model.compile(), (), 0.3, ctrl=0.8 * weight, q=0.5)
         moved, would = (abs(run[1][-1, 0] - 0.5) for run in (law, free))
         assert moved < 0.05 * would
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_bristles_bend_as_their_equation_says(self, slide, sign) -> None:
+        """At a constant slow speed the friction is F·(1 - exp(-x/b))."""
+        joint, level, bend, h = slide.machine.joints["x"], 2.0, 1e-3, 1e-4
+        v = sign * 2e-3 * joint.speed
+        memory: dict[str, object] = {}
+        felt, steps = [], int(5 * bend / abs(v) / h)
+        for _ in range(steps):
+            motion = LawInputs(np.zeros(1), {}, {"x": np.array([v])}, {}, {}, h, memory)
+            felt.append(bristled(np.array([level]), bend, joint, motion)[0])
+        travelled = abs(v) * h * np.arange(1, steps + 1)
+        expected = -sign * level * -np.expm1(-travelled / bend)
+        np.testing.assert_allclose(felt, expected, atol=0.01 * level)
+
+    @pytest.mark.parametrize("push", [0.5, -0.5])
+    def test_friction_of_a_load_slides_alike_whether_it_bends_or_not(self, slide, push) -> None:
+        still, bent = (
+            slide.effect("load_dependent_friction", "joint", "x", [0.3, b], 0.5, ctrl=push, v=1.0)
+            for b in (0.0, 1e-4)
+        )
+        np.testing.assert_allclose(bent[2], still[2], atol=5e-3)
+
+    def test_stribeck_friction_that_bends_is_plain_mjcf(self, slide) -> None:
+        """Slowly, ż = v - |v| z/b at the level of standstill: x = -b·ln(1 - force/level)."""
+        bend, level, share, steps = 1e-3, 0.5 + 1.0, 0.6, 4000
+        model, parts = slide.edited("stribeck_friction", "joint", "x", [0.5, 1.0, 0.1, bend])
+        assert parts == ()
+        data = mujoco.MjData(model)
+        for k in range(steps):
+            data.qfrc_applied[0] = share * level * k / steps
+            mujoco.mj_step(model, data)
+        assert data.qpos[0] == pytest.approx(-bend * np.log(1 - share), rel=0.03)
 
 
 class TestTransmission:

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import hypot, inf, sqrt
 from typing import Any, Literal
 
 import pandas as pd
@@ -13,6 +14,7 @@ from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import CATALOGUE, Machine
 from bo_sysid.runs import plain
@@ -25,6 +27,7 @@ _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
 _RUBS = frozenset({"dry_friction", "stribeck_friction", "load_dependent_friction"})
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
+_STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
 @dataclass(frozen=True)
@@ -135,8 +138,14 @@ def make_answer(
 
 
 def leaves_much(best: Fit) -> bool:
-    """Return whether the best set leaves so much that something else must be missing, too."""
-    return best.excess > _LEFT
+    """Return whether the best set leaves so much that something else must be missing, too.
+
+    That is so, too, where an effect does not stand out from what is left: it may stand in for it.
+    """
+    if clean(best):
+        return False
+    sizes = [hypot(*(best.unique[k] for k in unit)) for unit in units_of(best)]
+    return best.excess > _LEFT or sqrt(best.excess) > _STANDS_OUT * min(sizes, default=inf)
 
 
 def bending(best: Fit) -> tuple[str, ...]:

@@ -10,7 +10,14 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
-from bo_sysid.diagnosis.moves import carried, eliminate, explore, sharpened, stripped
+from bo_sysid.diagnosis.moves import (
+    carried,
+    eliminate,
+    explore,
+    rubbing,
+    sharpened,
+    stripped,
+)
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import substitute
@@ -30,6 +37,7 @@ _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps a
 _HALVINGS = 3
 _SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
+_BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number at most in the final fits
 _MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
@@ -70,12 +78,12 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
         prepared = prepare(_problem(evidence, horizon, step))
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
-    leader = explore(search)
+    search, step = _explored(evidence, search, length, step)
     while length < horizon:
-        step = _step_for(search, leader, step)
+        step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
-        leader = explore(search, rounds=3)
-        tell(f"windows of {length} instants: {_said(leader)}")
+        search, step = _explored(evidence, search, length, step, rounds=3)
+        tell(f"windows of {length} instants: {_said(search.best)}")
     sharpened(search)
     stripped(search)
     tell(f"final fits: {_said(search.best)}")
@@ -90,14 +98,31 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     return Located(decision, final.prepared, final, len(search.fits) + len(final.fits))
 
 
-def _step_for(search: Search, leader: Fit, step: float) -> float:
-    """Return the time step for a leader: a joint in a gap meets its ends between two long steps.
+def _explored(
+    evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
+) -> tuple[Search, float]:
+    """Explore; once more with a finer step where friction leaves something that may be its bend."""
+    leader = explore(search, rounds)
+    finer = _step_for(search, leader, step)
+    if finer < step and rubbing(leader) and not clean(leader):
+        prepared = prepare(_problem(evidence, length, finer), leader.hypothesis)
+        search, step = carried(search, prepared, _CARRIED), finer
+        explore(search, rounds)
+    return search, step
 
-    No share of a finer step's difference corrects that: when it arrives bends what follows.
+
+def _step_for(search: Search, leader: Fit, step: float) -> float:
+    """Return the time step for a leader whose joints meet ends of gaps between two long steps.
+
+    No share of a finer step's difference corrects that: when it arrives bends what follows. Nor
+    does a long step tell bristles that bend from those that do not.
     """
-    problem = search.prepared.problem
-    fine = problem.machine.model.opt.timestep / _GAP_DIVISION
-    return min(step, fine) if problem.loose(leader.hypothesis) else step
+    problem, division = search.prepared.problem, 1
+    if problem.loose(leader.hypothesis):
+        division = _GAP_DIVISION
+    elif rubbing(leader, bent=clean(leader)) and not can_touch(problem.machine.model):
+        division = _BRISTLES_DIVISION
+    return min(step, float(problem.machine.model.opt.timestep) / division)
 
 
 def _stable(evidence: Evidence, horizon: int, step: float) -> int:

@@ -22,6 +22,8 @@ from bo_sysid.mjcf.touching import can_touch
 _TRIED = 2  # joints that are added, by what their grid points leave
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
 _BENT = 1.8  # times a bend of bristles that is fitted
+_SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
+_NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
 
 
@@ -104,51 +106,62 @@ def stripped(search: Search) -> None:
 
 
 def sharpened(search: Search) -> None:
-    """Fit the shape of effects that repeat with position, or bend, between the points of its grid.
+    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
 
     Of the leading set, and of that set without each of its other members: beside a period that is
     a little off a second effect looks needed.
     """
     if not any(search.best.groups):
         vary(search, search.best)  # what is left may be little and decide a forecast all the same
-    leader = search.best
-    for k, c in enumerate(leader.members):
-        bounds = _bounds(search, c)
-        if bounds is None:
-            continue
-        everything = range(len(leader.members))
-        for out in (None, *(i for i in everything if i != k)):
-            keep = [i for i in everything if i != out]
-            members, x = subset(leader, keep)
-            begun = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-            at = next(i for i, d in enumerate(begun.members) if d.key == c.key)
-            _sharpen(search, begun, at, bounds)
+    done: set[tuple[str, str]] = set()
+    while left := [c for c in search.best.members if c.key not in done]:
+        done.add(left[0].key)
+        _sharpened_at(search, search.best, left[0].key)
 
 
-def _bounds(search: Search, c: Candidate) -> tuple[float, float] | None:
-    """Return where the last shape of a member may lie, None where it is not fitted."""
+def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
+    """Fit the shapes of one member of a set, and of the set without each of its others."""
+    count = len(leader.members)
+    alone = [i for i in range(count) if leader.members[i].key != key and leader.groups[i] is None]
+    for out in (None, *alone):
+        members, x = subset(leader, [i for i in range(count) if i != out])
+        fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
+        at = next(i for i, c in enumerate(fit.members) if c.key == key)
+        for shape, bounds in _bounds(search, fit.members[at]).items():
+            fit = _sharpen(search, fit, at, shape, bounds)
+
+
+def rubbing(fit: Fit, *, bent: bool = False) -> bool:
+    """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
+    return any(c.extent.variants and (c.shapes[-1] > 0 or not bent) for c in fit.members)
+
+
+def _bounds(search: Search, c: Candidate) -> dict[int, tuple[float, float]]:
+    """Return where the shapes of a member may lie, by their places; only those that are fitted."""
     if not (c.extent.refine and len(c.shapes)):
-        return None
-    first = float(c.shapes[-1])
+        return {}
+    first, last = float(c.shapes[0]), float(c.shapes[-1])
     if c.extent.variants:
-        return (first / _BENT, first * _BENT) if first > 0 else None
+        found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
+        place = len(c.shapes) - 1
+        return found | ({place: (last / _BENT, last * _BENT)} if last > 0 else {})
     if c.effect.vector < 2 or len(c.shapes) != 1:
-        return None
+        return {}
     joint = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
     assert joint is not None  # noqa: S101 - what repeats with position is at a joint
     reach = _LOBE / joint.span
-    return max(first - reach, 0.1 * first), first + reach
+    return {0: (max(first - reach, 0.1 * first), first + reach)}
 
 
-def _sharpen(search: Search, fit: Fit, k: int, bounds: tuple[float, float]) -> None:
-    """Minimise the residual over the last shape of a member; the best fit is kept."""
+def _sharpen(search: Search, fit: Fit, k: int, shape: int, bounds: tuple[float, float]) -> Fit:
+    """Minimise the residual over one shape of a member; the best fit is kept."""
     best = fit
 
-    def rss(shape: float) -> float:
+    def rss(value: float) -> float:
         nonlocal best
-        c = fit.members[k]
-        c = c.with_shapes(np.array([*c.shapes[:-1], shape]))
-        members = (*fit.members[:k], c, *fit.members[k + 1 :])
+        shapes = best.members[k].shapes.copy()
+        shapes[shape] = value
+        members = (*best.members[:k], fit.members[k].with_shapes(shapes), *best.members[k + 1 :])
         made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
         del search.fits[made.key]
         best = min(best, made, key=lambda f: f.rss)
@@ -160,6 +173,7 @@ def _sharpen(search: Search, fit: Fit, k: int, bounds: tuple[float, float]) -> N
     )  # fmt: skip
     if best is not fit:
         search.listed(best)
+    return best
 
 
 def eliminate(search: Search, steps: int = 14) -> None:
@@ -169,7 +183,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
     of its members, from its own magnitudes, from its starts and anew from the smoother's: a smaller
     set that stayed on the far side of an impact makes anything that leads across look needed.
     """
-    bent = can_touch(search.prepared.problem.machine.model)
+    touching = can_touch(search.prepared.problem.machine.model)
     done: set[tuple[object, object]] = set()
     for _ in range(steps):
         for f in ranked(search.fits.values(), search.prior):
@@ -178,7 +192,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
             if small:
                 simplify(search, f, FINAL)
                 _fit_some(search, f, _without_weak(search, f, small))
-            elif bent:
+            elif touching:
                 nearer = _fitted_without_each(search, f, done)
             if nearer or len(search.fits) > before:
                 break
@@ -200,6 +214,8 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
         known = search.fits.get(key)
         for start in (f.start, smooth):
             made = search.fit(members, x, start=start, guess=f.hypothesis, again=True, effort=FINAL)
+            if made.rms > _NEEDED * f.rms:
+                break
         nearer |= known is None or made.rss < known.rss
     return nearer
 

@@ -156,7 +156,17 @@ def _run(
 
 
 def vary(search: Search, base: Fit) -> None:
-    """Fit a set with other shapes of its effects, all sites alike."""
+    """Fit a set with other shapes of its effects, all sites alike.
+
+    Without the joints that were added where such effects are: what bristles do before they slip
+    looks like a compliance, and beside one there is little left for them.
+    """
+    shaped = {c.site.name for c in base.members if c.extent.variants}
+    keep = [
+        k for k, c in enumerate(base.members) if not (c.effect.hidden and c.site.name in shaped)
+    ]
+    if len(keep) < len(base.members):
+        base = search.fit(*subset(base, keep), guess=base.hypothesis)
     for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
         own = [c for c in base.members if c.effect is effect]
         for shapes in zip(*map(_other_shapes, own), strict=False):
@@ -164,12 +174,18 @@ def vary(search: Search, base: Fit) -> None:
             members = [changed.get(c, c) for c in base.members]
             if set_key(members) not in search.fits:
                 known = [search.known(c) for c in members]
-                search.fit(known, base.x, start=base.start, guess=base.hypothesis)
+                search.fit(
+                    known, base.x, start=base.start, guess=base.hypothesis, again=True,
+                )  # fmt: skip
 
 
 def _other_shapes(c: Candidate) -> list[np.ndarray]:
+    given = np.array(c.extent.variants, float)
     finer = [c.shapes[-1] * f for f in c.extent.refine if c.shapes[-1] > 0]
-    return [*map(np.array, c.extent.variants), *(np.array([*c.shapes[:-1], s]) for s in finer)]
+    return [
+        *np.where(np.isnan(given), c.shapes, given),
+        *(np.array([*c.shapes[:-1], s]) for s in finer),
+    ]
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
@@ -191,12 +207,12 @@ def _plainer(search: Search, c: Candidate) -> Candidate | None:
 def _refine(search: Search, base: Fit) -> None:
     """Add finer shapes of the members of a fit to the candidates."""
     present = {set_key([c]) for c in search.candidates}
-    for c in (c for c in base.members if not c.extent.variants):
+    for c in (c for c in base.members if c.extent.grid):
         turns = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
         whole = turns is not None and turns.hinge and c.effect.vector > 1
         if whole and clean(base):
             continue  # periods in a turn are whole numbers
         for factor in c.extent.refine:
-            made = c.with_shapes(c.shapes * factor)
+            made = c.with_shapes(np.array([factor * c.shapes[0], *c.shapes[1:]]))
             if set_key([made]) not in present:
                 search.candidates.append(made)

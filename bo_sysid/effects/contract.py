@@ -160,8 +160,9 @@ class Extent:
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
         refine: factors by which shapes are varied once the effect is in the leading set.
-        variants: other shapes that are tried then, where the set leaves something unexplained;
-            `refine` is then of the last shape, where that is positive.
+        variants: other shapes that are tried then, where the set leaves something unexplained, NaN
+            for one that stays as it is; `refine` is then of the last shape too, where that is
+            positive.
     """
 
     probe: tuple[float, ...]

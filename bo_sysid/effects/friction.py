@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import passive_motor
+from bo_sysid.effects.bristles import BENT_FINER, STIFF, add_bristles, bends, bristled
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -28,10 +28,6 @@ _HOLDS, _CREEPS = 1.0, 0.0
 _HELD = 1.2  # of the most that a joint's actuators did: friction that holds it all the time
 _LOADED = 3.0  # times that, which impacts load a joint with
 _FINER = (0.55, 0.75, 1.35, 1.8)
-_STIFF = 1e-4  # [rad] or [m] by which bristles bend before they slip where that is not known
-_BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # the same, of the joint's travel, that are tried
-_BENT_FINER = (0.6, 1.6)  # times the one that explains most
-_RESOLVED = 0.1  # of the stiffest spring that a step can follow
 _REST = 1e-3  # of a joint's speed: below, it rests
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
 
@@ -50,14 +46,13 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     held = _HELD * sum(machine.actuators[a].force_max for a in joint.actuators)
     loaded = _LOADED if can_touch(machine.model) else 1.0
     most = max(3 * joint.force, loaded * held)
-    bends = tuple((_HOLDS, bend * joint.travel) for bend in _BENDS)
     return Extent(
         (0.05 * joint.force, _HOLDS, 0.0),
         (low, _CREEPS, 0.0),
-        (most, _HOLDS, _BENDS[-1] * joint.travel),
+        (most, _HOLDS, bends(joint)[-1]),
         secants=tuple((level, _HOLDS, 0.0) for level in (joint.force, held) if level > 0),
-        variants=((_CREEPS, 0.0), *bends),
-        refine=_BENT_FINER,
+        variants=((_CREEPS, 0.0), *((_HOLDS, bend) for bend in bends(joint))),
+        refine=BENT_FINER,
     )
 
 
@@ -87,9 +82,8 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
     total = _frictionloss(site, machine) + level
     if bend and level and total > 0:
-        _add_bristles(
-            spec, site.name, (total, total, machine.joints[site.name].speed), bend, machine
-        )
+        speed = machine.joints[site.name].speed
+        add_bristles(spec, site.name, (total, total, speed), bend, machine)
     else:
         add_dry_friction(spec, site.name, level, holds=hold > _CREEPS)
 
@@ -109,53 +103,26 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     probe = 0.05 * joint.force
     speeds = [k * joint.speed for k in _STRIBECK_SPEEDS]
     return Extent(
-        (probe, probe, speeds[1]),
-        (0.0, 0.0, 0.2 * speeds[0]),
-        (3 * joint.force, 3 * joint.force, 3 * speeds[-1]),
-        tuple((probe, probe, s) for s in speeds),
+        (probe, probe, speeds[1], 0.0),
+        (0.0, 0.0, 0.2 * speeds[0], 0.0),
+        (3 * joint.force, 3 * joint.force, 3 * speeds[-1], bends(joint)[-1]),
+        tuple((probe, probe, s, 0.0) for s in speeds),
         refine=_FINER,
+        variants=tuple((np.nan, bend) for bend in bends(joint)),
     )
 
 
 def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Write the friction of `stribeck_friction` as LuGre friction with the same steady state."""
-    excess, coulomb, speed = (float(v) for v in x)
+    excess, coulomb, speed, bend = _stribeck_magnitudes(x)
     low = _frictionloss(site, machine) + coulomb
-    _add_bristles(spec, site.name, (low, low + excess, speed), _STIFF, machine)
+    add_bristles(spec, site.name, (low, low + excess, speed), bend or STIFF, machine)
 
 
-def _add_bristles(
-    spec: mujoco.MjSpec,
-    name: str,
-    friction: tuple[float, float, float],
-    bend: float,
-    machine: Machine,
-) -> None:
-    """Put LuGre friction [1] in the place of a joint's dry friction.
-
-    The bristles bend by `bend` before they slip, by more where a step could not resolve their
-    stiffness. They are damped against the joint's inertia, but by no more than the Coulomb level at
-    the joint's speed: a simulation begins with straight bristles, and damping acts on them at once.
-
-    Args:
-        spec: the spec to change.
-        name: of the joint.
-        friction: level of sliding, level at standstill, speed at which one becomes the other.
-        bend: in [rad] or [m].
-        machine: the scales of the joint.
-
-    [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
-        friction", IEEE Transactions on Automatic Control 40(3), 1995.
-    """
-    low, high, speed = friction
-    joint, dt = machine.joints[name], spec.option.timestep
-    stiffness = min(high / bend, _RESOLVED * joint.inertia / dt**2)
-    motor = passive_motor(spec, name, "friction")
-    damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
-    motor.dynprm[5:7] = (stiffness, damping)
-    motor.biasprm[3:6] = (low, high, speed)
-    motor.actdim = 1
-    spec.joint(name).frictionloss = 0.0
+def _stribeck_magnitudes(x: Magnitudes) -> tuple[float, float, float, float]:
+    """Return excess, Coulomb level, speed and bend; a bend that is left out is 0."""
+    excess, coulomb, speed, *bend = (float(v) for v in x)
+    return excess, coulomb, speed, bend[0] if bend else 0.0
 
 
 @effect(
@@ -163,8 +130,9 @@ def _add_bristles(
     kind="joint",
     components=(
         Component("excess", "N m"), Component("coulomb", "N m"), Component("speed", "rad/s"),
+        Component("bend", "rad"),
     ),
-    shapes=1,
+    shapes=2,
     extent=_stribeck_extent,
     noun="Stribeck friction",
     sentence="{site} has friction that rises by {value} towards standstill.",
@@ -182,12 +150,16 @@ def _add_bristles(
 def stribeck_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> Part | None:
-    """Friction F(v) = Fc + (Fs - Fc)·exp(-(v/vs)²), x = (Fs - Fc, Fc, vs).
+    """Friction F(v) = Fc + (Fs - Fc)·exp(-(v/vs)²), x = (Fs - Fc, Fc, vs, bend).
 
     The constraint holds with Fs at rest; a force law gives back what the joint does not feel
-    once it moves, and vanishes at v = 0.
+    once it moves, and vanishes at v = 0. Where x[3] is given the friction gives way by so much
+    before it slips: LuGre friction.
     """
-    excess, coulomb, speed = (float(v) for v in x)
+    excess, coulomb, speed, bend = _stribeck_magnitudes(x)
+    if bend and (excess or coulomb):
+        _write_stribeck(spec, site, x, machine)
+        return None
     add_dry_friction(spec, site.name, excess + coulomb)
 
     def relief(motion: Motion) -> Signal:
@@ -231,30 +203,53 @@ def asymmetric_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine:
 
 
 def _load_extent(site: Site, machine: Machine) -> Extent | None:
-    drives = [machine.actuators[a] for a in machine.joints[site.name].actuators]
+    joint = machine.joints[site.name]
+    drives = [machine.actuators[a] for a in joint.actuators]
     if not any(a.plain and a.ctrl_max > 0 for a in drives):
         return None
-    return Extent((0.02,), (0.0,), (0.9,))
+    return Extent(
+        (0.02, 0.0),
+        (0.0, 0.0),
+        (0.9, bends(joint)[-1]),
+        variants=tuple((bend,) for bend in bends(joint)),
+        refine=BENT_FINER,
+    )
+
+
+def _load(site: Site, machine: Machine) -> Callable[[Motion], Signal]:
+    """Return what the actuators of a joint command."""
+    joint = machine.joints[site.name]
+    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain]
+
+    def load(m: Motion) -> Signal:
+        q, v = m.qpos[site.name], m.qvel[site.name]
+        return np.abs(sum(a.force(m.ctrl[a.name], q, v) for a in drives))
+
+    return load
 
 
 def _load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
     """Friction of a share of the drive's torque, never more than stops the joint in a step."""
-    joint = machine.joints[site.name]
-    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain]
+    joint, load = machine.joints[site.name], _load(site, machine)
 
     def law(m: Motion) -> Signal:
-        q, v = m.qpos[site.name], m.qvel[site.name]
-        load = sum(a.force(m.ctrl[a.name], q, v) for a in drives)
+        v = m.qvel[site.name]
         stopping = 0.5 * joint.inertia * np.abs(v) / m.timestep
-        return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load), stopping))
+        return np.asarray(-np.sign(v) * np.minimum(x[0] * load(m), stopping))
 
     return law
+
+
+def _bent_load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
+    joint, load = machine.joints[site.name], _load(site, machine)
+    return lambda m: bristled(x[0] * load(m), float(x[1]), joint, m)
 
 
 @effect(
     "load_dependent_friction",
     kind="joint",
-    components=(Component("share", "fraction of the load torque"),),
+    components=(Component("share", "fraction of the load torque"), Component("bend", "rad")),
+    shapes=1,
     extent=_load_extent,
     noun="friction that grows with load",
     sentence="{site} loses {value} of its drive's torque to friction.",
@@ -266,5 +261,9 @@ def _load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Mot
 def load_dependent_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> Part:
-    """Friction -x[0]·|τ|·sign(v), τ what the joint's actuators command."""
-    return Force(site.name, _load_friction(site, x, machine))
+    """Friction -x[0]·|τ|·sign(v), τ what the joint's actuators command.
+
+    Where x[1] is given it gives way by so much before it slips, as bristles do.
+    """
+    bent = len(x) > 1 and x[1] > 0
+    return Force(site.name, (_bent_load_friction if bent else _load_friction)(site, x, machine))
