@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rounds import round_at, simplify, vary
+from bo_sysid.diagnosis.rounds import enrich, round_at, simplify, vary
 from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
@@ -113,6 +113,7 @@ def sharpened(search: Search) -> None:
     """
     if not any(search.best.groups):
         vary(search, search.best)  # what is left may be little and decide a forecast all the same
+    enrich(search, search.best)
     done: set[tuple[str, str]] = set()
     while left := [c for c in search.best.members if c.key not in done]:
         done.add(left[0].key)

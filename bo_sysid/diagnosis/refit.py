@@ -22,6 +22,7 @@ from bo_sysid.simulation import State
 
 _NUMERICS = (-0.5, 2.0)
 _SHRINK = 0.35
+_RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _CUT = 1e9
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
@@ -212,7 +213,7 @@ def _bounded_step(
     y: Float[np.ndarray, "W R"],
     point: _Point,
     space: _Space,
-    ridge: float = 1e-8,
+    ridge: float = _RIDGE,
 ) -> Float[np.ndarray, " p"]:
     """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay."""
     A = S.reshape(-1, S.shape[-1])

@@ -33,6 +33,7 @@ def round_at(search: Search, base: Fit) -> None:
     simplify(search, base)
     if not clean(base):
         vary(search, base)
+        enrich(search, search.best)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -177,6 +178,22 @@ def vary(search: Search, base: Fit) -> None:
                 search.fit(
                     known, base.x, start=base.start, guess=base.hypothesis, again=True,
                 )  # fmt: skip
+
+
+def enrich(search: Search, base: Fit) -> None:
+    """Fit a set with the effect that holds a simpler one, where that bends: bent alike.
+
+    One that does not bend never comes near, however much the recordings ask for it.
+    """
+    for k, c in enumerate(base.members):
+        if not (c.extent.variants and c.shapes[-1] > 0):
+            continue
+        for d in [d for d in search.candidates if (d.effect.nested, d.site.name) == c.key]:
+            if d.shapes[-1] == 0:
+                bent = search.known(d.with_shapes(np.array([*d.shapes[:-1], c.shapes[-1]])))
+                members = (*base.members[:k], bent, *base.members[k + 1 :])
+                x = (*base.x[:k], np.concatenate([[0.0], base.x[k]]), *base.x[k + 1 :])
+                search.fit(members, x, start=base.start, guess=base.hypothesis, again=True)
 
 
 def _other_shapes(c: Candidate) -> list[np.ndarray]:
