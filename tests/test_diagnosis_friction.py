@@ -71,7 +71,7 @@ def test_bristles_that_hold_nothing_are_none() -> None:
 def found(*missing: tuple[str, str, str, list[float]], finer: int = 4) -> Fit:
     """The best set on recordings of an arm in which effects are concealed."""
     problem, machine = posed(record(missing, duration=5.0, finer=finer), horizon=150)
-    known = candidates([CATALOGUE[n] for n in NAMES], machine)
+    known = candidates([CATALOGUE[n] for n in (*NAMES, "stribeck_friction")], machine)
     search = Search.on(prepare(problem), list(known), 2, None)
     explore(search)
     sharpened(search)
@@ -84,6 +84,17 @@ def test_how_far_friction_bends_is_found() -> None:
     assert (friction.key, clean(fit)) == (("dry_friction", "shoulder"), True)
     assert fit.x[0][0] == pytest.approx(0.1, rel=0.02)
     assert friction.shapes[-1] == pytest.approx(8e-4, rel=0.25)
+
+
+def test_stribeck_friction_that_bends_is_no_dry_friction() -> None:
+    """Bent dry friction comes nearer than Stribeck friction that does not bend."""
+    x = [0.08, 0.1, 0.15, 8e-4]
+    fit = found(("stribeck_friction", "joint", "shoulder", x), finer=16)
+    (friction,) = fit.members
+    assert (friction.key, clean(fit)) == (("stribeck_friction", "shoulder"), True)
+    assert fit.x[0][1] == pytest.approx(x[1], rel=0.03)
+    excess, speed = fit.x[0][0], friction.shapes[0]  # one against the other in five seconds
+    np.testing.assert_allclose([excess, speed], [x[0], x[2]], rtol=0.4)
 
 
 def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> None:
