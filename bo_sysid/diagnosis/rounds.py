@@ -33,7 +33,6 @@ def round_at(search: Search, base: Fit) -> None:
     simplify(search, base)
     if not clean(base):
         vary(search, base)
-        enrich(search, search.best)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
