@@ -24,8 +24,10 @@ import numpy as np
 from common import Cases, benchmark
 from wrong_logs import MODELS
 
-from bo_sysid.excite.designer import Designer
+from bo_sysid.excite.design import design
 from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.multisine import multisines
+from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.study.outer import Limit
@@ -74,7 +76,7 @@ MACHINES = {
 EFFECTS = {"two_link_arm": "forearm", "cart_pole": "pole", "rotary_pendulum": "pendulum"}
 
 
-def designer(name: str, effects: bool) -> Designer:
+def machine(name: str, effects: bool) -> Trial:
     """Return what judges trajectories of a machine."""
     text = BARE.get(name)
     model = Model.from_xml(text) if text else Model.from_file(MODELS / f"{name}.xml")
@@ -84,7 +86,7 @@ def designer(name: str, effects: bool) -> Designer:
         joint: Limit(position=(-q, q), velocity=v, effort=e) for joint, (q, v, e) in bounds.items()
     }
     noise = dict.fromkeys(model.qpos_channels, 1e-3)
-    return Designer(model, parameters, Limits.of(model, limits), noise, seconds=8.0, interval=0.01)
+    return Trial(model, parameters, Limits.of(model, limits), noise, seconds=8.0, interval=0.01)
 
 
 def _mass(link: str) -> Parameter:
@@ -119,12 +121,12 @@ def _lacking(model: Model, link: str) -> list[Parameter]:
 
 def compare(name: str, effects: bool, budget: int, plans: int) -> dict[str, object]:
     """Return the widest intervals of random tones and of plans."""
-    d = designer(name, effects)
-    tones = {b: d.tones(RANDOM, 1_000, band) for b, band in BANDS.items()}
+    d = machine(name, effects)
+    tones = {b: multisines(d, RANDOM, 1_000, band) for b, band in BANDS.items()}
     rivals = {b: [_widest(d, u)[0] for u in us] for b, us in tones.items()}
     energy = float(np.median(d.energy(tones["full"])))
     started = time.perf_counter()
-    planned = [d.design(budget, seed, energy=energy) for seed in range(plans)]
+    planned = [design(d, budget, seed, energy=energy) for seed in range(plans)]
     seconds = (time.perf_counter() - started) / plans
     told = [_widest(d, u) for u in planned]
     return {
@@ -138,7 +140,7 @@ def compare(name: str, effects: bool, budget: int, plans: int) -> dict[str, obje
     }
 
 
-def _widest(d: Designer, controls: np.ndarray) -> tuple[float, str]:
+def _widest(d: Trial, controls: np.ndarray) -> tuple[float, str]:
     """Return the widest interval, in units of its range, and whose it is."""
     sigma = d.information(controls).sigma
     worst = int(np.argmax(sigma))

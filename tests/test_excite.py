@@ -7,11 +7,13 @@ import pytest
 
 from bo_sysid.cli import main
 from bo_sysid.errors import StudyError
-from bo_sysid.excite.designer import Designer
+from bo_sysid.excite.design import design
 from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.excite import excite
 from bo_sysid.excite.fourier import Series
 from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.multisine import multisines
+from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.study import Study
@@ -34,10 +36,10 @@ PARAMETERS = (
 LIMIT = {"hinge": Limit(position=(-0.8, 0.6), velocity=4.0, effort=1.5)}
 
 
-def designer() -> Designer:
+def trial() -> Trial:
     model = Model.from_xml(ROD)
     limits = Limits.of(model, LIMIT)
-    return Designer(model, PARAMETERS, limits, {"qpos.hinge": 1e-3}, seconds=3.0, interval=0.02)
+    return Trial(model, PARAMETERS, limits, {"qpos.hinge": 1e-3}, seconds=3.0, interval=0.02)
 
 
 def test_a_quadratic_is_minimised() -> None:
@@ -60,7 +62,7 @@ def test_controls_start_and_end_at_rest_and_keep_their_range() -> None:
 
 
 def test_a_limit_is_measured_where_it_is_exceeded() -> None:
-    d = designer()
+    d = trial()
     still = np.zeros((150, 1))
     assert d.violation(still, d.point[None], 0.0) == pytest.approx(0.1 / 0.7)  # off the middle
     pushed = still + 1.8  # of 1.5 N m
@@ -81,8 +83,8 @@ def test_series_have_the_frequencies_that_they_say() -> None:
 
 
 def test_many_are_judged_as_one_by_one() -> None:
-    d = designer()
-    tones = d.tones(3, 7, (0.3, 4.0))
+    d = trial()
+    tones = multisines(d, 3, 7, (0.3, 4.0))
     rows = (0, 3, 9)
     found = d.judge(rows)(1.5 * tones, 0.9)
     for u, sigma, over in zip(1.5 * tones, found.sigma, found.over, strict=True):
@@ -91,8 +93,8 @@ def test_many_are_judged_as_one_by_one() -> None:
 
 
 def test_random_tones_are_flat_in_their_band_and_as_large_as_the_limits_allow() -> None:
-    d = designer()
-    tones = d.tones(16, 7, (1.0, 4.0))
+    d = trial()
+    tones = multisines(d, 16, 7, (1.0, 4.0))
     power = (np.abs(np.fft.rfft(tones[..., 0], axis=1)) ** 2).mean(axis=0)
     frequency = np.fft.rfftfreq(tones.shape[1], d.series.interval)
     inside = power[(frequency >= 1.0) & (frequency <= 4.0)]
@@ -106,11 +108,11 @@ def test_random_tones_are_flat_in_their_band_and_as_large_as_the_limits_allow() 
 def test_a_plan_tells_more_than_random_tones_and_keeps_energy_and_the_limits_of_every_machine() -> (
     None
 ):
-    d = designer()
-    tones = d.tones(5, 100, (0.3, 10.0))
+    d = trial()
+    tones = multisines(d, 5, 100, (0.3, 10.0))
     before = np.median([d.information(u).sigma.max() for u in tones])
     energy = float(np.median(d.energy(tones)))
-    planned = d.design(budget=200, seed=0, energy=energy)
+    planned = design(d, budget=200, seed=0, energy=energy)
     assert d.information(planned).sigma.max() < 0.5 * before
     assert d.violation(planned, d.machines, 1.0) == 0.0
     assert d.energy(planned) <= 1.01 * energy
@@ -124,10 +126,8 @@ def test_little_energy_goes_to_the_resonance_of_what_hardly_swings_elsewhere() -
       stiffness="{mass * (2 * np.pi * frequency) ** 2}"/><geom size=".05" mass="{mass}"/></body>
     </worldbody><actuator><motor name="m" joint="x" ctrlrange="-1 1"/></actuator></mujoco>""")
     damping = Parameter("damping", ("joint[x].damping",), 0.1, 0.3)
-    d = Designer(
-        model, (damping,), Limits.of(model, {}), {"qpos.x": 1e-3}, seconds=8.0, interval=0.02
-    )
-    planned = d.design(budget=400, seed=0, energy=1e-3)
+    d = Trial(model, (damping,), Limits.of(model, {}), {"qpos.x": 1e-3}, seconds=8.0, interval=0.02)
+    planned = design(d, budget=400, seed=0, energy=1e-3)
     power = np.abs(np.fft.rfft(planned[:, 0])) ** 2
     assert np.argmax(power) / 8.0 == pytest.approx(frequency, rel=0.1)
 
@@ -135,7 +135,7 @@ def test_little_energy_goes_to_the_resonance_of_what_hardly_swings_elsewhere() -
 def test_parts_that_touch_are_seen() -> None:
     wall = ROD.replace("<worldbody>", '<worldbody><geom type="box" size=".01 1 1" pos=".25 0 0"/>')
     model = Model.from_xml(wall)
-    d = Designer(
+    d = Trial(
         model, PARAMETERS, Limits.of(model, {}), {"qpos.hinge": 1e-3}, seconds=2.0, interval=0.02
     )
     assert d.violation(np.zeros((100, 1)), d.point[None], 1.0) == 0.0
@@ -167,7 +167,7 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
         excite(Study.from_dict(data, tmp_path))
     with pytest.raises(StudyError, match="no joint 'hing'; did you mean 'hinge'"):
         Limits.of(Model.from_xml(ROD), {"hing": LIMIT["hinge"]})
-    d = designer()
+    d = trial()
     object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
     with pytest.raises(StudyError, match="standing still"):
         d.safe(np.zeros((len(d.series.time), 1)))

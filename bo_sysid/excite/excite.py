@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from bo_sysid.excite.designer import Designer
+from bo_sysid.excite.design import design
 from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -92,23 +93,23 @@ def excite(
         notes.append(
             f"Controls within ±1: neither range nor effort is stated for {', '.join(free)}."
         )
-    designer = Designer(
+    trial = Trial(
         model, parameters, limits, noise,
         seconds=seconds, interval=interval, seed=study.search.seed,
     )  # fmt: skip
-    controls = designer.design(budget, study.search.seed, report=report)
-    found = designer.information(controls)
+    controls = design(trial, budget, study.search.seed, report=report)
+    found = trial.information(controls)
     names = [f"ctrl.{a}" for a in model.actuators]
     frame = pd.DataFrame(controls, columns=names)
-    frame.insert(0, "time", designer.series.time)
-    predicted = designer.recorded(controls)
+    frame.insert(0, "time", trial.series.time)
+    predicted = trial.recorded(controls)
     return Excitation(
         frame,
         found.table(),
         predicted,
         float(found.sigma.max()),
-        designer.violation(controls, designer.machines, 0.0),
-        float(designer.energy(controls)),
+        trial.violation(controls, trial.machines, 0.0),
+        float(trial.energy(controls)),
         tuple(notes),
     )
 
