@@ -15,7 +15,7 @@ import pytest
 from chromium import ask, needs_chromium
 
 from bo_sysid.errors import RunError
-from bo_sysid.report import interactive
+from bo_sysid.report import interactive, interactive_search
 from bo_sysid.report.page import page, write_page
 from bo_sysid.report.serve import make_server
 from bo_sysid.runs import Run
@@ -184,7 +184,7 @@ def test_a_learning_run_says_first_what_the_policy_returns_on_the_plant(tmp_path
         "The policy returns 354 ± 36 on the plant, after 2 real trajectories (20 s)." in seen.words
     )
     assert "gear 0.97" in seen.words
-    curves = interactive.training(steps).data
+    curves = interactive_search.training(steps).data
     assert [len(c.x) for c in curves] == [2, 1]
 
 

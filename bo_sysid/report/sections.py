@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.errors import BoSysidError, RunError
-from bo_sysid.report import interactive
+from bo_sysid.report import interactive, interactive_search
 from bo_sysid.report.comparison import comparison, sentence
 from bo_sysid.report.diagnosis_text import (
     VERDICTS,
@@ -182,7 +182,9 @@ def parameters(found: Found) -> Section | None:
     table = pd.DataFrame(made["parameters"])
     belief = read_frame(found.folder, "belief.parquet")
     ones = {
-        str(p["name"]): interactive.marginal(belief, str(p["name"]), str(p["unit"]), p["nominal"])
+        str(p["name"]): interactive_search.marginal(
+            belief, str(p["name"]), str(p["unit"]), p["nominal"]
+        )
         for p in made["parameters"]
     }
     names = [str(n) for n in table["name"]]
@@ -190,7 +192,7 @@ def parameters(found: Found) -> Section | None:
                   "on; P_boot says how sure these recordings are.", ones, "parameter")]  # fmt: skip
     pairs = list(itertools.combinations(names, 2))[:_PAIRS]
     if pairs:
-        figures = {f"{a}, {b}": interactive.pair(belief, a, b) for a, b in pairs}
+        figures = {f"{a}, {b}": interactive_search.pair(belief, a, b) for a, b in pairs}
         plots.append(Plot("P_boot over two parameters.", figures, "pair"))
     tables = [
         ("Parameters, with 95 % intervals from P_boot", Table.of(table)),
@@ -222,7 +224,7 @@ def search(found: Found) -> Section | None:
     if evaluations.empty:
         return None
     words = "The deviation of every candidate that was tried, and what is left to be known."
-    plot = Plot(words, {"": interactive.progress(evaluations)})
+    plot = Plot(words, {"": interactive_search.progress(evaluations)})
     return Section("search", f"Search: {len(evaluations)} evaluations", plots=[plot])
 
 
@@ -244,14 +246,14 @@ def learned(found: Found) -> Section | None:
     if iterations.empty:
         return None
     words = "Return of the policy after each round, on the identified model and on the plant."
-    plots = [Plot(words, {"": interactive.learning(iterations)})]
+    plots = [Plot(words, {"": interactive_search.learning(iterations)})]
     if found.has("training.parquet"):
         training = read_frame(found.folder, "training.parquet")
         words = (
             "How each policy was learned: return of a batch of episodes in the identified model, "
             "against simulated control steps. One curve a round; no step of the plant is in them."
         )
-        plots.append(Plot(words, {"": interactive.training(training)}))
+        plots.append(Plot(words, {"": interactive_search.training(training)}))
     shown = [c for c in iterations if iterations[c].notna().any() and _flat(iterations[c])]
     tables = [("Rounds", Table.of(iterations[shown]))]
     return Section("learning", "Learning", plots=plots, tables=tables)

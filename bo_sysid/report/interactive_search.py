@@ -1,0 +1,132 @@
+"""Figures of a search and of learning as Plotly objects, for the page and for notebooks."""
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from bo_sysid.report.look import EQUIVALENT, IDENTIFIED, NOMINAL, SECOND
+from bo_sysid.report.plotly_style import dressed, in_unit, light, said
+
+_TICKS = 15
+
+
+def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) -> go.Figure:
+    """Return the marginals of P and P_boot of one parameter.
+
+    Args:
+        belief: one row a candidate: the parameters, P and P_boot.
+        parameter: which.
+        unit: of it.
+        nominal: the model's own value.
+    """
+    figure = go.Figure()
+    for column, colour, label in (
+        ("P_boot", SECOND, "P_boot: what the recordings say about the machine"),
+        ("P", IDENTIFIED, "P: where the minimum lies on these recordings"),
+    ):
+        mass = _marginal(belief, [parameter], column)
+        figure.add_bar(
+            x=light(mass.index.to_series()), y=light(mass), name=label, marker={"color": colour},
+            opacity=0.85,
+        )  # fmt: skip
+    figure.add_vline(x=nominal, line={"dash": "dash", "color": NOMINAL}, annotation_text="nominal")
+    figure.update_layout(barmode="overlay")
+    figure.update_xaxes(title=said(parameter + in_unit(unit)))
+    figure.update_yaxes(title="probability")
+    return dressed(figure, 320)
+
+
+def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
+    """Return P_boot over two parameters, all others summed over."""
+    mass = _marginal(belief, [first, second], "P_boot").unstack().fillna(0.0)  # noqa: PD010
+    figure = go.Figure()
+    figure.add_heatmap(
+        x=light(mass.columns.to_series()), y=light(mass.index.to_series()),
+        z=mass.to_numpy(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
+    )  # fmt: skip
+    figure.update_layout(showlegend=False)
+    figure.update_xaxes(title=said(second))
+    figure.update_yaxes(title=said(first))
+    return dressed(figure, 360)
+
+
+def progress(evaluations: pd.DataFrame) -> go.Figure:
+    """Return deviation and entropy of P over the evaluations."""
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
+    number = np.arange(1, len(evaluations) + 1)
+    deviation = evaluations["deviation"]
+    dots = {"color": SECOND, "size": 6}
+    figure.add_scatter(
+        x=number, y=light(deviation), mode="markers", name="evaluated", marker=dots, row=1, col=1
+    )
+    line = {"color": IDENTIFIED, "shape": "hv"}
+    figure.add_scatter(
+        x=number, y=light(deviation.cummin()), name="lowest so far", line=line, row=1, col=1
+    )
+    figure.update_yaxes(type="log", title="deviation [scaled]", row=1)
+    if "entropy" in evaluations:
+        figure.add_scatter(
+            x=number, y=light(evaluations["entropy"]), name="entropy of P",
+            line={"color": EQUIVALENT}, row=2, col=1,
+        )  # fmt: skip
+    figure.update_yaxes(title="entropy of P [nats]", row=2)
+    figure.update_xaxes(title="evaluation", row=2)
+    return dressed(figure, 420)
+
+
+def learning(iterations: pd.DataFrame) -> go.Figure:
+    """Return the return of the policies against the number of real trajectories.
+
+    Args:
+        iterations: trajectories, model_return, model_error, plant_return, plant_error.
+    """
+    figure = go.Figure()
+    for kind, colour, label in (
+        ("model", IDENTIFIED, "on the identified model"),
+        ("plant", NOMINAL, "on the plant"),
+    ):
+        mean = iterations[f"{kind}_return"].astype(float)
+        if mean.notna().any():
+            error = 1.96 * iterations[f"{kind}_error"].astype(float).fillna(0.0)
+            figure.add_scatter(
+                x=light(iterations["trajectories"]), y=light(mean), name=label,
+                mode="lines+markers", line={"color": colour},
+                error_y={"array": light(error), "color": colour},
+            )  # fmt: skip
+    several = len(iterations) and iterations["trajectories"].max() > _TICKS
+    figure.update_xaxes(title="real trajectories", dtick=None if several else 1)
+    figure.update_yaxes(title="return (95 % interval)")
+    return dressed(figure, 360)
+
+
+def training(rounds: pd.DataFrame) -> go.Figure:
+    """Return the return of training batches against simulated control steps, a curve a round.
+
+    Args:
+        rounds: learned (the round), steps, batch_return.
+    """
+    figure = go.Figure()
+    for k, (number, part) in enumerate(rounds.groupby("learned", sort=True)):
+        shade = 0.35 + 0.65 * (k + 1) / rounds["learned"].nunique()
+        figure.add_scatter(
+            x=light(part["steps"]), y=light(part["batch_return"]), name=f"round {number}",
+            line={"color": IDENTIFIED, "width": 2}, opacity=shade,
+        )  # fmt: skip
+    figure.update_xaxes(title="simulated control steps")
+    figure.update_yaxes(title="return of a batch")
+    return dressed(figure, 320)
+
+
+def _marginal(belief: pd.DataFrame, names: list[str], column: str) -> pd.Series:
+    """Return the probability summed over all other parameters; many values are put into bins."""
+    keys = []
+    for name in names:
+        values = belief[name]
+        if values.nunique() > 60:
+            edges = np.linspace(values.min(), values.max(), 41)
+            middle = (edges[:-1] + edges[1:]) / 2
+            values = pd.Series(middle[np.clip(np.searchsorted(edges, values) - 1, 0, 39)])
+            values.index = belief.index
+        keys.append(values.rename(name))
+    return belief[column].groupby(keys).sum()
