@@ -168,8 +168,10 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     assert leaves_much(doubt)
     assert not leaves_much(none)
     assert "3 sensor sigmas are left" in left_sentence(poor, 3)
-    assert "no further effect" in left_sentence(poor, 3)
-    assert "all 1 effects" in left_sentence(poor, 1)
+    assert "No further effect" in left_sentence(poor, 3)
+    assert "All 1 effects" in left_sentence(poor, 1)
+    assert "does not stand out" in left_sentence(doubt, 3)
+    assert "does not stand out" not in left_sentence(poor, 3)
     machine, outcome = friction.prepared.problem.machine, explain(friction)
     sure, hint = (
         make_answer(friction.decision, outcome, machine, doubtful=d).findings[0].probability

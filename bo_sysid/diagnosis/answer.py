@@ -169,11 +169,12 @@ def bending_sentence(joints: Sequence[str]) -> str:
 
 def left_sentence(best: Fit, most: int) -> str:
     """Return in words that more than noise is left, and what can be done."""
-    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise, so that the names are hints"
+    small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
+    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
     if len(units_of(best)) < most:
-        return f"{said}: no further effect that was tried explains more."
+        return f"{said}. No further effect that was tried explains more."
     return (
-        f"{said}: all {most} effects that diagnosis.most allows are used, and more may be missing."
+        f"{said}. All {most} effects that diagnosis.most allows are used, and more may be missing."
     )
 
 
