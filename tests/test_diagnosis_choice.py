@@ -164,7 +164,7 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     poor = replace(best, rms=3.0)
     assert leaves_much(poor)
     little = replace(best, unique=(4.0,))
-    doubt, none = (replace(little, rms=np.hypot(1.0, left)) for left in (0.8, 0.4))
+    doubt, none = (replace(little, rms=float(np.hypot(1.0, left))) for left in (0.8, 0.4))
     assert leaves_much(doubt)
     assert not leaves_much(none)
     assert "3 sensor sigmas are left" in left_sentence(poor, 3)
