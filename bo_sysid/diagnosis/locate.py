@@ -101,10 +101,10 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
 def _explored(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Search, float]:
-    """Explore; once more with a finer step where friction leaves something that may be its bend."""
+    """Explore; once more with a finer step where friction leaves what may be its bend."""
     leader = explore(search, rounds)
     finer = _step_for(search, leader, step)
-    if finer < step and rubbing(leader) and not clean(leader):
+    if finer < step and _bends(leader) and not clean(leader):
         prepared = prepare(_problem(evidence, length, finer), leader.hypothesis)
         search, step = carried(search, prepared, _CARRIED), finer
         explore(search, rounds)
@@ -120,9 +120,14 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
     problem, division = search.prepared.problem, 1
     if problem.loose(leader.hypothesis):
         division = _GAP_DIVISION
-    elif rubbing(leader, bent=clean(leader)) and not can_touch(problem.machine.model):
+    elif _bends(leader) and not can_touch(problem.machine.model):
         division = _BRISTLES_DIVISION
     return min(step, float(problem.machine.model.opt.timestep) / division)
+
+
+def _bends(leader: Fit) -> bool:
+    """Whether friction of a fit bends, or little is left, which may be its bend."""
+    return leader.rms < ROUGH and rubbing(leader, bent=clean(leader))
 
 
 def _stable(evidence: Evidence, horizon: int, step: float) -> int:
