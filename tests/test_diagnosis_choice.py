@@ -147,6 +147,22 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
     assert "The compliance at elbow may be the friction there" in bending_sentence(["elbow"])
 
 
+@pytest.mark.parametrize("bend", [0.0, 1e-4])
+def test_the_speed_of_stribeck_friction_is_told_and_its_bend_where_it_has_one(
+    friction, bend
+) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    probed = candidate(machine, "stribeck_friction", "elbow", 1)  # at the speed of its probe
+    c = probed.with_shapes(np.array([probed.shapes[0], bend]))
+    assert (c.bent, c.shapes[0]) == (bend > 0, c.extent.probe[c.size])
+    J, covariance = np.zeros((*best.residual.shape, c.size)), np.eye(c.size)
+    hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+    (finding,) = findings(
+        replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance), machine, 1.0, ()
+    )
+    assert set(finding.details) == {"coulomb", "speed"} | ({"bend"} if bend else set())
+
+
 def test_intervals_of_details_end_where_nothing_was_searched_for(friction) -> None:
     best, machine = friction.decision.best, friction.prepared.problem.machine
     c = candidate(machine, "joint_compliance", "elbow")

@@ -25,7 +25,6 @@ _ALTERNATIVES = 5
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
-_RUBS = frozenset({"dry_friction", "stribeck_friction", "load_dependent_friction"})
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
@@ -151,10 +150,9 @@ def leaves_much(best: Fit) -> bool:
 def bending(best: Fit) -> tuple[str, ...]:
     """Return the joints with a compliance beside friction: friction bends, too, before it slips.
 
-    Of the catalogue's frictions only the dry one may bend, and its bend is not always found: a
-    compliance was named in its place.
+    Its bend is not always found, and a compliance was named in its place.
     """
-    rubbing = {c.site.name for c in best.members if c.effect.id in _RUBS}
+    rubbing = {c.site.name for c in best.members if c.bendable}
     springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]
     return tuple(joint for joint in springy if joint in rubbing)
 

@@ -222,13 +222,14 @@ def _details(
     full = c.full(x)
     shown = 0 if c.effect.vector > 1 else 1
     for i in range(shown, len(full)):
-        if i >= c.size and c.extent.variants and full[i] == c.extent.probe[i]:
+        fitted, last = i < c.size, i == len(full) - 1
+        optional = c.bendable and not fitted and (last or not c.extent.grid)
+        if optional and full[i] == c.extent.probe[i]:
             continue  # as it usually is
         component = c.effect.components[i]
         unit = unit_at(component.unit, c.site, machine)
-        variance = float(covariance[i, i]) if i < c.size else 0.0
+        variance = float(covariance[i, i]) if fitted else 0.0
         found = _quantity(float(full[i]), variance, unit)
-        fitted = i < c.size
         out[component.name] = _within(found, c.low[i], c.high[i]) if fitted else found
     if c.effect.details is not None:
         derived = c.effect.details(full, machine, c.site)

@@ -66,6 +66,16 @@ class Candidate:
         """The shapes, held fixed."""
         return self.point[self.size :]
 
+    @property
+    def bendable(self) -> bool:
+        """Whether it is friction that may bend before it slips, by its last shape."""
+        return bool(self.extent.variants)
+
+    @property
+    def bent(self) -> bool:
+        """Whether it does."""
+        return self.bendable and bool(self.shapes[-1] > 0)
+
     def full(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " k"]:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
         return np.concatenate([x, self.shapes])

@@ -134,7 +134,7 @@ def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
 
 def rubbing(fit: Fit, *, bent: bool = False) -> bool:
     """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
-    return any(c.extent.variants and (c.shapes[-1] > 0 or not bent) for c in fit.members)
+    return any(c.bent if bent else c.bendable for c in fit.members)
 
 
 def _bounds(search: Search, c: Candidate) -> dict[int, tuple[float, float]]:
@@ -142,10 +142,10 @@ def _bounds(search: Search, c: Candidate) -> dict[int, tuple[float, float]]:
     if not (c.extent.refine and len(c.shapes)):
         return {}
     first, last = float(c.shapes[0]), float(c.shapes[-1])
-    if c.extent.variants:
+    if c.bendable:
         found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
         place = len(c.shapes) - 1
-        return found | ({place: (last / _BENT, last * _BENT)} if last > 0 else {})
+        return found | ({place: (last / _BENT, last * _BENT)} if c.bent else {})
     if c.effect.vector < 2 or len(c.shapes) != 1:
         return {}
     joint = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
@@ -162,7 +162,7 @@ def _sharpen(search: Search, fit: Fit, k: int, shape: int, bounds: tuple[float, 
         nonlocal best
         shapes = best.members[k].shapes.copy()
         shapes[shape] = value
-        members = (*best.members[:k], fit.members[k].with_shapes(shapes), *best.members[k + 1 :])
+        members = (*best.members[:k], best.members[k].with_shapes(shapes), *best.members[k + 1 :])
         made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
         del search.fits[made.key]
         best = min(best, made, key=lambda f: f.rss)

@@ -161,13 +161,13 @@ def vary(search: Search, base: Fit) -> None:
     Without the joints that were added where such effects are: what bristles do before they slip
     looks like a compliance, and beside one there is little left for them.
     """
-    shaped = {c.site.name for c in base.members if c.extent.variants}
+    rubbing = {c.site.name for c in base.members if c.bendable}
     keep = [
-        k for k, c in enumerate(base.members) if not (c.effect.hidden and c.site.name in shaped)
+        k for k, c in enumerate(base.members) if not (c.effect.hidden and c.site.name in rubbing)
     ]
     if len(keep) < len(base.members):
         base = search.fit(*subset(base, keep), guess=base.hypothesis)
-    for effect in dict.fromkeys(c.effect for c in base.members if c.extent.variants):
+    for effect in dict.fromkeys(c.effect for c in base.members if c.bendable):
         own = [c for c in base.members if c.effect is effect]
         for shapes in zip(*map(_other_shapes, own), strict=False):
             changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
@@ -185,19 +185,19 @@ def enrich(search: Search, base: Fit) -> None:
     One that does not bend never comes near, however much the recordings ask for it.
     """
     for k, c in enumerate(base.members):
-        if not (c.extent.variants and c.shapes[-1] > 0):
+        if not c.bent:
             continue
-        for d in [d for d in search.candidates if (d.effect.nested, d.site.name) == c.key]:
-            if d.shapes[-1] == 0:
-                bent = search.known(d.with_shapes(np.array([*d.shapes[:-1], c.shapes[-1]])))
-                members = (*base.members[:k], bent, *base.members[k + 1 :])
-                x = (*base.x[:k], np.concatenate([[0.0], base.x[k]]), *base.x[k + 1 :])
-                search.fit(members, x, start=base.start, guess=base.hypothesis, again=True)
+        richer = [d for d in search.candidates if (d.effect.nested, d.site.name) == c.key]
+        for d in [d for d in richer if d.bendable and not d.bent]:
+            bent = search.known(d.with_shapes(np.array([*d.shapes[:-1], c.shapes[-1]])))
+            members = (*base.members[:k], bent, *base.members[k + 1 :])
+            x = (*base.x[:k], np.concatenate([[0.0], base.x[k]]), *base.x[k + 1 :])
+            search.fit(members, x, start=base.start, guess=base.hypothesis, again=True)
 
 
 def _other_shapes(c: Candidate) -> list[np.ndarray]:
     given = np.array(c.extent.variants, float)
-    finer = [c.shapes[-1] * f for f in c.extent.refine if c.shapes[-1] > 0]
+    finer = [c.shapes[-1] * f for f in c.extent.refine if c.bent]
     return [
         *np.where(np.isnan(given), c.shapes, given),
         *(np.array([*c.shapes[:-1], s]) for s in finer),
@@ -223,12 +223,15 @@ def _plainer(search: Search, c: Candidate) -> Candidate | None:
 def _refine(search: Search, base: Fit) -> None:
     """Add finer shapes of the members of a fit to the candidates."""
     present = {set_key([c]) for c in search.candidates}
-    for c in (c for c in base.members if c.extent.grid):
+    for c in (c for c in base.members if c.extent.grid or not c.bendable):
         turns = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
         whole = turns is not None and turns.hinge and c.effect.vector > 1
         if whole and clean(base):
             continue  # periods in a turn are whole numbers
         for factor in c.extent.refine:
-            made = c.with_shapes(np.array([factor * c.shapes[0], *c.shapes[1:]]))
+            shapes = factor * c.shapes
+            if c.bendable:
+                shapes[-1] = c.shapes[-1]
+            made = c.with_shapes(shapes)
             if set_key([made]) not in present:
                 search.candidates.append(made)

@@ -160,9 +160,9 @@ class Extent:
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
         refine: factors by which shapes are varied once the effect is in the leading set.
-        variants: other shapes that are tried then, where the set leaves something unexplained, NaN
-            for one that stays as it is; `refine` is then of the last shape too, where that is
-            positive.
+        variants: other shapes of friction that are tried then, where the set leaves something
+            unexplained, NaN for one that stays as it is. The last is by how much it bends before
+            it slips, 0 for not at all; `refine` is of that, too, where it is positive.
     """
 
     probe: tuple[float, ...]
