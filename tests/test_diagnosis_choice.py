@@ -23,9 +23,9 @@ from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.forecast import AHEAD
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.moves import sharpened
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.shapes import sharpened
 from bo_sysid.diagnosis.tables import doubts, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.study.outer import Limit

@@ -14,9 +14,10 @@ from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import candidates
 from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.moves import explore, sharpened
+from bo_sysid.diagnosis.moves import explore
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.shapes import sharpened, with_shapes_unsure
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.recording import Recording
@@ -70,12 +71,16 @@ def test_bristles_that_hold_nothing_are_none() -> None:
 
 def found(*missing: tuple[str, str, str, list[float]], finer: int = 4) -> Fit:
     """The best set on recordings of an arm in which effects are concealed."""
+    return searched(*missing, finer=finer).best
+
+
+def searched(*missing: tuple[str, str, str, list[float]], finer: int = 4) -> Search:
     problem, machine = posed(record(missing, duration=5.0, finer=finer), horizon=150)
     known = candidates([CATALOGUE[n] for n in (*NAMES, "stribeck_friction")], machine)
     search = Search.on(prepare(problem), list(known), 2, None)
     explore(search)
     sharpened(search)
-    return search.best
+    return search
 
 
 def test_how_far_friction_bends_is_found() -> None:
@@ -84,6 +89,27 @@ def test_how_far_friction_bends_is_found() -> None:
     assert (friction.key, clean(fit)) == (("dry_friction", "shoulder"), True)
     assert fit.x[0][0] == pytest.approx(0.1, rel=0.02)
     assert friction.shapes[-1] == pytest.approx(8e-4, rel=0.25)
+
+
+def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> None:
+    search = searched(("dry_friction", "joint", "shoulder", [0.1, 1.0, 8e-4]), finer=16)
+    problem, Q = search.prepared.problem, search.frame.Q
+    fit = with_shapes_unsure(problem, Q, search.best)
+    (friction,) = findings(fit, problem.machine, 1.0, ())
+    bend = friction.details["bend"]
+    assert bend.interval[0] < 8e-4 < bend.interval[1]
+    deviation = float(fit.spread[0][-1])
+    # beside it the level is fitted anew: twice the variance of the squares at two deviations
+    levels = {}
+    for moved in (-2 * deviation, 0.0, 2 * deviation):
+        c = fit.members[0].with_shapes(fit.members[0].shapes + np.array([0.0, moved]))
+        made = search.fit([c], fit.x, start=fit.start, guess=fit.hypothesis, again=True)
+        levels[moved] = (made.rss, made.x[0][0])
+    white = [levels[m][0] - levels[0.0][0] for m in levels if m]
+    assert np.mean(white) / 4 >= 0.5  # no narrower than the noise allows
+    change = [abs(levels[m][1] - levels[0.0][1]) / 2 for m in levels if m]
+    grown = np.sqrt(fit.covariance[0, 0] - search.best.covariance[0, 0])
+    assert grown == pytest.approx(np.mean(change), rel=0.5, abs=1e-5)
 
 
 def test_stribeck_friction_that_bends_is_no_dry_friction() -> None:

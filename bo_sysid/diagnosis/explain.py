@@ -11,6 +11,7 @@ from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
+from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
 
@@ -157,7 +158,8 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
     covariance = sessions.covariance
     if in_contact(located.prepared.problem):  # stretches also differ by what recordings do
         covariance = np.maximum(covariance, by_stretch(located.prepared.problem, fit))
-    return replace(fit, covariance=covariance), sessions
+    fit = replace(fit, covariance=covariance)
+    return with_shapes_unsure(located.prepared.problem, located.search.frame.Q, fit), sessions
 
 
 def _significant(fit: Fit, sessions: Sessions) -> list[bool]:

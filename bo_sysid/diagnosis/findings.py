@@ -13,6 +13,7 @@ from bo_sysid.effects import Machine, Site, unit_at
 _SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
+_RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
 _TIME = 0.3e-3  # [s] the same for times
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
@@ -91,7 +92,8 @@ def findings(
 ) -> tuple[Finding, ...]:
     """Return the findings of a fit."""
     found, first = [], 0
-    for candidate, x, label in zip(fit.members, fit.x, fit.groups, strict=True):
+    unsure = fit.spread or tuple(np.zeros(len(c.shapes)) for c in fit.members)
+    for candidate, x, label, spread in zip(fit.members, fit.x, fit.groups, unsure, strict=True):
         own = slice(first, first + candidate.size)
         first += candidate.size
         quantity = _value(candidate, x, fit.covariance[own, own], machine)
@@ -104,7 +106,7 @@ def findings(
                 quantity,
                 before,
                 quantity.value if candidate.effect.absolute else before + quantity.value,
-                _details(candidate, x, fit.covariance[own, own], machine),
+                _details(candidate, x, fit.covariance[own, own], spread, machine),
                 _group_words(label, candidate, fit),
                 probability,
                 equivalents,
@@ -209,17 +211,21 @@ def _within(quantity: Quantity, low: float, high: float) -> Quantity:
     return replace(quantity, interval=(max(low, first), min(high, last)))
 
 
-def _quantity(value: float, variance: float, unit: str) -> Quantity:
+def _quantity(value: float, variance: float, unit: str, relative: float = _RELATIVE) -> Quantity:
     floor = _TIME if unit == "s" else 0.0
-    half = _QUANTILE * float(np.sqrt(max(variance, 0.0) + (_RELATIVE * value) ** 2 + floor**2))
+    half = _QUANTILE * float(np.sqrt(max(variance, 0.0) + (relative * value) ** 2 + floor**2))
     return Quantity(float(value), unit, (float(value) - half, float(value) + half))
 
 
 def _details(
-    c: Candidate, x: np.ndarray, covariance: Float[np.ndarray, "l l"], machine: Machine
+    c: Candidate,
+    x: np.ndarray,
+    covariance: Float[np.ndarray, "l l"],
+    spread: Float[np.ndarray, " s"],
+    machine: Machine,
 ) -> dict[str, Quantity]:
     out: dict[str, Quantity] = {}
-    full = c.full(x)
+    full, variances = c.full(x), np.concatenate([np.diag(covariance), spread**2])
     shown = 0 if c.effect.vector > 1 else 1
     for i in range(shown, len(full)):
         fitted, last = i < c.size, i == len(full) - 1
@@ -228,9 +234,9 @@ def _details(
             continue  # as it usually is
         component = c.effect.components[i]
         unit = unit_at(component.unit, c.site, machine)
-        variance = float(covariance[i, i]) if fitted else 0.0
-        found = _quantity(float(full[i]), variance, unit)
-        out[component.name] = _within(found, c.low[i], c.high[i]) if fitted else found
+        relative = _RELATIVE_BENT if c.bendable and not fitted else _RELATIVE
+        found = _quantity(float(full[i]), float(variances[i]), unit, relative)
+        out[component.name] = _within(found, c.extent.low[i], c.extent.high[i])
     if c.effect.details is not None:
         derived = c.effect.details(full, machine, c.site)
         for name, (value, unit) in derived.items():

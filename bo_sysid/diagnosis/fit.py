@@ -33,6 +33,8 @@ class Fit:
         cost: squared residual of each block.
         unique: size of each member in sigma that no other member or nuisance can take over.
         covariance: `p x p` of the magnitudes, from the scatter of blocks.
+        spread: standard deviation of each member's shapes, 0 of those that are held; empty until
+            it was asked for (`shapes`).
     """
 
     hypothesis: Hypothesis
@@ -45,6 +47,7 @@ class Fit:
     cost: Float[np.ndarray, " b"]
     unique: tuple[float, ...]
     covariance: Float[np.ndarray, "p p"]
+    spread: tuple[Float[np.ndarray, " _"], ...] = ()
 
     @property
     def members(self) -> tuple[Candidate, ...]:
@@ -119,7 +122,7 @@ def assess(
     SP = project(Q, jacobian.astype(float))
     scale = np.sqrt((SP**2).sum(axis=(0, 1))) + _TINY
     SP = SP / scale
-    G, g, cost = _by_block(SP, y, problem.block)
+    G, g, cost = by_block(SP, y, problem.block)
     total, p = G.sum(axis=0), len(scale)
     cv, dof = cost.copy(), problem.dof
     if p:
@@ -131,7 +134,7 @@ def assess(
     low, high = _room(hypothesis, p)
     variance = float(cost.sum()) / dof
     known = total + np.diag(12.0 * variance / ((high - low) * scale) ** 2)
-    covariance = _sandwich(known, g, variance) / np.outer(scale, scale)
+    covariance = sandwich(known, g, variance) / np.outer(scale, scale)
     unique = _unique(hypothesis, total, scale, (low * scale, high * scale), dof)
     rms = float(np.sqrt(cost.sum() / dof))
     return Fit(
@@ -140,9 +143,10 @@ def assess(
     )  # fmt: skip
 
 
-def _by_block(
+def by_block(
     S: Float[np.ndarray, "W R p"], y: Float[np.ndarray, "W R"], block: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Float[np.ndarray, "b p p"], Float[np.ndarray, "b p"], Float[np.ndarray, " b"]]:
+    """Return S'S, S'y and y'y of each block."""
     count, p = int(block.max()) + 1, S.shape[-1]
     G, g, cost = np.zeros((count, p, p)), np.zeros((count, p)), np.zeros(count)
     for k in range(count):
@@ -152,9 +156,18 @@ def _by_block(
     return G, g, cost
 
 
-def _sandwich(
+def sandwich(
     G: Float[np.ndarray, "p p"], g: Float[np.ndarray, "b p"], variance: float
 ) -> Float[np.ndarray, "p p"]:
+    """Return the covariance by the scatter of the blocks' gradients, at least that of white noise.
+
+    G⁻¹MG⁻¹ with M the sum over blocks of their gradients' squares about the mean.
+
+    Args:
+        G: the normal matrix.
+        g: the gradient of each block.
+        variance: of the noise.
+    """
     p, blocks = len(G), len(g)
     inverse = np.linalg.pinv(G + 1e-9 * np.eye(p), hermitian=True)
     centred = g - g.mean(axis=0)

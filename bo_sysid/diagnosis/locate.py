@@ -15,14 +15,14 @@ from bo_sysid.diagnosis.moves import (
     eliminate,
     explore,
     rubbing,
-    sharpened,
     stripped,
 )
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.refit import FINAL, refit
-from bo_sysid.diagnosis.rounds import substitute
+from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import ROUGH, admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.shapes import reshaped, sharpened
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
 from bo_sysid.mjcf.touching import can_touch
 
@@ -210,8 +210,20 @@ def _final(evidence: Evidence, search: Search, horizon: int, step: float) -> Sea
     for f in chosen:
         if f.members:
             begin = leader if f is order[0] else f
-            _again(final, begin, begin.hypothesis)
+            final.listed(_again(final, begin, begin.hypothesis))
+    _bent_anew(final)
     return final
+
+
+def _bent_anew(final: Search) -> None:
+    """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
+    leader = final.best
+    if (
+        rubbing(leader)
+        and not clean(leader)
+        and not can_touch(final.prepared.problem.machine.model)
+    ):
+        vary(final, leader)
 
 
 def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
@@ -227,6 +239,7 @@ def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
             prepared.linear, leader.members, leader.x, groups=leader.groups,
             start=prepared.start, guess=leader.hypothesis, effort=FINAL,
         )  # fmt: skip
+        leader = reshaped(prepared.linear, leader)
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
         if _distance(before, leader) < _SETTLED:
@@ -236,6 +249,8 @@ def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
 
 def _distance(before: Fit, after: Fit) -> float:
     """Return how far the magnitudes of two fits of a set lie apart, in standard deviations."""
+    if before.key != after.key:  # its shapes were fitted
+        return np.inf
     change = np.concatenate(after.x) - np.concatenate(before.x)
     own = slice(0, len(change))
     inverse = np.linalg.pinv(after.covariance[own, own], hermitian=True)

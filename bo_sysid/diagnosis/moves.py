@@ -5,12 +5,11 @@ from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rounds import enrich, round_at, simplify, vary
+from bo_sysid.diagnosis.rounds import round_at, simplify
 from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
@@ -20,11 +19,7 @@ from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
 _TRIED = 2  # joints that are added, by what their grid points leave
-_LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
-_BENT = 1.8  # times a bend of bristles that is fitted
-_SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
 _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
-_SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -105,76 +100,9 @@ def stripped(search: Search) -> None:
             return
 
 
-def sharpened(search: Search) -> None:
-    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
-
-    Of the leading set, and of that set without each of its other members: beside a period that is
-    a little off a second effect looks needed.
-    """
-    if not any(search.best.groups):
-        vary(search, search.best)  # what is left may be little and decide a forecast all the same
-    enrich(search, search.best)
-    done: set[tuple[str, str]] = set()
-    while left := [c for c in search.best.members if c.key not in done]:
-        done.add(left[0].key)
-        _sharpened_at(search, search.best, left[0].key)
-
-
-def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
-    """Fit the shapes of one member of a set, and of the set without each of its others."""
-    count = len(leader.members)
-    alone = [i for i in range(count) if leader.members[i].key != key and leader.groups[i] is None]
-    for out in (None, *alone):
-        members, x = subset(leader, [i for i in range(count) if i != out])
-        fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-        at = next(i for i, c in enumerate(fit.members) if c.key == key)
-        for shape, bounds in _bounds(search, fit.members[at]).items():
-            fit = _sharpen(search, fit, at, shape, bounds)
-
-
 def rubbing(fit: Fit, *, bent: bool = False) -> bool:
     """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
     return any(c.bent if bent else c.bendable for c in fit.members)
-
-
-def _bounds(search: Search, c: Candidate) -> dict[int, tuple[float, float]]:
-    """Return where the shapes of a member may lie, by their places; only those that are fitted."""
-    if not (c.extent.refine and len(c.shapes)):
-        return {}
-    first, last = float(c.shapes[0]), float(c.shapes[-1])
-    if c.bendable:
-        found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
-        place = len(c.shapes) - 1
-        return found | ({place: (last / _BENT, last * _BENT)} if c.bent else {})
-    if c.effect.vector < 2 or len(c.shapes) != 1:
-        return {}
-    joint = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
-    assert joint is not None  # noqa: S101 - what repeats with position is at a joint
-    reach = _LOBE / joint.span
-    return {0: (max(first - reach, 0.1 * first), first + reach)}
-
-
-def _sharpen(search: Search, fit: Fit, k: int, shape: int, bounds: tuple[float, float]) -> Fit:
-    """Minimise the residual over one shape of a member; the best fit is kept."""
-    best = fit
-
-    def rss(value: float) -> float:
-        nonlocal best
-        shapes = best.members[k].shapes.copy()
-        shapes[shape] = value
-        members = (*best.members[:k], best.members[k].with_shapes(shapes), *best.members[k + 1 :])
-        made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
-        del search.fits[made.key]
-        best = min(best, made, key=lambda f: f.rss)
-        return made.rss
-
-    minimize_scalar(
-        rss, bounds=bounds, method="bounded",
-        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * _SHARP * (bounds[1] - bounds[0])},
-    )  # fmt: skip
-    if best is not fit:
-        search.listed(best)
-    return best
 
 
 def eliminate(search: Search, steps: int = 14) -> None:

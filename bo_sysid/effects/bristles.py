@@ -14,7 +14,13 @@ BENT_FINER = (0.6, 1.6)
 """Factors by which the bend that explains most is varied."""
 
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the joint's travel
+_BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
+
+
+def most_bent(joint: JointScale) -> float:
+    """Return the largest bend that a fit may end at, in [rad] or [m]."""
+    return _BEYOND * bends(joint)[-1]
 
 
 def bends(joint: JointScale) -> tuple[float, ...]:

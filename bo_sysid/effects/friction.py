@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.bristles import BENT_FINER, STIFF, add_bristles, bends, bristled
+from bo_sysid.effects.bristles import BENT_FINER, STIFF, add_bristles, bends, bristled, most_bent
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -49,7 +49,7 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     return Extent(
         (0.05 * joint.force, _HOLDS, 0.0),
         (low, _CREEPS, 0.0),
-        (most, _HOLDS, bends(joint)[-1]),
+        (most, _HOLDS, most_bent(joint)),
         secants=tuple((level, _HOLDS, 0.0) for level in (joint.force, held) if level > 0),
         variants=((_CREEPS, 0.0), *((_HOLDS, bend) for bend in bends(joint))),
         refine=BENT_FINER,
@@ -105,7 +105,7 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     return Extent(
         (probe, probe, speeds[1], 0.0),
         (0.0, 0.0, 0.2 * speeds[0], 0.0),
-        (3 * joint.force, 3 * joint.force, 3 * speeds[-1], bends(joint)[-1]),
+        (3 * joint.force, 3 * joint.force, 3 * speeds[-1], most_bent(joint)),
         tuple((probe, probe, s, 0.0) for s in speeds),
         refine=_FINER,
         variants=tuple((np.nan, bend) for bend in bends(joint)),
@@ -210,7 +210,7 @@ def _load_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent(
         (0.02, 0.0),
         (0.0, 0.0),
-        (0.9, bends(joint)[-1]),
+        (0.9, most_bent(joint)),
         variants=tuple((bend,) for bend in bends(joint)),
         refine=BENT_FINER,
     )

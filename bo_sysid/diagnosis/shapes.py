@@ -1,0 +1,216 @@
+"""The shapes of effects, such as a period or a bend: fitted between the points of their grids.
+
+A candidate holds its shapes fixed, so that its magnitudes are nearly linear in the predictions.
+Here those of the leading set are fitted as well, and how sure they are is added to what the
+magnitudes' own covariance says.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize_scalar
+
+from bo_sysid.diagnosis.fit import Fit, by_block, sandwich
+from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.linear import Linear, project
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.refit import FINAL, refit
+from bo_sysid.diagnosis.rounds import enrich, vary
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.units import subset
+from bo_sysid.effects import Machine
+
+_LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
+_BENT = 1.8  # times a bend of bristles that is fitted
+_SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
+_SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
+_PROBE = 0.03  # of the range of a shape, for its column
+_RESHAPINGS, _WORTH = 3, 1e-3  # steps on the shapes; share of the squares one must gain
+_HALVINGS = 2
+
+Place = tuple[int, int]
+"""A member of a fit, and one of its shapes."""
+
+
+def sharpened(search: Search) -> None:
+    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
+
+    Of the leading set, and of that set without each of its other members: beside a period that is
+    a little off a second effect looks needed.
+    """
+    if not any(search.best.groups):
+        vary(search, search.best)  # what is left may be little and decide a forecast all the same
+    enrich(search, search.best)
+    done: set[tuple[str, str]] = set()
+    while left := [c for c in search.best.members if c.key not in done]:
+        done.add(left[0].key)
+        _sharpened_at(search, search.best, left[0].key)
+
+
+def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
+    """Fit the shapes of one member of a set, and of the set without each of its others."""
+    count, machine = len(leader.members), search.prepared.problem.machine
+    alone = [i for i in range(count) if leader.members[i].key != key and leader.groups[i] is None]
+    for out in (None, *alone):
+        members, x = subset(leader, [i for i in range(count) if i != out])
+        fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
+        at = next(i for i, c in enumerate(fit.members) if c.key == key)
+        for shape, bounds in ranges(fit.members[at], machine).items():
+            fit = _sharpen(search, fit, (at, shape), bounds)
+
+
+def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
+    """Return where the shapes of a member may lie, by their places; only those that are fitted."""
+    if not (c.extent.refine and len(c.shapes)):
+        return {}
+    first, last = float(c.shapes[0]), float(c.shapes[-1])
+    if c.bendable:
+        found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
+        place = len(c.shapes) - 1
+        most = float(c.extent.high[c.size + place])
+        return found | ({place: (last / _BENT, min(last * _BENT, most))} if c.bent else {})
+    if c.effect.vector < 2 or len(c.shapes) != 1:
+        return {}
+    joint = machine.joint_of(c.site.kind, c.site.name)
+    assert joint is not None  # noqa: S101 - what repeats with position is at a joint
+    reach = _LOBE / joint.span
+    return {0: (max(first - reach, 0.1 * first), first + reach)}
+
+
+def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
+    """Minimise the residual over one shape of a member; the best fit is kept."""
+    best = fit
+
+    def rss(value: float) -> float:
+        nonlocal best
+        members = _reshaped_members(best, {at: value})
+        made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
+        del search.fits[made.key]
+        best = min(best, made, key=lambda f: f.rss)
+        return made.rss
+
+    minimize_scalar(
+        rss, bounds=bounds, method="bounded",
+        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * _SHARP * (bounds[1] - bounds[0])},
+    )  # fmt: skip
+    if best is not fit:
+        search.listed(best)
+    return best
+
+
+def reshaped(linear: Linear, fit: Fit) -> Fit:
+    """Fit the shapes of a set together, by Gauss-Newton steps beside which magnitudes follow.
+
+    Args:
+        linear: the model linearised at the fit.
+        fit: the set.
+    """
+    for _ in range(_RESHAPINGS):
+        bounds = _places(fit, linear.problem.machine)
+        if not bounds:
+            break
+        step = _profile(linear.problem, linear.Q, fit, bounds)[0]
+        before, fit = fit, _stepped(linear, fit, bounds, step)
+        if fit.rss > (1 - _WORTH) * before.rss:
+            break
+    return fit
+
+
+def _stepped(
+    linear: Linear,
+    fit: Fit,
+    bounds: Mapping[Place, tuple[float, float]],
+    step: Float[np.ndarray, " s"],
+) -> Fit:
+    """Return the fit after a step on its shapes, the fit itself where none leaves less."""
+    for halving in range(_HALVINGS):
+        values = {
+            at: float(np.clip(_shape(fit, at) + 0.5**halving * d, *bounds[at]))
+            for at, d in zip(bounds, step, strict=True)
+        }
+        made = refit(
+            linear, _reshaped_members(fit, values), fit.x, groups=fit.groups, start=fit.start,
+            guess=fit.hypothesis, effort=FINAL,
+        )  # fmt: skip
+        if made.rss < fit.rss:
+            return made
+    return fit
+
+
+def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> Fit:
+    """Return a fit whose covariance holds that its shapes are fitted, with their deviations.
+
+    With S the columns of the magnitudes and C those of the shapes, both without what a start can
+    do, K = (S'S)⁻¹S'C is how the magnitudes give way to the shapes, C⊥ = C - SK what is left to
+    tell the shapes by, V their covariance by it; the magnitudes' covariance grows by KVK'.
+    """
+    bounds = _places(fit, problem.machine)
+    if not bounds:
+        return fit
+    _, V, K = _profile(problem, Q, fit, bounds)
+    deviations = dict(zip(bounds, np.sqrt(np.diag(V)), strict=True))
+    spread = tuple(
+        np.array([deviations.get((k, i), 0.0) for i in range(len(c.shapes))])
+        for k, c in enumerate(fit.members)
+    )
+    return replace(fit, covariance=fit.covariance + K @ V @ K.T, spread=spread)
+
+
+def _profile(
+    problem: Problem,
+    Q: Float[np.ndarray, "W R k"],
+    fit: Fit,
+    bounds: Mapping[Place, tuple[float, float]],
+) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s s"], Float[np.ndarray, "p s"]]:
+    """Return the Gauss-Newton step of the shapes, their covariance V, and K.
+
+    Before the recordings are seen a shape is uniform within its bounds.
+    """
+    S = project(Q, fit.jacobian.astype(float))
+    width = np.array([high - low for low, high in bounds.values()])
+    C = project(Q, _columns(problem, fit, bounds)) * width
+    A = S.reshape(-1, S.shape[-1])
+    K = np.linalg.lstsq(A, C.reshape(-1, len(width)), rcond=1e-10)[0]
+    G, g, _ = by_block(C - S @ K, project(Q, fit.residual), problem.block)
+    variance = max(fit.rms, 1.0) ** 2
+    total = G.sum(axis=0) + 12.0 * variance * np.eye(len(width))
+    V = sandwich(total, g, variance) * np.outer(width, width)
+    return np.linalg.solve(total, g.sum(axis=0)) * width, V, K / width
+
+
+def _columns(
+    problem: Problem, fit: Fit, bounds: Mapping[Place, tuple[float, float]]
+) -> Float[np.ndarray, "W R s"]:
+    """Return the response of the predictions to each shape."""
+    columns = []
+    for at, (low, high) in bounds.items():
+        h = _PROBE * (high - low)
+        members = _reshaped_members(fit, {at: _shape(fit, at) + h})
+        moved = problem.residual(replace(fit.hypothesis, members=members), fit.start)
+        columns.append((fit.residual - moved) / h)
+    return np.stack(columns, axis=-1)
+
+
+def _places(fit: Fit, machine: Machine) -> dict[Place, tuple[float, float]]:
+    """Return the shapes of a fit that are fitted, with their bounds."""
+    return {
+        (k, i): bounds
+        for k, c in enumerate(fit.members)
+        for i, bounds in ranges(c, machine).items()
+    }
+
+
+def _shape(fit: Fit, at: Place) -> float:
+    return float(fit.members[at[0]].shapes[at[1]])
+
+
+def _reshaped_members(fit: Fit, values: Mapping[Place, float]) -> tuple[Candidate, ...]:
+    """Return the members of a fit with other values of some of their shapes."""
+    members = list(fit.members)
+    for (k, i), value in values.items():
+        shapes = members[k].shapes.copy()
+        shapes[i] = value
+        members[k] = members[k].with_shapes(shapes)
+    return tuple(members)
