@@ -19,6 +19,7 @@ from diagnosis_cases import (
 )
 
 from bo_sysid.diagnosis.diagnose import make_evidence
+from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.findings import Finding, findings
 from bo_sysid.diagnosis.forecast import (
@@ -30,7 +31,7 @@ from bo_sysid.diagnosis.forecast import (
     noise_floor,
 )
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.locate import Evidence, Located, locate
+from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Address

@@ -1,0 +1,138 @@
+"""The final fits, on all windows: the leading sets, and what could stand in their place."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bo_sysid.diagnosis.evidence import Evidence
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.lengths import windows_of
+from bo_sysid.diagnosis.moves import eliminate, rubbing
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.refit import FINAL, refit
+from bo_sysid.diagnosis.rounds import substitute, vary
+from bo_sysid.diagnosis.rules import admissible, clean, ranked
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.shapes import reshaped
+from bo_sysid.diagnosis.windowing import Prepared, prepare
+from bo_sysid.mjcf.touching import can_touch
+
+_SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
+_FINALISTS = 5
+_FAR = 2.0  # times what the leader leaves
+_COMPARED = 3  # leading sets at most that are compared with others
+_POLISH = 6  # times at most that the leader is linearised anew on all windows
+_SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
+
+
+def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
+    """Fit the leading sets again, on all windows, with the correction taken at the leader."""
+    order = ranked(search.fits.values(), search.prior)
+    chosen = _finalists(order, search.nominal)
+    problem = windows_of(evidence, horizon, step, everything=True)
+    leader, prepared = _polished(problem, order[0])
+    if problem.loose(leader.hypothesis):
+        other = _polished(problem, _restarted(order[0]))
+        leader, prepared = min((leader, prepared), other, key=lambda made: made[0].rms)
+    final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
+    for f in chosen:
+        if f.members:
+            begin = leader if f is order[0] else f
+            final.listed(_again(final, begin, begin.hypothesis))
+    _bent_anew(final)
+    return final
+
+
+def compare(final: Search) -> None:
+    """Fit what could stand in the place of each member of the leading set, and fewer of them.
+
+    Whatever comes to lead by that is compared with others in its turn: of a set that was not,
+    nothing says what else the recordings admit.
+    """
+    eliminate(final)
+    done: set[object] = set()
+    for _ in range(_COMPARED):
+        leader = _leader(final)
+        if not leader.members or leader.key in done:
+            return
+        done.add(leader.key)
+        substitute(final, leader)
+        eliminate(final)
+
+
+def _bent_anew(final: Search) -> None:
+    """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
+    leader, smooth = final.best, not can_touch(final.prepared.problem.machine.model)
+    if smooth and rubbing(leader) and not clean(leader):
+        vary(final, leader)
+
+
+def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
+    """Fit the leader on all windows, linearised anew until its magnitudes stay where they are.
+
+    In contact they do not: how much each window says is found anew with every linear model.
+    """
+    prepared = prepare(problem, leader.hypothesis)
+    most = 1 if can_touch(problem.machine.model) else _POLISH
+    for _ in range(most if leader.members else 0):
+        before = leader
+        leader = refit(
+            prepared.linear, leader.members, leader.x, groups=leader.groups,
+            start=prepared.start, guess=leader.hypothesis, effort=FINAL,
+        )  # fmt: skip
+        leader = reshaped(prepared.linear, leader)
+        same = len(leader.start) == len(problem.windows)
+        prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
+        if _distance(before, leader) < _SETTLED:
+            break
+    return leader, prepared
+
+
+def _distance(before: Fit, after: Fit) -> float:
+    """Return how far the magnitudes of two fits of a set lie apart, in standard deviations."""
+    if before.key != after.key:  # its shapes were fitted
+        return np.inf
+    change = np.concatenate(after.x) - np.concatenate(before.x)
+    own = slice(0, len(change))
+    inverse = np.linalg.pinv(after.covariance[own, own], hermitian=True)
+    return float(np.sqrt(max(change @ inverse @ change, 0.0)))
+
+
+def _restarted(fit: Fit) -> Fit:
+    """Return a fit whose gaps have softer ends.
+
+    From a wide gap with hard ends no small step leads to a narrower one with soft ends.
+    """
+    x = tuple(
+        np.concatenate([v[:1], [_SOFTER * c.point[1]], v[2:]]) if c.effect.hidden else v
+        for c, v in zip(fit.members, fit.x, strict=True)
+    )
+    return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
+
+
+def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:
+    return search.fit(fit.members, fit.x, guess=guess, again=True, effort=FINAL)
+
+
+def _leader(search: Search) -> Fit:
+    """Return the best of the fits whose every member is needed."""
+    fits = list(search.fits.values())
+    order = ranked(fits, search.prior)
+    return next(f for f in order if admissible(f, search.nominal, fits))
+
+
+def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
+    """Return the leading sets, and the best that are admissible or groups.
+
+    Of those that leave many times as much as the leader only the best that is admissible, which
+    may be what all windows admit, and the best that shares no name, to compare with.
+    """
+    able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
+    grouped = [f for f in order if any(f.groups)]
+    held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
+    near = [f for f in held if f.rms < _FAR * order[0].rms]
+    names = [{(c.effect.nested or c.effect.id, c.site.name) for c in f.members} for f in order]
+    others = [f for f, n in zip(order, names, strict=True) if n and not n & names[0]]
+    return list(dict.fromkeys((*near, *able[:1], *others[:1])))
