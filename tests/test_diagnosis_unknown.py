@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import arm, candidate, posed, record
+from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
+from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.explain import Unexplained, _placed
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
@@ -137,7 +138,10 @@ def test_what_no_law_predicts_sits_where_everything_else_was_found(magnet, site,
     hypothesis = replace(nominal.hypothesis, members=(named,), x=(named.probe,))
     best = replace(left_over(nominal, 3.0), hypothesis=hypothesis)
     search = Search.on(ready, [named], 1, None)
-    located = Located(replace(settled(nominal), best=best), ready, search, 0)
+    made = make_evidence(
+        arm(), ready.problem.recordings, effects=[named.effect], noise={"qpos": SIGMA}, threads=1
+    )
+    located = Located(replace(settled(nominal), best=best), ready, search, 0, made)
     found = _placed(located, Unexplained(0.5, "world", "world"))
     assert found.site == where
     assert "Nothing stands for it" in found.sentences[0]

@@ -32,12 +32,14 @@ class Located:
         prepared: all training windows.
         search: the finished search, for what is asked of it later.
         tried: number of sets fitted through the simulator.
+        evidence: what it was made from.
     """
 
     decision: Decision
     prepared: Prepared
     search: Search
     tried: int
+    evidence: Evidence
 
 
 def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) -> Located:
@@ -66,7 +68,8 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     compare(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
-    return Located(decision, final.prepared, final, len(search.fits) + len(final.fits))
+    tried = len(search.fits) + len(final.fits)
+    return Located(decision, final.prepared, final, tried, evidence)
 
 
 def _explored(

@@ -300,6 +300,11 @@ def coarsened(hypothesis: Hypothesis, tolerance: float) -> Hypothesis:
     return replace(hypothesis, numerics=_SHARES[division])
 
 
+def shares() -> tuple[float, ...]:
+    """Return the shares of the correction that time steps up to the finer one show."""
+    return tuple(_SHARES[n] for n in _DIVISIONS if n <= FINER)
+
+
 def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
     """Return the forces among `parts` as laws of the simulation."""
     return tuple(ForceLaw(p.joint, p.law, p.hold) for p in parts if isinstance(p, Force))
