@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.shapes import reshaped
+from bo_sysid.diagnosis.shapes import reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.windowing import Prepared, prepare
 from bo_sysid.mjcf.touching import can_touch
 
@@ -24,6 +24,8 @@ _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
 _COMPARED = 3  # leading sets at most that are compared with others
 _POLISH = 6  # times at most that the leader is linearised anew on all windows
+_TOLD = 2.0  # standard deviations from which a bend is told from none
+_AS_GOOD = 1.02  # times what a set leaves, that may be left without
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 
 
@@ -42,6 +44,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
             begin = leader if f is order[0] else f
             final.listed(_again(final, begin, begin.hypothesis))
     _bent_anew(final)
+    _straightened(final)
     return final
 
 
@@ -67,6 +70,28 @@ def _bent_anew(final: Search) -> None:
     leader, smooth = final.best, not can_touch(final.prepared.problem.machine.model)
     if smooth and rubbing(leader) and not clean(leader):
         vary(final, leader)
+
+
+def _straightened(final: Search) -> None:
+    """Leave out bends of the leading set that the recordings do not tell from none."""
+    leader = final.best
+    spread = with_shapes_unsure(final.prepared.problem, final.frame.Q, leader).spread
+    untold = {
+        c.key
+        for c, s in zip(leader.members, spread, strict=bool(spread))
+        if c.bent and c.shapes[-1] < _TOLD * s[-1]
+    }
+    if not untold:
+        return
+    members = [c.straight if c.key in untold else c for c in leader.members]
+    known = [final.known(c) for c in members]
+    straight = final.fit(known, leader.x, guess=leader.hypothesis, again=True, effort=FINAL)
+    if straight.rms > _AS_GOOD * leader.rms:
+        return
+    for f in list(final.fits.values()):
+        same = {c.key for c in f.members} == {c.key for c in leader.members}
+        if same and any(c.bent and c.key in untold for c in f.members):
+            del final.fits[f.key]
 
 
 def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:

@@ -76,6 +76,11 @@ class Candidate:
         """Whether it does."""
         return self.bendable and bool(self.shapes[-1] > 0)
 
+    @property
+    def straight(self) -> "Candidate":
+        """The same friction, which does not bend."""
+        return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
+
     def full(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " k"]:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
         return np.concatenate([x, self.shapes])
