@@ -5,22 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.locate import Located
-from bo_sysid.diagnosis.problem import coarsened, shares
+from bo_sysid.diagnosis.prediction_error import PredictionError
+from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
-from bo_sysid.mjcf.touching import can_touch
 
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
-_WINDOWS = 24  # of the training recordings, in contact, on which time steps are compared
-_FLOOR = 1e-2  # [sigma²] of a window that leaves nothing
 _WORDS = {
     "position": "where the joint is",
     "speed": "how fast it moves",
@@ -112,12 +108,28 @@ def explain(located: Located) -> Outcome:
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
-    nominal, repaired = decision.nominal, _stepped(located, fit.hypothesis, fit.rms)
-    if unknown.joint is not None:
-        repaired = _stepped(located, learn(problem, fit, unknown)[0], fit.rms)
-    refitted = _stepped(located, nominal.hypothesis, nominal.rms)
+    fit, repaired, refitted = _repaired(located, fit, unknown)
     alone = _law_alone(located, fit.hypothesis.numerics)
-    return Outcome(fit, nominal, refitted, repaired, unexplained, timestep, sessions, alone)
+    return Outcome(
+        fit, decision.nominal, refitted, repaired, unexplained, timestep, sessions, alone
+    )
+
+
+def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypothesis, Hypothesis]:
+    """Return the fit, the repaired hypothesis, and the nominal one with the parameters fitted.
+
+    Each at its time step; in contact that and the magnitudes come from forecasts.
+    """
+    problem, nominal = located.prepared.problem, located.decision.nominal
+    law = None if unknown.joint is None else learn(problem, fit, unknown)[0]
+    if not in_contact(problem):
+        repaired = _stepped(located, law or fit.hypothesis, fit.rms)
+        return fit, repaired, _stepped(located, nominal.hypothesis, nominal.rms)
+    error = PredictionError(located.evidence, problem.windows.timestep)
+    if law is None:
+        fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
+    repaired = fit.hypothesis if law is None else error.stepped(law)
+    return fit, repaired, error.stepped(nominal.hypothesis)
 
 
 def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
@@ -142,35 +154,9 @@ def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
 
 
 def _stepped(located: Located, hypothesis: Hypothesis, rms: float) -> Hypothesis:
-    """Return a hypothesis at the coarsest time step whose error is little beside its rms.
-
-    In contact the correction says little of that, since windows in which the step decides have next
-    to no weight: there the training recordings are forecast.
-    """
-    if can_touch(located.prepared.problem.machine.model):
-        return _forecast_at(located.evidence, hypothesis, located.prepared.problem.windows.timestep)
+    """Return a hypothesis at the coarsest time step whose error is little beside its rms."""
     correction = max(located.prepared.correction_rms, 1e-12)
     return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / correction)
-
-
-def _forecast_at(evidence: Evidence, hypothesis: Hypothesis, timestep: float) -> Hypothesis:
-    """Return a hypothesis at the time step that forecasts the training recordings best.
-
-    By the geometric mean over windows, of which a few end on the other side of an impact whatever
-    the step; of steps that are nearly as good it is the coarsest.
-    """
-    problem, past = forecast_problem(
-        evidence.model, evidence.machine, evidence.recordings, evidence.sigma, past=PAST,
-        ahead=AHEAD, timestep=timestep, engine=evidence.engine, laws=evidence.laws,
-    )  # fmt: skip
-    part = problem.rows(np.unique(np.linspace(0, len(problem.windows) - 1, _WINDOWS).astype(int)))
-    left = {}
-    for numerics in shares():
-        made = replace(hypothesis, numerics=numerics)
-        squares = (forecast(part, past, made).residual ** 2).mean(axis=(1, 2))
-        left[numerics] = float(np.exp(0.5 * np.log(squares + _FLOOR).mean()))
-    near = (1 + _LITTLE) * min(left.values())
-    return replace(hypothesis, numerics=next(n for n, r in left.items() if r <= near))
 
 
 def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
