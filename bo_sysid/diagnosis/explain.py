@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
+from bo_sysid.errors import RecordingError
 
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
@@ -122,14 +123,25 @@ def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypoth
     """
     problem, nominal = located.prepared.problem, located.decision.nominal
     law = None if unknown.joint is None else learn(problem, fit, unknown)[0]
-    if not in_contact(problem):
+    error = _by_forecasts(located)
+    if error is None:
         repaired = _stepped(located, law or fit.hypothesis, fit.rms)
         return fit, repaired, _stepped(located, nominal.hypothesis, nominal.rms)
-    error = PredictionError(located.evidence, problem.windows.timestep)
     if law is None:
         fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
     repaired = fit.hypothesis if law is None else error.stepped(law)
     return fit, repaired, error.stepped(nominal.hypothesis)
+
+
+def _by_forecasts(located: Located) -> PredictionError | None:
+    """Return what judges by forecasts: in contact, where recordings are long enough for one."""
+    problem = located.prepared.problem
+    if not in_contact(problem):
+        return None
+    try:
+        return PredictionError(located.evidence, problem.windows.timestep)
+    except RecordingError:
+        return None
 
 
 def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
