@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.moves import explore
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.shapes import sharpened, with_shapes_unsure
+from bo_sysid.diagnosis.shapes import ranges, sharpened, with_shapes_unsure
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.recording import Recording
@@ -89,6 +89,18 @@ def test_how_far_friction_bends_is_found() -> None:
     assert (friction.key, clean(fit)) == (("dry_friction", "shoulder"), True)
     assert fit.x[0][0] == pytest.approx(0.1, rel=0.02)
     assert friction.shapes[-1] == pytest.approx(8e-4, rel=0.25)
+
+
+@pytest.mark.parametrize("times", [0.1, 1.0, 1.9, 10.0])
+def test_bounds_of_a_bend_hold_it_however_large(times: float) -> None:
+    machine = survey(arm().compile(), [record([], duration=1.0)])
+    (friction,) = (
+        c for c in candidates([CATALOGUE["dry_friction"]], machine)
+        if c.site.name == "shoulder" and not c.secant
+    )  # fmt: skip
+    bend = times * friction.extent.high[-1]
+    ((low, high),) = ranges(friction.with_shapes(np.array([1.0, bend])), machine).values()
+    assert low < bend <= high
 
 
 def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> None:

@@ -7,7 +7,6 @@ import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
@@ -42,7 +41,9 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     for f in chosen:
         if f.members:
             begin = leader if f is order[0] else f
-            final.listed(_again(final, begin, begin.hypothesis))
+            final.listed(
+                final.fit(begin.members, begin.x, guess=begin.hypothesis, again=True, effort=FINAL)
+            )
     _bent_anew(final)
     _straightened(final)
     return final
@@ -75,10 +76,12 @@ def _bent_anew(final: Search) -> None:
 def _straightened(final: Search) -> None:
     """Leave out bends of the leading set that the recordings do not tell from none."""
     leader = final.best
+    if not rubbing(leader, bent=True):
+        return
     spread = with_shapes_unsure(final.prepared.problem, final.frame.Q, leader).spread
     untold = {
         c.key
-        for c, s in zip(leader.members, spread, strict=bool(spread))
+        for c, s in zip(leader.members, spread, strict=True)
         if c.bent and c.shapes[-1] < _TOLD * s[-1]
     }
     if not untold:
@@ -135,10 +138,6 @@ def _restarted(fit: Fit) -> Fit:
         for c, v in zip(fit.members, fit.x, strict=True)
     )
     return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
-
-
-def _again(search: Search, fit: Fit, guess: Hypothesis) -> Fit:
-    return search.fit(fit.members, fit.x, guess=guess, again=True, effort=FINAL)
 
 
 def _leader(search: Search) -> Fit:

@@ -69,7 +69,7 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
     if c.bendable:
         found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
         place = len(c.shapes) - 1
-        most = float(c.extent.high[c.size + place])
+        most = max(float(c.extent.high[c.size + place]), last)
         return found | ({place: (last / _BENT, min(last * _BENT, most))} if c.bent else {})
     if c.effect.vector < 2 or len(c.shapes) != 1:
         return {}
