@@ -28,6 +28,7 @@ from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
 from bo_sysid.diagnosis.tables import doubts, missing_force
 from bo_sysid.effects import CATALOGUE
+from bo_sysid.recording import Recording
 from bo_sysid.study.outer import Limit
 
 
@@ -48,6 +49,18 @@ def rotor() -> Located:
     """A rotor's inertia at a vertical base, which is the link's own about that axis."""
     missing = [("armature", "joint", "shoulder", [0.01])]
     return located(record(missing, duration=6.0), effects=("armature", "link_inertia"))
+
+
+def test_a_large_offset_is_fitted_as_far_as_what_stands_for_it() -> None:
+    """A shifted centre of mass does the same in fewer steps, and is no better a name for that."""
+    frame = record(duration=4.0).to_frame()
+    frame["qpos.elbow"] += 0.25
+    decision = located(
+        Recording.from_frame(frame), effects=("encoder_offset", "com_shift")
+    ).decision
+    told = {f.members[0].effect.id: f.x[0] for f in (decision.best, *decision.equivalents)}
+    assert set(told) == {"encoder_offset", "com_shift"}
+    assert abs(told["encoder_offset"][0]) == pytest.approx(0.25, rel=0.01)
 
 
 def test_the_search_of_the_argmin_finds_the_set_that_is_there(friction) -> None:

@@ -148,6 +148,22 @@ def test_what_adds_nothing_to_a_simpler_effect_does_not_stand_for_it(machine) ->
     assert decided(fit((), 5.0, seed=3), friction, stribeck).best is friction
 
 
+@pytest.mark.parametrize(("unique", "named"), [(0.15, True), (0.05, False)])
+def test_a_richer_effect_that_is_asked_for_but_too_small_stands_beside_the_plain_one(
+    machine, unique: float, named: bool
+) -> None:
+    friction = fit((candidate(machine, "dry_friction", "elbow"),), 1.01)
+    stribeck = replace(
+        fit((candidate(machine, "stribeck_friction", "elbow"),), 1.0, unique=unique),
+        jacobian=np.zeros((2, DOF // 2, 2)),
+        covariance=np.eye(2),
+    )
+    decision = decided(fit((), 5.0, seed=3), friction, stribeck)  # alike but for little
+    assert decision.best is (stribeck if named else friction)
+    assert decision.equivalents == ((friction,) if named else ())
+    assert decision.probability[0] == pytest.approx(0.5 if named else 1.0, abs=1e-3)
+
+
 def test_a_superset_of_the_answer_is_no_equivalent(machine) -> None:
     one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
     single = fit((one,), 1.0)
@@ -175,3 +191,21 @@ def test_close_to_the_recordings_a_size_is_at_most_what_leaving_out_costs(machin
 def test_far_from_the_recordings_a_size_is_at_least_what_leaving_out_costs(machine) -> None:
     friction = fit((candidate(machine, "dry_friction", "elbow"),), 2.0, unique=0.5)
     assert sizes(friction, [fit((), 5.0), friction]) == pytest.approx([np.sqrt(21.0)])
+
+
+@pytest.mark.parametrize(("times", "held"), [(2.0, True), (0.0, False)])
+def test_only_a_large_member_may_do_no_more_where_there_is_more_of_it(
+    machine, times: float, held: bool
+) -> None:
+    """Friction that holds a joint has no slope; nor has one of nothing, which is not needed."""
+    friction, payload = (
+        candidate(machine, e, s) for e, s in (("dry_friction", "elbow"), ("payload", "forearm"))
+    )
+    both = fit((payload, friction), 1.0)
+    both = replace(
+        both,
+        hypothesis=replace(both.hypothesis, x=(payload.probe, times * friction.probe)),
+        jacobian=both.jacobian * np.array([1.0, 0.0]),
+        unique=(5.0, 0.0),
+    )
+    assert (sizes(both, [fit((payload,), 3.0)])[1] > 1.0) == held

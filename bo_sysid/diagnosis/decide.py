@@ -45,7 +45,9 @@ def decide(
     Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
     to the best set; κ grows with the variance of D between blocks where that is larger than the
     one of two nearly true models. Only sets whose every member is needed are admitted, and those
-    that stand for the best of them as well as it does itself.
+    that stand for the best of them as well as it does itself. Where the recordings ask for a
+    richer effect in the place of one of the best, but with less than a name needs, that is
+    answered, the plain one being as probable.
     """
     able = [f for f in fits if np.isfinite(f.cv.sum())]
     kappa = inflation(fits)
@@ -57,23 +59,24 @@ def decide(
     best = min(admitted, key=cost)
     nearly = [f for f in able if min(f.unique, default=0.0) > _NEARLY * required(f, nominal)]
     like = [f for f in nearly if _is_like(f, best, Q, dof, cost(f) - cost(best))]
-    held = _one_of_each([*admitted, *(f for f in like if f not in admitted)], cost)
-    for _ in range(_ROUNDS):
-        score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
-        leader = held[int(np.argmax(score))]
-        if leader is best:
-            break
-        best = leader
+    like = [f for f in like if f not in admitted and not _is_richer(f, best, cost)]
+    held = _one_of_each([*admitted, *like], cost)
+    best, score = _scored(held, best, kappa, prior)
     score = _levelled(held, score, best, prior, Q, dof)
-    best = held[int(np.argmax(score))]
-    order = np.argsort(-score)
+    plain = best = held[int(np.argmax(score))]
+    richer = [f for f in nearly if f not in held and _is_richer(f, plain, cost)]
+    if richer:
+        best = min(richer, key=cost)
+        held, score = [best, *held], np.concatenate([[score.max()], score])
+    order = np.argsort(-score, kind="stable")
     weight = np.exp(score - score.max())
     held = [held[i] for i in order]
     score, weight = score[order], weight[order] / weight.sum()
     near = [
         f
         for k, f in enumerate(held[: _MOST_EQUIVALENT + 1])
-        if f is not best and _equivalent(f, best, float(score[0] - score[k]), Q, dof)
+        if f is not best
+        and (f is plain or _equivalent(f, best, float(score[0] - score[k]), Q, dof))
     ]
     return Decision(best, nominal, tuple(held), weight, tuple(near))
 
@@ -82,11 +85,18 @@ def _is_like(fit: Fit, best: Fit, Q: Float[np.ndarray, "W R k"], dof: int, worse
     """Whether a fit stands for the best one: the same predictions, or one member exchanged."""
     if len(fit.members) != len(best.members):
         return False
-    shared = len(_names(fit) & _names(best))
+    shared = len(fit.names & best.names)
     exchanged = len(best.members) > 1 and shared == len(best.members) - 1
     return bool(best.members) and (
         (exchanged and worse < _BAND) or _apart(fit, best, Q, dof) < _SAME
     )
+
+
+def _is_richer(fit: Fit, best: Fit, cost: Callable[[Fit], float]) -> bool:
+    """Whether a fit is the best one with an effect that holds one of its own, and explains more."""
+    own, held = {c.key for c in best.members}, {c.key for c in fit.members}
+    plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
+    return bool(plainer) and plainer == own - held and cost(fit) < cost(best) - _BAND
 
 
 def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:
@@ -95,6 +105,19 @@ def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]
     for f in sorted(fits, key=cost):
         found.setdefault(frozenset(c.key for c in f.members), f)
     return list(found.values())
+
+
+def _scored(
+    held: Sequence[Fit], best: Fit, kappa: float, prior: Prior
+) -> tuple[Fit, Float[np.ndarray, " f"]]:
+    """Return the leader by log posterior against itself, and the log posterior of each fit."""
+    for _ in range(_ROUNDS):
+        score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
+        leader = held[int(np.argmax(score))]
+        if leader is best:
+            break
+        best = leader
+    return best, score
 
 
 def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
@@ -134,13 +157,8 @@ def _apart(one: Fit, two: Fit, Q: Float[np.ndarray, "W R k"], dof: int) -> float
 
 
 def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int) -> bool:
-    if not fit.members or _names(best) <= _names(fit):
+    if not fit.members or best.names <= fit.names:
         return False
     near = _SAME * (best.rms if best.rms > ROUGH else 1.0)
     fewer = len(fit.members) <= len(best.members)
     return gap < _BAND or (_apart(fit, best, Q, dof) < near and fewer)
-
-
-def _names(fit: Fit) -> set[tuple[str, str]]:
-    """Return effects and sites, an effect that contains a simpler one as that one."""
-    return {(c.effect.nested or c.effect.id, c.site.name) for c in fit.members}

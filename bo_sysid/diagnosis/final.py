@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.shapes import reshaped, with_shapes_unsure
+from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.windowing import Prepared, prepare
 from bo_sysid.mjcf.touching import can_touch
 
@@ -25,6 +25,7 @@ _COMPARED = 3  # leading sets at most that are compared with others
 _POLISH = 6  # times at most that the leader is linearised anew on all windows
 _TOLD = 2.0  # standard deviations from which a bend is told from none
 _AS_GOOD = 1.02  # times what a set leaves, that may be left without
+_NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are polished; how many
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 
 
@@ -63,7 +64,46 @@ def compare(final: Search) -> None:
             return
         done.add(leader.key)
         substitute(final, leader)
+        _shaped_alike(final, leader)
+        _polish_rivals(final, leader)
         eliminate(final)
+
+
+def _shaped_alike(final: Search, leader: Fit) -> None:
+    """Fit the sets that differ from the leader in one member with the shapes of the others.
+
+    Beside friction that bends otherwise a set looks worse than it is.
+    """
+    own = {c.key: c for c in leader.members}
+    near = [f for f in final.fits.values() if f.rms < _AS_GOOD * leader.rms]
+    for f in near:
+        shared = sum(c.key in own for c in f.members)
+        members = [own.get(c.key, c) for c in f.members]
+        exchanged = len(f.members) == len(own) == shared + 1
+        if exchanged and set_key(members) not in final.fits:
+            final.fit(
+                members, f.x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL,
+            )  # fmt: skip
+
+
+def _polish_rivals(final: Search, leader: Fit) -> None:
+    """Fit the nearest sets with other names as the leader was: their own shapes, linearised there.
+
+    What a start can do at the leader's motion is not what it can do at theirs, and an effect with
+    fewer magnitudes than another may only be linear less far.
+    """
+    problem = final.prepared.problem
+    order = [f for f in ranked(final.fits.values(), final.prior) if f.names != leader.names]
+    rivals = []
+    for f in (f for f in order if f.size == leader.size):
+        fewer = sum(c.size for c in f.members) < sum(c.size for c in leader.members)
+        shaped = any(ranges(c, problem.machine) for c in f.members)
+        if (fewer and f.rms < _FAR * leader.rms) or (shaped and f.rms < _NEAR * leader.rms):
+            rivals.append(f)
+    for f in rivals[:_RIVALS]:
+        made, _ = _polished(problem, f)
+        if made.rss < f.rss:
+            final.listed(made)
 
 
 def _bent_anew(final: Search) -> None:
@@ -157,6 +197,5 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     grouped = [f for f in order if any(f.groups)]
     held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
     near = [f for f in held if f.rms < _FAR * order[0].rms]
-    names = [{(c.effect.nested or c.effect.id, c.site.name) for c in f.members} for f in order]
-    others = [f for f, n in zip(order, names, strict=True) if n and not n & names[0]]
+    others = [f for f in order if f.members and not f.names & order[0].names]
     return list(dict.fromkeys((*near, *able[:1], *others[:1])))

@@ -72,6 +72,11 @@ class Fit:
         """What is supposed, without magnitudes."""
         return set_key(self.members)
 
+    @property
+    def names(self) -> set[tuple[str, str]]:
+        """Effects and sites, an effect that contains a simpler one as that one."""
+        return {(c.effect.nested or c.effect.id, c.site.name) for c in self.members}
+
     @cached_property
     def felt(self) -> tuple[float, ...]:
         """What each member does, by the slope at its magnitudes, as an rms in sigma.

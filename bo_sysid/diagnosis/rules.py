@@ -76,11 +76,12 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
     is large in windows that no magnitude brings any closer. Far from them, where no linearisation
     reaches from a set to the same set without a member, it is the larger of the two; so it is where
-    the slope is nothing, since more of a member would do no more.
+    the slope of a large member is nothing, since more of it would do no more.
     """
     others, found = tuple(fits), []
-    for member, unique, felt in zip(fit.members, fit.unique, fit.felt, strict=True):
-        choose = min if fit.rms <= LOOSE and felt > _FLAT else max
+    for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
+        full = felt <= _FLAT and bool((np.abs(x) > np.abs(member.probe)).any())
+        choose = max if fit.rms > LOOSE or full else min
         rest = set_key([c for c in fit.members if c is not member])
         left = min((f.rms for f in others if _without(f, rest, member)), default=None)
         lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
