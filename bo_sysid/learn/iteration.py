@@ -1,36 +1,18 @@
-"""One iteration of the outer loop, phase by phase; every phase leaves a file and is not repeated.
+"""What an iteration of the outer loop ended with, and how it is read again."""
 
-A run that is killed goes through its iterations again: what is there is read, the first phase that
-is not there is computed. Every phase follows from the files before it and the study's seed, so that
-the result is the one of a run that was never killed.
-"""
-
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
 from bo_sysid.arrays import Point
-from bo_sysid.execution import Progress, Report, threads
-from bo_sysid.learn.choose import CHOOSE
-from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import share_beyond
-from bo_sysid.learn.identified import Identified, identified
-from bo_sysid.learn.repair import MOST, Repair, repaired
+from bo_sysid.learn.identified import Identified
+from bo_sysid.learn.repair import Repair
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.sources import Source
-from bo_sysid.learn.stops import STOP_RULES, Verdict, distances, near_enough, value_guided
-from bo_sysid.learn.values import Values, values
+from bo_sysid.learn.stops import Verdict
 from bo_sysid.policy.store import LearnedPolicy
-from bo_sysid.policy.trainer import Iteration as Batch
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
-
-PHASES = 4  # of an iteration, for its progress
-_SETTLED = 0.95  # probability of the chosen candidate from which on the belief is settled
 
 
 @dataclass(frozen=True)
@@ -63,57 +45,6 @@ class Iteration:
         return np.asarray(self.scene.candidates.points[self.row])
 
 
-@dataclass(frozen=True)
-class Teller:
-    """Tells the progress of the loop: four phases an iteration."""
-
-    report: Report
-    of: int
-
-    def __call__(self, number: int, phase: int, message: str) -> None:
-        """Tell which phase of which iteration is done."""
-        step = min(PHASES * (number - 1) + phase, PHASES * self.of)
-        self.report(Progress(step, PHASES * self.of, f"iteration {number}: {message}"))
-
-
-def iterate(
-    scene: Scene, source: Source, before: Iteration | None, run: Run, tell: Teller
-) -> Iteration:
-    """Identify on all recordings, choose a candidate, learn a policy on it, and judge.
-
-    Args:
-        scene: of the study, or the repaired one.
-        source: has recorded one trajectory more.
-        before: the iteration before; None in the first.
-        run: folder of the loop.
-        tell: told after every phase.
-    """
-    number = before.number + 1 if before else 1
-    folder = f"iterations/{number:02d}"
-    tell(number, 1, f"{len(source.trajectories)} real trajectories")
-    known = before.found.rows if before else np.zeros(0, int)
-    found = _believed(scene, source, known, before, run, folder)
-    tell(number, 2, f"least deviation {found.floor.deviation:.4g}")
-    repairs = before.repairs if before else ()
-    repair = _repaired(scene, source, found, repairs, run, number, tell)
-    if repair is not None:
-        repairs += (repair,)
-        if repair.study is not None:
-            scene = repaired_scene(scene, run, repair)
-            none = np.zeros(0, int)  # the repaired model has other candidates
-            found = _believed(scene, source, none, before, run, f"{folder}/repaired")
-    row = _chosen(scene, found, number)
-    steps = _steps(scene, source, found, row)
-    policy = _learned(scene, found, row, steps, before, run, number, tell)
-    tell(number, 3, "judged")
-    verdict = _judged(scene, source, found, row, policy, before)
-    figures = _figures(scene, source, found, row, policy, verdict, repair)
-    result = Iteration(number, scene, found, row, policy, verdict, repairs, figures)
-    run.write_json(f"{folder}/iteration.json", figures)
-    tell(number, 4, verdict.sentence)
-    return result
-
-
 def reread(scene: Scene, before: Iteration | None, run: Run) -> Iteration | None:
     """Return the next iteration as it was written; None where it is not complete."""
     number = before.number + 1 if before else 1
@@ -122,7 +53,7 @@ def reread(scene: Scene, before: Iteration | None, run: Run) -> Iteration | None
         return None
     figures = run.read_json(f"{folder}/iteration.json")
     repairs = before.repairs if before else ()
-    repair = _stored_repair(run, folder)
+    repair = stored_repair(run, folder)
     if repair is not None:
         repairs += (repair,)
         if repair.study is not None:
@@ -142,205 +73,9 @@ def repaired_scene(scene: Scene, run: Run, repair: Repair) -> Scene:
     return Scene.of(study, scene.task)
 
 
-def _believed(
-    scene: Scene,
-    source: Source,
-    known: Int[np.ndarray, " k"],
-    before: Iteration | None,
-    run: Run,
-    folder: str,
-) -> Identified:
-    stored = Identified.read(run, folder)
-    if stored is not None:
-        return stored
-    learn, settled = scene.study.learn, None
-    if STOP_RULES[learn.stop].guided and before is not None:
-        valued = partial(_valued, scene, before.policy)
-
-        def settled(probabilities: np.ndarray) -> Verdict:
-            return value_guided(probabilities, learn.epsilon, learn.eta, valued)
-
-    found = identified(scene, source.recordings, known, settled, source.noise)
-    found.write(run, folder, scene.candidates)
-    return found
-
-
-def _repaired(
-    scene: Scene,
-    source: Source,
-    found: Identified,
-    repairs: Sequence[Repair],
-    run: Run,
-    number: int,
-    tell: Teller,
-) -> Repair | None:
-    """Diagnose, where no candidate will do and no diagnosis was in vain before."""
-    folder = f"iterations/{number:02d}"
-    stored = _stored_repair(run, folder)
-    if stored is not None:
-        return stored
-    hopeless = len(repairs) >= MOST or any(r.study is None for r in repairs)
-    if scene.study.learn.diagnose == "never" or hopeless:
-        return None
-    if not lacks_physics(found.floor, found.reason):
-        return None
-    ratio = found.floor.ratio
-    tell(number, 2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
-    repair = repaired(
-        scene, run, source.training, number, lambda p: tell(number, 2, f"diagnosis: {p.message}")
-    )
-    run.write_json(
-        f"{folder}/repair.json", {"study": repair.study, "sentences": list(repair.sentences)}
-    )
-    return repair
-
-
-def _stored_repair(run: Run, folder: str) -> Repair | None:
+def stored_repair(run: Run, folder: str) -> Repair | None:
+    """Return the diagnosis of an iteration as it was written; None where there was none."""
     if not run.has(f"{folder}/repair.json"):
         return None
     told = run.read_json(f"{folder}/repair.json")
     return Repair(told["study"], tuple(told["sentences"]))
-
-
-def _chosen(scene: Scene, found: Identified, number: int) -> int:
-    rng = np.random.default_rng((scene.seed, number, 4))
-    return CHOOSE[scene.study.learn.choose](found.probabilities, found.mean, rng)
-
-
-def _learned(
-    scene: Scene,
-    found: Identified,
-    row: int,
-    steps: int,
-    before: Iteration | None,
-    run: Run,
-    number: int,
-    tell: Teller,
-) -> LearnedPolicy:
-    """Learn a policy by TRPO on the model at the chosen candidate, or over P_boot.
-
-    A fresh policy begins with the networks and the draws of every other one: they differ by their
-    models alone, and none inherits what a wrong model taught it. A warm one goes on from the
-    checkpoint before, under the new model.
-    """
-    place = run.path(f"iterations/{number:02d}/policy.npz")
-    if place.is_file():
-        return LearnedPolicy.load(place)
-
-    from bo_sysid.learn.training import Beginning, train_on  # needs torch
-
-    point = scene.candidates.points[row]
-    probabilities = found.bootstrap if scene.study.learn.models == "bootstrap" else None
-
-    def watch(batch: Batch) -> None:
-        tell(number, 2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
-
-    environment = scene.training(point, probabilities, threads())
-    start = Beginning()
-    same = before is not None and before.scene is scene  # no repair in between
-    if before and same and scene.study.policy.start == "warm":
-        start = Beginning(before.number, go_on=True)
-    elif before and same and probabilities is None and before.row == row:
-        start = Beginning(before.number)  # the same training: its result is taken over
-    policy = train_on(scene, environment, run, number, start, steps, watch)
-    about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
-    about["share_beyond"] = share_beyond(scene, policy, point)
-    policy = replace(policy, about=about)
-    policy.save(place)
-    return policy
-
-
-def _valued(scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"], times: int) -> Values:
-    models = [scene.compiled(scene.candidates.points[row]) for row in rows]
-    return values(scene, models, policy.act, threads=threads(), times=times)
-
-
-def _judged(
-    scene: Scene,
-    source: Source,
-    found: Identified,
-    row: int,
-    policy: LearnedPolicy,
-    before: Iteration | None,
-) -> Verdict:
-    """Return whether the loop ends: by its rule, or because more trajectories are of no use."""
-    learn = scene.study.learn
-    verdict = Verdict(False, "The loop goes on until its trajectories are spent.")
-    if STOP_RULES[learn.stop].near:
-        valued = partial(_valued, scene, policy)
-        verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
-        if not verdict.stop and _repeats(found, row, policy, before):
-            text = (
-                "The trajectory of this very policy left the belief where it was: another one "
-                "would tell no more."
-            )
-            return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
-    if _spent(scene, source) and not verdict.stop:
-        text = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
-        return Verdict(True, f"{text} {verdict.sentence}", verdict.figures)
-    return verdict
-
-
-def _repeats(found: Identified, row: int, policy: LearnedPolicy, before: Iteration | None) -> bool:
-    """Return whether the next trajectory would repeat the last one, under a settled belief."""
-    if before is None or found.probabilities[row] < _SETTLED:
-        return False
-    same = before.row == row and before.found.probabilities[row] >= _SETTLED
-    return bool(same and np.array_equal(before.policy.theta, policy.theta))
-
-
-def _spent(scene: Scene, source: Source) -> bool:
-    return len(source.trajectories) >= scene.study.learn.trajectories
-
-
-def _steps(scene: Scene, source: Source, found: Identified, row: int) -> int:
-    """Return how long to learn: a policy that cannot be the last may be a draft."""
-    policy, learn = scene.study.policy, scene.study.learn
-    near = distances(scene.candidates, row)[found.best] <= learn.epsilon + 1e-12
-    if policy.draft is None or _spent(scene, source) or (near and STOP_RULES[learn.stop].near):
-        return policy.steps
-    return policy.draft
-
-
-def _named(scene: Scene, row: int) -> dict[str, float]:
-    names = [p.name for p in scene.parameters]
-    return dict(zip(names, scene.candidates.points[row].tolist(), strict=True))
-
-
-def _figures(
-    scene: Scene,
-    source: Source,
-    found: Identified,
-    row: int,
-    policy: LearnedPolicy,
-    verdict: Verdict,
-    repair: Repair | None,
-) -> dict[str, Any]:
-    value = _valued(scene, policy, np.array([row]), 1).value(0)
-    plant = source.evaluate(policy)
-    return {
-        "trajectories": len(source.trajectories),
-        "study": scene.study.name,
-        "row": row,
-        "chosen": _named(scene, row),
-        "most_probable": _named(scene, found.best),
-        "probability": float(found.probabilities[row]),
-        **found.figures(),
-        "diagnosis": None if repair is None else list(repair.sentences),
-        "model_return": _plain(value),
-        "plant_return": None if plant is None else _plain(plant),
-        "stop": verdict.stop,
-        "verdict": verdict.sentence,
-        "conditions": {k: _finite(v) for k, v in verdict.figures.items()},
-    }
-
-
-def _plain(estimate: Any) -> dict[str, float | None]:
-    return {k: _finite(v) for k, v in estimate._asdict().items()}
-
-
-def _finite(value: Any) -> Any:
-    """Return a figure as JSON has it: what is not finite is None."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value

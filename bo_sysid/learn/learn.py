@@ -14,7 +14,8 @@ import pandas as pd
 
 from bo_sysid.execution import Report, limit_threads, silent
 from bo_sysid.learn.hand_over import write_commands
-from bo_sysid.learn.iteration import Iteration, Teller, iterate, reread
+from bo_sysid.learn.iterate import Teller, iterate
+from bo_sysid.learn.iteration import Iteration, reread
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.sources import Source, open_source
 from bo_sysid.plants.python_task import PythonTask
