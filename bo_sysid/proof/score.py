@@ -50,6 +50,27 @@ class Scores:
     forecasts: pd.DataFrame
     calibration: Reliability
 
+    @classmethod
+    def of(cls, cases: pd.DataFrame, effects: pd.DataFrame) -> "Scores":
+        """Return the scores of some cases, such as those of several runs, from their two tables."""
+        missing = cases[cases.missing]
+        tellable = effects[effects.known & (effects["size"] >= LEAST)]
+        answered = cases[cases.answered & (cases.known | ~cases.missing)]
+        return cls(
+            cases,
+            effects,
+            _summary(cases, effects),
+            _rates(missing, "tier", _SCORES),
+            _rates(missing, "machine", _SCORES),
+            _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
+            _in_order(_rates(missing[missing.known], "decade", _SCORES)),
+            _rates(cases[~cases.missing], ["tier", "machine"], _NOTHING),
+            _confusion(cases, effects),
+            _magnitudes(effects),
+            forecasts(cases),
+            reliability(answered.probability.to_numpy(float), answered["right"].to_numpy(bool)),
+        )
+
     def rate(self, name: str) -> float:
         """Return a rate of the summary."""
         return float(self.summary.rate[self.summary.what == name].iloc[0])
@@ -71,23 +92,7 @@ def score(revealed: Sequence[Revealed]) -> Scores:
     ).set_index("case")
     rows = [{"case": r.name, **e} for r in revealed for e in mark_effects(r.truth, r.answer)]
     effects = pd.DataFrame(rows, columns=_EFFECT_COLUMNS).set_index("case").astype(_TYPES)
-    missing = cases[cases.missing]
-    tellable = effects[effects.known & (effects["size"] >= LEAST)]
-    answered = cases[cases.answered & (cases.known | ~cases.missing)]
-    return Scores(
-        cases,
-        effects,
-        _summary(cases, effects),
-        _rates(missing, "tier", _SCORES),
-        _rates(missing, "machine", _SCORES),
-        _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
-        _in_order(_rates(missing[missing.known], "decade", _SCORES)),
-        _rates(cases[~cases.missing], ["tier", "machine"], _NOTHING),
-        _confusion(cases, effects),
-        _magnitudes(effects),
-        forecasts(cases),
-        reliability(answered.probability.to_numpy(float), answered["right"].to_numpy(bool)),
-    )
+    return Scores.of(cases, effects)
 
 
 _EFFECT_COLUMNS = [
