@@ -3,17 +3,21 @@
 Cases are drawn with a seed from the operating system, diagnosed, and revealed; see
 `bo-sysid conceal` and `bo-sysid reveal`, which this runs one after the other. The run is kept under
 `runs/`: begun anew only after it has been removed, since a second look at the same cases would no
-longer be a proof. `--quick` takes twenty cases.
+longer be a proof. Other revealed runs of the same suite are scored with it, and each of them by
+itself. `--quick` takes twenty cases.
 """
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from common import Cases, benchmark
 
 from bo_sysid.cli.progress import Lines
 from bo_sysid.proof.conceal import COMMITMENTS, conceal, concealed_run, suite_record
-from bo_sysid.proof.proof import prove
+from bo_sysid.proof.proof import CASE_TABLE, EFFECT_TABLE, prove
 from bo_sysid.proof.score import Scores
 from bo_sysid.proof.seal import file_digest
 from bo_sysid.runs import Run
@@ -41,6 +45,25 @@ def figures(scores: Scores) -> dict[str, object]:
     }
 
 
+def runs_of_one_suite(folder: Path) -> list[Path]:
+    """Return the revealed runs with the suite of a run, each of them with cases of its own."""
+
+    def suite(run: Path) -> str:
+        return str(json.loads((run / COMMITMENTS).read_text())["suite_sha256"])
+
+    revealed = sorted(f.parent for f in RUNS.glob(f"*/{CASE_TABLE}"))
+    return [r for r in revealed if suite(r) == suite(folder)]
+
+
+def pooled(folders: Sequence[Path]) -> Scores:
+    """Return the scores of the cases of several revealed runs."""
+    tables = [
+        pd.concat([pd.read_parquet(f / name) for f in folders])
+        for name in (CASE_TABLE, EFFECT_TABLE)
+    ]
+    return Scores.of(*tables)
+
+
 def run(quick: bool, cases: Cases) -> dict[str, object]:
     """Conceal, answer, reveal."""
     suite = SUITES / ("twenty.yaml" if quick else "proof.yaml")
@@ -51,8 +74,18 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
     commitments = file_digest(folder / COMMITMENTS)
     print(f"commitments {commitments}", flush=True)
     with concealed_run(folder) as opened:
-        scores = prove(opened, progress=Lines("answer"))
-    return {"commitments": commitments, **figures(scores)}
+        prove(opened, progress=Lines("answer"))
+    return told(folder)
+
+
+def told(folder: Path) -> dict[str, object]:
+    """Return the figures of all revealed runs of a suite, and the rates of each."""
+    folders = runs_of_one_suite(folder)
+    return {
+        "commitments": {f.name: file_digest(f / COMMITMENTS) for f in folders},
+        **figures(pooled(folders)),
+        "runs": {f.name: figures(pooled([f]))["rates"] for f in folders},
+    }
 
 
 if __name__ == "__main__":
