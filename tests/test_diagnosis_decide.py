@@ -209,3 +209,15 @@ def test_only_a_large_member_may_do_no_more_where_there_is_more_of_it(
         unique=(5.0, 0.0),
     )
     assert (sizes(both, [fit((payload,), 3.0)])[1] > 1.0) == held
+
+
+def test_a_member_of_no_magnitude_is_not_needed_however_far_off_the_fit_is(machine) -> None:
+    friction, payload = (
+        candidate(machine, e, s) for e, s in (("dry_friction", "elbow"), ("payload", "forearm"))
+    )
+    both = fit((payload, friction), 3.0)
+    both = replace(
+        both, hypothesis=replace(both.hypothesis, x=(payload.probe, -1e-12 * friction.probe)),
+        unique=(5.0, 0.0),
+    )  # fmt: skip
+    assert sizes(both, [fit((payload,), 9.0)])[1] == 0.0

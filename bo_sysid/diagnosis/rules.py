@@ -17,6 +17,7 @@ MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
 _FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
+_NOTHING = 1e-3  # of the magnitude by which a member is probed: no more is none
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted alone
@@ -76,12 +77,15 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
     is large in windows that no magnitude brings any closer. Far from them, where no linearisation
     reaches from a set to the same set without a member, it is the larger of the two; so it is where
-    the slope of a large member is nothing, since more of it would do no more.
+    the slope of a large member is nothing, since more of it would do no more. What has no magnitude
+    has no size, whatever else a set without it leaves.
     """
     others, found = tuple(fits), []
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
-        full = felt <= _FLAT and bool((np.abs(x) > np.abs(member.probe)).any())
-        choose = max if fit.rms > LOOSE or full else min
+        probe = np.abs(member.probe)
+        there = bool((np.abs(x) > _NOTHING * probe).any())
+        full = felt <= _FLAT and bool((np.abs(x) > probe).any())
+        choose = max if there and (fit.rms > LOOSE or full) else min
         rest = set_key([c for c in fit.members if c is not member])
         left = min((f.rms for f in others if _without(f, rest, member)), default=None)
         lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
