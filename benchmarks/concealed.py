@@ -51,8 +51,8 @@ def runs_of_one_suite(folder: Path) -> list[Path]:
     def suite(run: Path) -> str:
         return str(json.loads((run / COMMITMENTS).read_text())["suite_sha256"])
 
-    revealed = sorted(f.parent for f in RUNS.glob(f"*/{CASE_TABLE}"))
-    return [r for r in revealed if suite(r) == suite(folder)]
+    concealed = sorted(f.parent for f in RUNS.glob(f"*/{COMMITMENTS}"))
+    return [r for r in concealed if (r / CASE_TABLE).is_file() and suite(r) == suite(folder)]
 
 
 def pooled(folders: Sequence[Path]) -> Scores:

@@ -164,6 +164,20 @@ def test_a_richer_effect_that_is_asked_for_but_too_small_stands_beside_the_plain
     assert decision.probability[0] == pytest.approx(0.5 if named else 1.0, abs=1e-3)
 
 
+def test_far_from_the_recordings_a_richer_effect_does_not_stand_beside_the_plain_one(
+    machine,
+) -> None:
+    friction = fit((candidate(machine, "dry_friction", "elbow"),), 2.1, unique=5.0)
+    stribeck = replace(
+        fit((candidate(machine, "stribeck_friction", "elbow"),), 2.0, unique=1.0),
+        jacobian=np.zeros((2, DOF // 2, 2)),
+        covariance=np.eye(2),
+    )
+    decision = decided(fit((), 5.0, seed=3), friction, stribeck)
+    assert decision.best is friction
+    assert decision.equivalents == ()
+
+
 def test_a_superset_of_the_answer_is_no_equivalent(machine) -> None:
     one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
     single = fit((one,), 1.0)

@@ -8,7 +8,15 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
-from bo_sysid.diagnosis.rules import ROUGH, Prior, admissible, criterion, inflation, required
+from bo_sysid.diagnosis.rules import (
+    LOOSE,
+    ROUGH,
+    Prior,
+    admissible,
+    criterion,
+    inflation,
+    required,
+)
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
@@ -45,9 +53,9 @@ def decide(
     Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
     to the best set; κ grows with the variance of D between blocks where that is larger than the
     one of two nearly true models. Only sets whose every member is needed are admitted, and those
-    that stand for the best of them as well as it does itself. Where the recordings ask for a
-    richer effect in the place of one of the best, but with less than a name needs, that is
-    answered, the plain one being as probable.
+    that stand for the best of them as well as it does itself. Where recordings that are nearly
+    explained ask for a richer effect in the place of one of the best, but with less than a name
+    needs, that is answered, the plain one being as probable.
     """
     able = [f for f in fits if np.isfinite(f.cv.sum())]
     kappa = inflation(fits)
@@ -93,10 +101,14 @@ def _is_like(fit: Fit, best: Fit, Q: Float[np.ndarray, "W R k"], dof: int, worse
 
 
 def _is_richer(fit: Fit, best: Fit, cost: Callable[[Fit], float]) -> bool:
-    """Whether a fit is the best one with an effect that holds one of its own, and explains more."""
+    """Whether a fit is the best one with an effect that holds one of its own, and explains more.
+
+    Only close to the recordings: far from them what a richer effect explains may be anything.
+    """
     own, held = {c.key for c in best.members}, {c.key for c in fit.members}
     plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
-    return bool(plainer) and plainer == own - held and cost(fit) < cost(best) - _BAND
+    instead = bool(plainer) and plainer == own - held
+    return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - _BAND
 
 
 def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:

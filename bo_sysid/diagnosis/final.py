@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
@@ -58,6 +58,7 @@ def compare(final: Search) -> None:
     """
     eliminate(final)
     done: set[object] = set()
+    polished: set[Names] = set()
     for _ in range(_COMPARED):
         leader = _leader(final)
         if not leader.members or leader.key in done:
@@ -65,7 +66,7 @@ def compare(final: Search) -> None:
         done.add(leader.key)
         substitute(final, leader)
         _shaped_alike(final, leader)
-        _polish_rivals(final, leader)
+        _polish_rivals(final, leader, polished)
         eliminate(final)
 
 
@@ -86,23 +87,29 @@ def _shaped_alike(final: Search, leader: Fit) -> None:
             )  # fmt: skip
 
 
-def _polish_rivals(final: Search, leader: Fit) -> None:
+def _polish_rivals(final: Search, leader: Fit, polished: set[Names]) -> None:
     """Fit the nearest sets with other names as the leader was: their own shapes, linearised there.
 
     What a start can do at the leader's motion is not what it can do at theirs, and an effect with
     fewer magnitudes than another may only be linear less far.
+
+    Args:
+        final: the fits on all windows.
+        leader: the leading one.
+        polished: names of the sets that were fitted so before; grows.
     """
-    problem = final.prepared.problem
-    order = [f for f in ranked(final.fits.values(), final.prior) if f.names != leader.names]
-    rivals = []
-    for f in (f for f in order if f.size == leader.size):
-        fewer = sum(c.size for c in f.members) < sum(c.size for c in leader.members)
-        shaped = any(ranges(c, problem.machine) for c in f.members)
-        if (fewer and f.rms < _FAR * leader.rms) or (shaped and f.rms < _NEAR * leader.rms):
-            rivals.append(f)
-    for f in rivals[:_RIVALS]:
-        made, _ = _polished(problem, f)
-        if made.rss < f.rss:
+    problem, count = final.prepared.problem, sum(c.size for c in leader.members)
+    polished.add(leader.names)
+    rivals: dict[Names, Fit] = {}
+    for f in ranked(final.fits.values(), final.prior):
+        fewer = sum(c.size for c in f.members) < count and f.rms < _FAR * leader.rms
+        shaped = any(ranges(c, problem.machine) for c in f.members) and f.rms < _NEAR * leader.rms
+        if f.size == leader.size and (fewer or shaped):
+            rivals.setdefault(f.names, f)
+    for names in [n for n in rivals if n not in polished][:_RIVALS]:
+        polished.add(names)
+        made, _ = _polished(problem, rivals[names])
+        if made.rss < rivals[names].rss:
             final.listed(made)
 
 

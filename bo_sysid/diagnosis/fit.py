@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -15,6 +16,9 @@ from bo_sysid.simulation import State
 
 _CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
 _TINY = 1e-12
+
+Names: TypeAlias = frozenset[tuple[str, str]]
+"""Effects and sites of a set, whatever the shapes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +77,9 @@ class Fit:
         return set_key(self.members)
 
     @property
-    def names(self) -> set[tuple[str, str]]:
+    def names(self) -> Names:
         """Effects and sites, an effect that contains a simpler one as that one."""
-        return {(c.effect.nested or c.effect.id, c.site.name) for c in self.members}
+        return frozenset((c.effect.nested or c.effect.id, c.site.name) for c in self.members)
 
     @cached_property
     def felt(self) -> tuple[float, ...]:

@@ -24,7 +24,7 @@ _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
 _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equivalent
 _NEARLY = 1e-3  # of the gain, what a linear estimate of it may be off
 _ROUGHLY = 0.01  # the same where the fit is far from the recordings
-_ROUGH_GAIN = 0.9  # of a member's gain, from which one with fewer magnitudes is tried for it
+_FEWER = 0.9  # of a member's gain, from which one with fewer magnitudes is tried for it
 _SUBSTITUTES = 5
 _NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
 
@@ -114,7 +114,7 @@ def substitute(search: Search, base: Fit) -> None:
         fewer = [
             s
             for s in found
-            if s.gain > _ROUGH_GAIN * own and search.candidates[s.members[0]].size < member.size
+            if s.gain > _FEWER * own and search.candidates[s.members[0]].size < member.size
         ]
         for sets in (alike, fewer):
             _run(search, sets, _SUBSTITUTES, base, rest, effort=replace(FINAL, rival=base.rms))

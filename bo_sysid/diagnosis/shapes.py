@@ -18,7 +18,6 @@ from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import enrich, vary
-from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.units import subset
 from bo_sysid.effects import Machine
@@ -39,17 +38,13 @@ def sharpened(search: Search) -> None:
     """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
 
     Of the leading set, and of that set without each of its other members: beside a period that is
-    a little off a second effect looks needed. Where much is left no bend accounts for it.
+    a little off a second effect looks needed.
     """
     if not any(search.best.groups):
         vary(search, search.best)  # what is left may be little and decide a forecast all the same
     enrich(search, search.best)
     done: set[tuple[str, str]] = set()
-    while left := [
-        c
-        for c in search.best.members
-        if c.key not in done and not (c.bendable and search.best.rms > ROUGH)
-    ]:
+    while left := [c for c in search.best.members if c.key not in done]:
         done.add(left[0].key)
         _sharpened_at(search, search.best, left[0].key)
 
