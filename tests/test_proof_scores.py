@@ -8,7 +8,7 @@ from scipy.stats import binom
 from bo_sysid.proof.marks import class_size, equivalents, mark, mark_effects, named
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed
-from bo_sysid.proof.score import score
+from bo_sysid.proof.score import Scores, score
 from bo_sysid.proof.statistics import clopper_pearson, reliability, upper_bound
 
 
@@ -280,6 +280,16 @@ def test_the_table_of_cases_goes_through_parquet(tmp_path):
     scores.cases.to_parquet(tmp_path / "cases.parquet")
     scores.effects.to_parquet(tmp_path / "effects.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "cases.parquet"), scores.cases)
+
+
+def test_cases_of_several_runs_are_scored_together():
+    runs = [score(revealed()[:2]), score(revealed()[2:])]
+    both = Scores.of(pd.concat([r.cases for r in runs]), pd.concat([r.effects for r in runs]))
+    whole = score(revealed())
+    pd.testing.assert_frame_equal(both.summary, whole.summary)
+    pd.testing.assert_frame_equal(both.confusion, whole.confusion)
+    assert both.rate("confident wrong names") == pytest.approx(2 / 7)
+    assert runs[0].rate("confident wrong names") == pytest.approx(1 / 2)
 
 
 def test_a_run_without_physics_missing_has_scores():
