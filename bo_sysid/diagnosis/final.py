@@ -8,6 +8,7 @@ import numpy as np
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.lengths import windows_of
+from bo_sysid.diagnosis.linear import Linear
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, refit
@@ -15,7 +16,7 @@ from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
-from bo_sysid.diagnosis.windowing import Prepared, prepare
+from bo_sysid.diagnosis.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch
 
 _SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
@@ -108,7 +109,7 @@ def _polish_rivals(final: Search, leader: Fit, polished: set[Names]) -> None:
             rivals.setdefault(f.names, f)
     for names in [n for n in rivals if n not in polished][:_RIVALS]:
         polished.add(names)
-        made, _ = _polished(problem, rivals[names])
+        made = _fitted_at_itself(problem, rivals[names])
         if made.rss < rivals[names].rss:
             final.listed(made)
 
@@ -145,24 +146,43 @@ def _straightened(final: Search) -> None:
 
 
 def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
-    """Fit the leader on all windows, linearised anew until its magnitudes stay where they are.
-
-    In contact they do not: how much each window says is found anew with every linear model.
-    """
+    """Fit the leader on all windows, prepared anew until its magnitudes stay where they are."""
     prepared = prepare(problem, leader.hypothesis)
-    most = 1 if can_touch(problem.machine.model) else _POLISH
-    for _ in range(most if leader.members else 0):
-        before = leader
-        leader = refit(
-            prepared.linear, leader.members, leader.x, groups=leader.groups,
-            start=prepared.start, guess=leader.hypothesis, effort=FINAL,
-        )  # fmt: skip
-        leader = reshaped(prepared.linear, leader)
+    for _ in range(_times(leader, problem)):
+        before, leader = leader, _refitted(prepared.linear, leader)
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
         if _distance(before, leader) < _SETTLED:
             break
     return leader, prepared
+
+
+def _fitted_at_itself(problem: Problem, fit: Fit) -> Fit:
+    """Fit a set as the leader was, on the windows and with the weights that all are compared by."""
+    for _ in range(_times(fit, problem)):
+        linear = settled(problem, fit.hypothesis, [fit.start])
+        before, fit = fit, _refitted(linear, fit)
+        if _distance(before, fit) < _SETTLED:
+            break
+    return fit
+
+
+def _times(fit: Fit, problem: Problem) -> int:
+    """Return how often a set is linearised anew.
+
+    Once in contact: how much each window says is found anew with every linear model there.
+    """
+    most = 1 if can_touch(problem.machine.model) else _POLISH
+    return most if fit.members else 0
+
+
+def _refitted(linear: Linear, fit: Fit) -> Fit:
+    """Return a fit with magnitudes and shapes fitted to the end in a linear model's space."""
+    made = refit(
+        linear, fit.members, fit.x, groups=fit.groups, start=linear.start, guess=fit.hypothesis,
+        effort=FINAL,
+    )  # fmt: skip
+    return reshaped(linear, made)
 
 
 def _distance(before: Fit, after: Fit) -> float:

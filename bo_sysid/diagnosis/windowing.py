@@ -64,7 +64,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     first = [] if known is None else [known]
     if known is None or problem.loose(at):  # in a gap no step leads from one arrival to another
         first = [*first_starts(problem, at), *first]
-    linear, contact = _settled(problem, at, first), can_touch(problem.machine.model)
+    linear, contact = settled(problem, at, first), can_touch(problem.machine.model)
     if contact:
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
@@ -84,7 +84,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     return Prepared(problem, start, linear, rms, int((~keep).sum()))
 
 
-def _settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
+def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
     """Return the model linearised at the starts that leave least of each window.
 
     Args:
