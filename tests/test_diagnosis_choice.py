@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
+from numpy.testing import assert_allclose
 
 from bo_sysid.diagnosis.answer import (
     bending,
@@ -57,10 +58,15 @@ def test_a_large_offset_is_fitted_as_far_as_what_stands_for_it() -> None:
     frame = record([bent], duration=6.0, finer=16).to_frame()
     frame["qpos.elbow"] += 0.25
     shifted, effects = Recording.from_frame(frame), ("dry_friction", "encoder_offset", "com_shift")
-    decision = located(shifted, effects=effects).decision
-    found = [{c.effect.id for c in f.members} for f in (decision.best, *decision.equivalents)]
-    assert found == [{"dry_friction", "encoder_offset"}, {"dry_friction", "com_shift"}]
-    told = {c.effect.id: x for c, x in zip(decision.best.members, decision.best.x, strict=True)}
+    answer = located(shifted, effects=effects)
+    decision, problem = answer.decision, answer.prepared.problem
+    for fit in answer.search.fits.values():  # all are compared on the same windows and weights
+        assert_allclose(fit.residual, problem.residual(fit.hypothesis, fit.start), atol=1e-9)
+    found = {frozenset(c.effect.id for c in f.members): f for f in decision.fits[:2]}
+    offset, shift = (frozenset({"dry_friction", e}) for e in effects[1:])
+    assert found.keys() == {offset, shift}
+    assert {*decision.equivalents, decision.best} == {*decision.fits[:2]}
+    told = {c.effect.id: x for c, x in zip(found[offset].members, found[offset].x, strict=True)}
     assert abs(told["encoder_offset"][0]) == pytest.approx(0.25, rel=0.01)
 
 
