@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify
-from bo_sysid.diagnosis.rules import MARGIN, clean, ranked, sizes, weak
+from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, ranked, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
@@ -123,6 +123,9 @@ def eliminate(search: Search, steps: int = 14) -> None:
                 _fit_some(search, f, _without_weak(search, f, small))
             elif touching:
                 nearer = _fitted_without_each(search, f, done)
+            elif f.rms > LOOSE:
+                for k in (k for k, g in enumerate(f.groups) if g is None):
+                    _fit_some(search, f, [i for i in range(len(f.members)) if i != k])
             if nearer or len(search.fits) > before:
                 break
             if not small:
@@ -150,9 +153,13 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
 
 
 def _fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
+    """Fit a part of a set; where that leaves less than the set, fit the set from there as well."""
     members, x = subset(f, keep)
-    if set_key(members) not in search.fits:
-        search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+    if set_key(members) in search.fits:
+        return
+    made = search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+    if made.rss < f.rss:
+        search.fit(f.members, f.x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL)
 
 
 def _without_weak(search: Search, f: Fit, weak: Sequence[int]) -> list[int]:

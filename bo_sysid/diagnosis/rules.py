@@ -75,28 +75,31 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
 
     Close to the recordings that is the linear one, or what the best fit without the member leaves
     beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
-    is large in windows that no magnitude brings any closer. Far from them, where no linearisation
-    reaches from a set to the same set without a member, it is the larger of the two; so it is where
-    the slope of a large member is nothing, since more of it would do no more. What has no magnitude
-    has no size, whatever else a set without it leaves.
+    is large in windows that no magnitude brings any closer. Far from them no linearisation reaches
+    from a set to the same set without a member: there it is what leaving out costs, where that was
+    tried. So it is where the slope of a large member is nothing, since more of it would do no more.
+    What has no magnitude has no size, whatever else a set without it leaves.
     """
     others, found = tuple(fits), []
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
         probe = np.abs(member.probe)
         there = bool((np.abs(x) > _NOTHING * probe).any())
         full = felt <= _FLAT and bool((np.abs(x) > probe).any())
-        choose = max if there and (fit.rms > LOOSE or full) else min
-        rest = set_key([c for c in fit.members if c is not member])
-        left = min((f.rms for f in others if _without(f, rest, member)), default=None)
+        far = there and (fit.rms > LOOSE or full)
+        left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
         lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
-        found.append(choose(unique, lost))
+        found.append(lost if far else min(unique, lost))
     return tuple(found)
 
 
-def _without(fit: Fit, rest: frozenset[tuple[object, ...]], member: Candidate) -> bool:
-    """Whether a fit has nothing but `rest`, and perhaps the simpler effect that a member holds."""
-    simpler = (member.effect.nested, member.site.name)
-    return all(c.key == simpler or k in rest for c in fit.members for k in set_key([c]))
+def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
+    """Whether a fit has nothing but what another has beside a member; `all_else`, whether all of it.
+
+    Whatever their shapes, and perhaps the simpler effect that the member holds.
+    """
+    held, simpler = {c.key for c in other.members}, (member.effect.nested, member.site.name)
+    rest = {c.key for c in fit.members} - {member.key}
+    return held - {simpler} == rest - {simpler} if all_else else held <= {*rest, simpler}
 
 
 def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
