@@ -24,6 +24,7 @@ from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.forecast import AHEAD
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
@@ -68,6 +69,18 @@ def test_a_large_offset_is_fitted_as_far_as_what_stands_for_it() -> None:
     assert {*decision.equivalents, decision.best} == {*decision.fits[:2]}
     told = {c.effect.id: x for c, x in zip(found[offset].members, found[offset].x, strict=True)}
     assert abs(told["encoder_offset"][0]) == pytest.approx(0.25, rel=0.01)
+
+
+def test_a_set_that_leaves_more_than_a_part_of_it_is_fitted_from_there(friction) -> None:
+    search = friction.search
+    alone = next(f for f in search.fits.values() if f.members and f.members[0].bendable)
+    damping = next(c for c in search.candidates if c.effect.id == "viscous_damping")
+    members, far = (damping, *alone.members), (100 * damping.probe, *alone.x)
+    fresh = replace(search, fits={k: f for k, f in search.fits.items() if not k}, _screen=None)
+    stuck = replace(fresh.fit(members, far), cost=10 * alone.cost)
+    fresh.fits[stuck.key] = stuck
+    fit_some(fresh, stuck, [1])
+    assert fresh.fits[stuck.key].rss <= fresh.fits[alone.key].rss < stuck.rss
 
 
 def test_the_search_of_the_argmin_finds_the_set_that_is_there(friction) -> None:

@@ -207,6 +207,18 @@ def test_far_from_the_recordings_a_size_is_at_least_what_leaving_out_costs(machi
     assert sizes(friction, [fit((), 5.0), friction]) == pytest.approx([np.sqrt(21.0)])
 
 
+def test_far_from_the_recordings_only_a_set_with_all_else_says_what_leaving_out_costs(machine):
+    """That nothing at all leaves more says nothing of one of two members."""
+    friction, payload = (
+        candidate(machine, e, s) for e, s in (("dry_friction", "elbow"), ("payload", "forearm"))
+    )
+    both, nothing = fit((payload, friction), 2.0, unique=0.5), fit((), 9.0)
+    assert sizes(both, [nothing, both]) == (0.5, 0.5)
+    bent = friction.with_shapes(2.0 * friction.shapes)
+    parts = [fit((payload,), 2.5), fit((bent,), 3.0)]
+    assert sizes(both, [nothing, both, *parts]) == pytest.approx([np.sqrt(5.0), 1.5])
+
+
 @pytest.mark.parametrize(("times", "held"), [(2.0, True), (0.0, False)])
 def test_only_a_large_member_may_do_no_more_where_there_is_more_of_it(
     machine, times: float, held: bool

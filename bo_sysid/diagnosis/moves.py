@@ -120,12 +120,12 @@ def eliminate(search: Search, steps: int = 14) -> None:
             small = weak(f, search.nominal, search.fits.values())
             if small:
                 simplify(search, f, FINAL)
-                _fit_some(search, f, _without_weak(search, f, small))
+                fit_some(search, f, _without_weak(search, f, small))
             elif touching:
                 nearer = _fitted_without_each(search, f, done)
             elif f.rms > LOOSE:
                 for k in (k for k, g in enumerate(f.groups) if g is None):
-                    _fit_some(search, f, [i for i in range(len(f.members)) if i != k])
+                    fit_some(search, f, [i for i in range(len(f.members)) if i != k])
             if nearer or len(search.fits) > before:
                 break
             if not small:
@@ -152,7 +152,7 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
     return nearer
 
 
-def _fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
+def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
     """Fit a part of a set; where that leaves less than the set, fit the set from there as well."""
     members, x = subset(f, keep)
     if set_key(members) in search.fits:
