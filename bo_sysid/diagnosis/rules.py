@@ -10,7 +10,7 @@ from math import comb, log, sqrt
 
 import numpy as np
 
-from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate
 
 MARGIN = 0.2  # [sigma] least unique size of an effect
@@ -93,9 +93,9 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
 
 
 def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
-    """Whether a fit has nothing but what another has beside a member; `all_else`, whether all of it.
+    """Whether `other` has nothing but what `fit` has beside a member, whatever the shapes.
 
-    Whatever their shapes, and perhaps the simpler effect that the member holds.
+    It may have the simpler effect that the member holds. With `all_else` it must have all the rest.
     """
     held, simpler = {c.key for c in other.members}, (member.effect.nested, member.site.name)
     rest = {c.key for c in fit.members} - {member.key}
