@@ -10,7 +10,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.explain import Unexplained, _placed
+from bo_sysid.diagnosis.explain import Unexplained, _forecasts_better, _placed
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.locate import Located
@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.unknown import examine, law_candidate, learn, needed_beside
 from bo_sysid.diagnosis.windowing import prepare, touching
+from bo_sysid.effects import CATALOGUE
 from bo_sysid.effects.learned import features
 
 
@@ -129,6 +130,22 @@ def test_in_contact_more_must_be_left_to_be_flagged(
     assert examine(ready.problem, loud).flagged == in_contact
     assert examine(ready.problem, loud).joint is None
     assert examine(ready.problem, settled(nominal)).joint == "elbow"
+
+
+def test_a_name_goes_beside_which_a_law_forecasts_worse_than_alone(magnet) -> None:
+    ready, nominal = magnet
+    law = learn(ready.problem, nominal, examine(ready.problem, settled(nominal)))[0]
+    effect = CATALOGUE["dry_friction"]
+    rubs = candidate(ready.problem.machine, effect.id, "elbow")
+    beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
+    made = make_evidence(
+        arm(), ready.problem.recordings, effects=[effect], noise={"qpos": SIGMA}, threads=1
+    )
+    search = Search.on(ready, [rubs], 1, None)
+    located = Located(settled(nominal), ready, search, 0, made)
+    assert _forecasts_better(located, law, beside)
+    assert not _forecasts_better(located, beside, law)
+    assert not _forecasts_better(located, law, law)  # a name that harms nothing stays
 
 
 @pytest.mark.parametrize(("site", "where"), [("elbow", "elbow"), ("shoulder", "world")])

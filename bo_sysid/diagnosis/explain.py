@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.errors import RecordingError
 
+_BETTER = 0.95  # of the forecast error with names beside a law, that refutes them if it is alone
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
     "position": "where the joint is",
@@ -110,10 +111,23 @@ def explain(located: Located) -> Outcome:
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
     fit, repaired, refitted = _repaired(located, fit, unknown)
-    alone = _law_alone(located, fit.hypothesis.numerics)
+    alone, found = _law_alone(located, fit.hypothesis.numerics)
+    beside = fit.members and unknown.joint is not None  # names with a law beside them
+    if beside and alone is not None and _forecasts_better(located, alone, repaired):
+        fit, repaired, unexplained = decision.nominal, alone, _said(found)
+        sessions = by_recording(problem, fit)
     return Outcome(
         fit, decision.nominal, refitted, repaired, unexplained, timestep, sessions, alone
     )
+
+
+def _forecasts_better(located: Located, alone: Hypothesis, repaired: Hypothesis) -> bool:
+    """Whether a law alone forecasts the training recordings better than with names beside it.
+
+    Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
+    """
+    error = _forecast_error(located)
+    return error is not None and error(alone) < _BETTER * error(repaired)
 
 
 def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypothesis, Hypothesis]:
@@ -134,18 +148,20 @@ def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypoth
 
 
 def _by_forecasts(located: Located) -> PredictionError | None:
-    """Return what judges by forecasts: in contact, where recordings are long enough for one."""
-    problem = located.prepared.problem
-    if not in_contact(problem):
-        return None
+    """Return what judges step and magnitudes by forecasts, in contact."""
+    return _forecast_error(located) if in_contact(located.prepared.problem) else None
+
+
+def _forecast_error(located: Located) -> PredictionError | None:
+    """Return what judges by forecasts, where recordings are long enough for one."""
     try:
-        return PredictionError(located.evidence, problem.windows.timestep)
+        return PredictionError(located.evidence, located.prepared.problem.windows.timestep)
     except RecordingError:
         return None
 
 
-def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
-    """Return the nominal model with a learned law at the joint where one explains most.
+def _law_alone(located: Located, numerics: float) -> tuple[Hypothesis | None, Unknown]:
+    """Return the nominal model with a learned law at the joint where one explains most, and where.
 
     Args:
         located: the decision.
@@ -159,10 +175,10 @@ def _law_alone(located: Located, numerics: float) -> Hypothesis | None:
     found = examine(problem, replace(located.decision, best=nominal))
     found = replace(found, flagged=True)
     if found.joint is None:
-        return None
+        return None, found
     law, start = learn(problem, nominal, found)[:2]
     left = problem.residual(law, start)
-    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof)))
+    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof))), found
 
 
 def _stepped(located: Located, hypothesis: Hypothesis, rms: float) -> Hypothesis:
