@@ -10,7 +10,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.explain import Unexplained, _forecasts_better, _placed
+from bo_sysid.diagnosis.explain import Unexplained, _placed, _refuted
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.locate import Located
@@ -143,9 +143,10 @@ def test_a_name_goes_beside_which_a_law_forecasts_worse_than_alone(magnet) -> No
     )
     search = Search.on(ready, [rubs], 1, None)
     located = Located(settled(nominal), ready, search, 0, made)
-    assert _forecasts_better(located, law, beside)
-    assert not _forecasts_better(located, beside, law)
-    assert not _forecasts_better(located, law, law)  # a name that harms nothing stays
+    named = replace(nominal, hypothesis=replace(nominal.hypothesis, members=(rubs,)))
+    assert _refuted(located, named, law, beside)
+    assert not _refuted(located, named, beside, law)
+    assert not _refuted(located, named, law, law)  # a name that harms nothing stays
 
 
 @pytest.mark.parametrize(("site", "where"), [("elbow", "elbow"), ("shoulder", "world")])

@@ -111,9 +111,8 @@ def explain(located: Located) -> Outcome:
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
     fit, repaired, refitted = _repaired(located, fit, unknown)
-    alone, found = _law_alone(located, fit.hypothesis.numerics)
-    beside = fit.members and unknown.joint is not None  # names with a law beside them
-    if beside and alone is not None and _forecasts_better(located, alone, repaired):
+    alone, found = _law_alone(located)
+    if unknown.joint is not None and alone is not None and _refuted(located, fit, alone, repaired):
         fit, repaired, unexplained = decision.nominal, alone, _said(found)
         sessions = by_recording(problem, fit)
     return Outcome(
@@ -121,13 +120,13 @@ def explain(located: Located) -> Outcome:
     )
 
 
-def _forecasts_better(located: Located, alone: Hypothesis, repaired: Hypothesis) -> bool:
-    """Whether a law alone forecasts the training recordings better than with names beside it.
+def _refuted(located: Located, fit: Fit, alone: Hypothesis, repaired: Hypothesis) -> bool:
+    """Whether no name is left, or a law forecasts the training recordings better alone.
 
     Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
     """
-    error = _forecast_error(located)
-    return error is not None and error(alone) < _BETTER * error(repaired)
+    error = _forecast_error(located) if fit.members else None
+    return not fit.members or (error is not None and error(alone) < _BETTER * error(repaired))
 
 
 def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypothesis, Hypothesis]:
@@ -160,23 +159,26 @@ def _forecast_error(located: Located) -> PredictionError | None:
         return None
 
 
-def _law_alone(located: Located, numerics: float) -> tuple[Hypothesis | None, Unknown]:
+def _law_alone(located: Located) -> tuple[Hypothesis | None, Unknown]:
     """Return the nominal model with a learned law at the joint where one explains most, and where.
 
-    Args:
-        located: the decision.
-        numerics: share of the correction that the answer shows: without what is missing, its fit
-            follows something else.
+    The correction of the time step has the share that the answer shows, or all of it: without what
+    is missing, its fit follows something else.
     """
-    problem, nominal = located.prepared.problem, located.decision.nominal
+    problem, decision = located.prepared.problem, located.decision
+    whole = 0.0 if problem.correction is None else 1.0
+    numerics = decision.best.hypothesis.numerics if decision.best.members else whole
+    nominal = decision.nominal
     stepped = replace(nominal.hypothesis, numerics=numerics)
     left = problem.residual(stepped, nominal.start)
     nominal = replace(nominal, hypothesis=stepped, residual=left)
-    found = examine(problem, replace(located.decision, best=nominal))
+    found = examine(problem, replace(decision, best=nominal))
     found = replace(found, flagged=True)
     if found.joint is None:
         return None, found
     law, start = learn(problem, nominal, found)[:2]
+    if error := _by_forecasts(located):
+        return error.stepped(law), found
     left = problem.residual(law, start)
     return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof))), found
 
