@@ -153,11 +153,15 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
 
 
 def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
-    """Fit a part of a set; where that leaves less than the set, fit the set from there as well."""
+    """Fit a part of a set; where that leaves less than the set, fit the set from there as well.
+
+    A part that stays far behind is given up early: what was left out is needed.
+    """
     members, x = subset(f, keep)
     if set_key(members) in search.fits:
         return
-    made = search.fit(members, x, start=f.start, guess=f.hypothesis, effort=FINAL)
+    effort = replace(FINAL, rival=f.rms)
+    made = search.fit(members, x, start=f.start, guess=f.hypothesis, effort=effort)
     if made.rss < f.rss:
         search.fit(f.members, f.x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL)
 
