@@ -16,6 +16,7 @@ from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
+from bo_sysid.diagnosis.starts import first_starts
 from bo_sysid.diagnosis.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch
 
@@ -160,7 +161,8 @@ def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
 def _fitted_at_itself(problem: Problem, fit: Fit) -> Fit:
     """Fit a set as the leader was, on the windows and with the weights that all are compared by."""
     for _ in range(_times(fit, problem)):
-        linear = settled(problem, fit.hypothesis, [fit.start])
+        first = first_starts(problem, fit.hypothesis)
+        linear = settled(problem, fit.hypothesis, [*first, fit.start])
         before, fit = fit, _refitted(linear, fit)
         if _distance(before, fit) < _SETTLED:
             break
