@@ -202,7 +202,7 @@ def test_close_to_the_recordings_a_size_is_at_most_what_leaving_out_costs(machin
     assert decided(nothing, payload).best is nothing
 
 
-def test_far_from_the_recordings_a_size_is_at_least_what_leaving_out_costs(machine) -> None:
+def test_far_from_the_recordings_a_size_is_what_leaving_out_costs(machine) -> None:
     friction = fit((candidate(machine, "dry_friction", "elbow"),), 2.0, unique=0.5)
     assert sizes(friction, [fit((), 5.0), friction]) == pytest.approx([np.sqrt(21.0)])
 

@@ -10,15 +10,15 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.explain import Unexplained, _placed, _refuted
+from bo_sysid.diagnosis.explain import Unexplained, _better, _placed, _refuted
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.locate import Located
+from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.unknown import examine, law_candidate, learn, needed_beside
 from bo_sysid.diagnosis.windowing import prepare, touching
-from bo_sysid.effects import CATALOGUE
 from bo_sysid.effects.learned import features
 
 
@@ -132,21 +132,41 @@ def test_in_contact_more_must_be_left_to_be_flagged(
     assert examine(ready.problem, settled(nominal)).joint == "elbow"
 
 
-def test_a_name_goes_beside_which_a_law_forecasts_worse_than_alone(magnet) -> None:
+@pytest.fixture(scope="module")
+def judged(magnet):
+    """What forecasts of the training recordings leave, and a law that was learned from them."""
     ready, nominal = magnet
-    law = learn(ready.problem, nominal, examine(ready.problem, settled(nominal)))[0]
-    effect = CATALOGUE["dry_friction"]
-    rubs = candidate(ready.problem.machine, effect.id, "elbow")
-    beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
     made = make_evidence(
-        arm(), ready.problem.recordings, effects=[effect], noise={"qpos": SIGMA}, threads=1
+        arm(), ready.problem.recordings, effects=[], noise={"qpos": SIGMA}, threads=1
     )
-    search = Search.on(ready, [rubs], 1, None)
-    located = Located(settled(nominal), ready, search, 0, made)
-    named = replace(nominal, hypothesis=replace(nominal.hypothesis, members=(rubs,)))
-    assert _refuted(located, named, law, beside)
-    assert not _refuted(located, named, beside, law)
-    assert not _refuted(located, named, law, law)  # a name that harms nothing stays
+    law = learn(ready.problem, nominal, examine(ready.problem, settled(nominal)))[0]
+    return PredictionError(made, ready.problem.windows.timestep), law
+
+
+def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> None:
+    nominal, (error, law) = magnet[1], judged
+    rubs = candidate(magnet[0].problem.machine, "dry_friction", "elbow")
+    beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
+    alone = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.03]),))
+    named, right = replace(nominal, hypothesis=alone), replace(nominal, hypothesis=law)
+    assert _refuted(error, right, nominal, beside, law)
+    assert not _refuted(error, right, nominal, law, beside)
+    assert not _refuted(error, right, nominal, law, law)  # a name that harms nothing stays
+    assert not _refuted(error, right, nominal, beside, None)
+    assert error(alone) > error(nominal.hypothesis)
+    assert _refuted(error, named, nominal, law, beside)  # a law makes good for a wrong name
+
+
+def test_a_law_that_forecasts_worse_than_none_is_left_out(magnet, judged) -> None:
+    (error, law), bare = judged, magnet[1].hypothesis
+    said = Unexplained(0.5, "joint", "elbow", ("position",))
+    assert _better(error, bare, law, said) == (law, said)
+    assert _better(None, bare, law, said) == (law, said)  # too short for a forecast
+    assert "A learned force law stands for it" in said.sentences[0]
+    against = replace(law, x=(*law.x[:-1], -law.x[-1]))
+    kept, said = _better(error, bare, against, said)
+    assert kept is bare
+    assert "it depends on where the joint is. Nothing stands for it" in said.sentences[0]
 
 
 @pytest.mark.parametrize(("site", "where"), [("elbow", "elbow"), ("shoulder", "world")])

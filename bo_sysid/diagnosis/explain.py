@@ -39,12 +39,14 @@ class Unexplained:
         kind: kind of site where it sits, None where nothing is flagged.
         site: name of the site.
         depends_on: what it depends on: position, speed, control, load, history, time, other_joint.
+        learned: whether a learned law stands for it, if it is known what it depends on.
     """
 
     share: float = 0.0
     kind: str | None = None
     site: str | None = None
     depends_on: tuple[str, ...] = ()
+    learned: bool = True
 
     @property
     def flagged(self) -> bool:
@@ -58,11 +60,10 @@ class Unexplained:
             return ()
         where = "the machine" if self.kind == "world" else f"the {self.site}"
         text = f"On {where} acts something that no known effect explains"
-        if not self.depends_on:
-            return (f"{text}. Nothing stands for it in the repaired model.",)
-        words = " and ".join(_WORDS[d] for d in self.depends_on)
-        text += f"; it depends on {words}"
-        return (f"{text}. A learned force law stands for it in the repaired model.",)
+        if self.depends_on:
+            text += f"; it depends on {' and '.join(_WORDS[d] for d in self.depends_on)}"
+        stands = "A learned force law" if self.depends_on and self.learned else "Nothing"
+        return (f"{text}. {stands} stands for it in the repaired model.",)
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,30 @@ class Outcome:
 def explain(located: Located) -> Outcome:
     """Keep the names that hold beside a flexible law, and learn that law where one is needed."""
     decision, problem = located.decision, located.prepared.problem
-    fit, timestep = decision.best, problem.windows.timestep
-    unknown = examine(problem, decision)
+    fit, sessions, unknown, unexplained = _held(located)
+    error = _forecast_error(located) if unknown.flagged or in_contact(problem) else None
+    nominal = decision.nominal
+    refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
+    alone, found = _law_alone(located, error)
+    if unknown.joint is None:
+        fit, repaired = _fitted(located, fit, error)
+    else:
+        law = _learned(located, fit, unknown, error) if fit.members else alone
+        if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
+            fit, law, sessions = nominal, alone, by_recording(problem, nominal)
+        if not fit.members and alone is not None:
+            unexplained = _said(found)
+        bare = _stepped(located, fit.hypothesis, fit.rms, error)
+        repaired, unexplained = _better(error, bare, law, unexplained)
+    return Outcome(
+        fit, nominal, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone
+    )
+
+
+def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
+    """Return the names that hold, their magnitudes by recording, and what they leave."""
+    decision, problem = located.decision, located.prepared.problem
+    fit, unknown = decision.best, examine(problem, decision)
     unexplained = _said(unknown)
     if unknown.flagged and unknown.joint is None:
         unexplained = _placed(located, unexplained)
@@ -110,45 +133,39 @@ def explain(located: Located) -> Outcome:
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
-    fit, repaired, refitted = _repaired(located, fit, unknown)
-    alone, found = _law_alone(located)
-    if unknown.joint is not None and alone is not None and _refuted(located, fit, alone, repaired):
-        fit, repaired, unexplained = decision.nominal, alone, _said(found)
-        sessions = by_recording(problem, fit)
-    return Outcome(
-        fit, decision.nominal, refitted, repaired, unexplained, timestep, sessions, alone
-    )
+    return fit, sessions, unknown, unexplained
 
 
-def _refuted(located: Located, fit: Fit, alone: Hypothesis, repaired: Hypothesis) -> bool:
-    """Whether no name is left, or a law forecasts the training recordings better alone.
+def _refuted(
+    error: PredictionError, fit: Fit, nominal: Fit, law: Hypothesis | None, alone: Hypothesis | None
+) -> bool:
+    """Whether nothing, or a law alone, forecasts the training recordings better than names do.
 
     Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
     """
-    error = _forecast_error(located) if fit.members else None
-    return not fit.members or (error is not None and error(alone) < _BETTER * error(repaired))
+    if error(fit.hypothesis) > error(nominal.hypothesis):
+        return True
+    return law is not None and alone is not None and error(alone) < _BETTER * error(law)
 
 
-def _repaired(located: Located, fit: Fit, unknown: Unknown) -> tuple[Fit, Hypothesis, Hypothesis]:
-    """Return the fit, the repaired hypothesis, and the nominal one with the parameters fitted.
-
-    Each at its time step; in contact that and the magnitudes come from forecasts.
-    """
-    problem, nominal = located.prepared.problem, located.decision.nominal
-    law = None if unknown.joint is None else learn(problem, fit, unknown)[0]
-    error = _by_forecasts(located)
-    if error is None:
-        repaired = _stepped(located, law or fit.hypothesis, fit.rms)
-        return fit, repaired, _stepped(located, nominal.hypothesis, nominal.rms)
-    if law is None:
-        fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
-    repaired = fit.hypothesis if law is None else error.stepped(law)
-    return fit, repaired, error.stepped(nominal.hypothesis)
+def _better(
+    error: PredictionError | None,
+    bare: Hypothesis,
+    law: Hypothesis | None,
+    unexplained: Unexplained,
+) -> tuple[Hypothesis, Unexplained]:
+    """Return what is put in, and what is said of it: no law that forecasts worse than none."""
+    if law is None or (error is not None and error(bare) < error(law)):
+        return bare, replace(unexplained, learned=False)
+    return law, unexplained
 
 
-def _by_forecasts(located: Located) -> PredictionError | None:
-    """Return what judges step and magnitudes by forecasts, in contact."""
-    return _forecast_error(located) if in_contact(located.prepared.problem) else None
+def _fitted(located: Located, fit: Fit, error: PredictionError | None) -> tuple[Fit, Hypothesis]:
+    """Return a fit, in contact with the magnitudes that forecast best, and its hypothesis."""
+    if error is None or not in_contact(located.prepared.problem):
+        return fit, _stepped(located, fit.hypothesis, fit.rms, error)
+    fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
+    return fit, fit.hypothesis
 
 
 def _forecast_error(located: Located) -> PredictionError | None:
@@ -159,7 +176,9 @@ def _forecast_error(located: Located) -> PredictionError | None:
         return None
 
 
-def _law_alone(located: Located) -> tuple[Hypothesis | None, Unknown]:
+def _law_alone(
+    located: Located, error: PredictionError | None
+) -> tuple[Hypothesis | None, Unknown]:
     """Return the nominal model with a learned law at the joint where one explains most, and where.
 
     The correction of the time step has the share that the answer shows, or all of it: without what
@@ -172,19 +191,29 @@ def _law_alone(located: Located) -> tuple[Hypothesis | None, Unknown]:
     stepped = replace(nominal.hypothesis, numerics=numerics)
     left = problem.residual(stepped, nominal.start)
     nominal = replace(nominal, hypothesis=stepped, residual=left)
-    found = examine(problem, replace(decision, best=nominal))
-    found = replace(found, flagged=True)
-    if found.joint is None:
-        return None, found
-    law, start = learn(problem, nominal, found)[:2]
-    if error := _by_forecasts(located):
-        return error.stepped(law), found
+    found = replace(examine(problem, replace(decision, best=nominal)), flagged=True)
+    return (_learned(located, nominal, found, error) if found.joint else None), found
+
+
+def _learned(
+    located: Located, fit: Fit, unknown: Unknown, error: PredictionError | None
+) -> Hypothesis:
+    """Return the hypothesis of a fit with a learned law beside its members, at its time step."""
+    problem = located.prepared.problem
+    law, start = learn(problem, fit, unknown)[:2]
     left = problem.residual(law, start)
-    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof))), found
+    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof)), error)
 
 
-def _stepped(located: Located, hypothesis: Hypothesis, rms: float) -> Hypothesis:
-    """Return a hypothesis at the coarsest time step whose error is little beside its rms."""
+def _stepped(
+    located: Located, hypothesis: Hypothesis, rms: float, error: PredictionError | None
+) -> Hypothesis:
+    """Return a hypothesis at the coarsest time step whose error is little beside its rms.
+
+    In contact forecasts tell the step.
+    """
+    if error is not None and in_contact(located.prepared.problem):
+        return error.stepped(hypothesis)
     correction = max(located.prepared.correction_rms, 1e-12)
     return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / correction)
 

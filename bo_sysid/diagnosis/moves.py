@@ -124,8 +124,9 @@ def eliminate(search: Search, steps: int = 14) -> None:
             elif touching:
                 nearer = _fitted_without_each(search, f, done)
             elif f.rms > LOOSE:
-                for k in (k for k, g in enumerate(f.groups) if g is None):
-                    fit_some(search, f, [i for i in range(len(f.members)) if i != k])
+                for k, rest in _parts(f):
+                    if f.groups[k] is None:
+                        fit_some(search, f, rest)
             if nearer or len(search.fits) > before:
                 break
             if not small:
@@ -137,8 +138,8 @@ def eliminate(search: Search, steps: int = 14) -> None:
 def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]]) -> bool:
     """Fit a set without each of its members from where it is; whether that came nearer."""
     nearer, smooth = False, search.prepared.problem.windows.start
-    for k in range(len(f.members)):
-        members, x = subset(f, [i for i in range(len(f.members)) if i != k])
+    for _, rest in _parts(f):
+        members, x = subset(f, rest)
         key = set_key(members)
         if (f.key, key) in done:
             continue
@@ -150,6 +151,12 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
                 break
         nearer |= known is None or made.rss < known.rss
     return nearer
+
+
+def _parts(f: Fit) -> list[tuple[int, list[int]]]:
+    """Return each member's index and those of all others."""
+    every = range(len(f.members))
+    return [(k, [i for i in every if i != k]) for k in every]
 
 
 def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:

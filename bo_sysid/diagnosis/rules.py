@@ -20,7 +20,7 @@ _FLAT = 0.01  # [sigma] that a member does by its slope where more of it would d
 _NOTHING = 1e-3  # of the magnitude by which a member is probed: no more is none
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
-LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted alone
+LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 
 

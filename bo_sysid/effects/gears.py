@@ -174,7 +174,7 @@ def backlash(
 
 
 def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
-    compiled = compile_spec(stripped(spec), f"joint {joint.name!r}")
+    compiled = compile_spec(stripped(spec), f"joint {joint.name!r}", " with play")
     return float(compiled.dof_invweight0[compiled.joint(joint.name).dofadr[0]])
 
 

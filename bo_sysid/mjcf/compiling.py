@@ -14,7 +14,8 @@ def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.Mj
     Args:
         spec: the spec; its elements' ids are valid afterwards.
         source: where the model comes from, for the message.
-        after: what was done to the model before, for the message.
+        after: what was done to the model before, for the message; such a model may be singular
+            without a warning.
 
     Raises:
         ModelError: MuJoCo refuses the model.
@@ -23,6 +24,8 @@ def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.Mj
         if spec.compiler.settotalmass > 0:
             # The attribute still works; it is released before any mass is edited (inertia.py).
             warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+        if after:  # many models are tried; of the one that was read it is said
+            warnings.filterwarnings("ignore", message="Inertia matrix is too close to singular")
         try:
             return spec.compile()
         except (ValueError, mujoco.FatalError) as error:
