@@ -7,13 +7,14 @@ from scipy.stats import chi2
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.law import learn, terms_of
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
-from bo_sysid.diagnosis.unknown import Unknown, examine, learn, needed_beside
+from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.errors import RecordingError
 
@@ -103,10 +104,10 @@ def explain(located: Located) -> Outcome:
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
     alone, found = _law_alone(located, error)
-    if unknown.joint is None:
+    if unknown.law is None:
         fit, repaired = _fitted(located, fit, error)
     else:
-        law = _learned(located, fit, unknown, error) if fit.members else alone
+        law = _learned(located, fit, unknown.law, error) if fit.members else alone
         if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
@@ -123,11 +124,10 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
     decision, problem = located.decision, located.prepared.problem
     fit, unknown = decision.best, examine(problem, decision)
     unexplained = _said(unknown)
-    if unknown.flagged and unknown.joint is None:
+    if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
-    if unknown.joint is not None:
-        kept = needed_beside(problem, fit, unknown.joint, unknown.depends_on)
-        fit = _without(located, fit, kept)
+    if unknown.law is not None:
+        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
     named = fit.key
     fit, sessions = _agreed(located, fit)
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
@@ -192,15 +192,14 @@ def _law_alone(
     left = problem.residual(stepped, nominal.start)
     nominal = replace(nominal, hypothesis=stepped, residual=left)
     found = replace(examine(problem, replace(decision, best=nominal)), flagged=True)
-    return (_learned(located, nominal, found, error) if found.joint else None), found
+    return (_learned(located, nominal, found.law, error) if found.law else None), found
 
 
-def _learned(
-    located: Located, fit: Fit, unknown: Unknown, error: PredictionError | None
-) -> Hypothesis:
+def _learned(located: Located, fit: Fit, clue: Clue, error: PredictionError | None) -> Hypothesis:
     """Return the hypothesis of a fit with a learned law beside its members, at its time step."""
     problem = located.prepared.problem
-    law, start = learn(problem, fit, unknown)[:2]
+    terms = terms_of(problem.machine, clue.joint, clue.depends_on)
+    law, start = learn(problem, fit, clue.joint, terms, clue.ridge)
     left = problem.residual(law, start)
     return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof)), error)
 
@@ -253,9 +252,9 @@ def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
 def _said(unknown: Unknown) -> Unexplained:
     if not unknown.flagged:
         return Unexplained(unknown.share)
-    if unknown.joint is None:
+    if unknown.law is None:
         return Unexplained(unknown.share, "world", "world", ())
-    return Unexplained(unknown.share, "joint", unknown.joint, unknown.depends_on)
+    return Unexplained(unknown.share, "joint", unknown.law.joint, unknown.law.depends_on)
 
 
 def _placed(located: Located, unexplained: Unexplained) -> Unexplained:
@@ -268,9 +267,9 @@ def _placed(located: Located, unexplained: Unexplained) -> Unexplained:
     found = examine(located.prepared.problem, replace(decision, best=decision.nominal))
     at = [machine.joint_of(c.site.kind, c.site.name) for c in decision.best.members]
     joints = {None if joint is None else joint.name for joint in at}
-    if found.joint is None or joints != {found.joint}:
+    if found.law is None or joints != {found.law.joint}:
         return unexplained
-    return replace(unexplained, kind="joint", site=found.joint)
+    return replace(unexplained, kind="joint", site=found.law.joint)
 
 
 def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.polynomial import legendre
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.points import (
@@ -32,6 +33,7 @@ from bo_sysid.simulation import (
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
 _UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
+_DEGREE, _SAMPLES = 7, 3  # of the polynomial of a deviation; samples per degree, at least
 
 
 def project(
@@ -132,6 +134,22 @@ class Linear:
         time = np.broadcast_to(np.arange(self.macros) * step, (len(p.windows), self.macros))
         return Along(qpos, qvel, ctrl, signals, time, step)
 
+    @cached_property
+    def recorded(self) -> Along:
+        """The motion as it was recorded: the prediction and a smooth deviation from it."""
+        p = self.problem
+        deviation = self.residual.reshape(p.weight.shape)
+        seen = p.weight > 0
+        deviation = np.divide(deviation, p.weight, out=np.zeros(seen.shape), where=seen)
+        time = (p.windows.step + p.windows.fraction) * p.windows.timestep
+        qpos, qvel = dict(self.along.qpos), dict(self.along.qvel)
+        for k, name in enumerate(p.windows.channels):
+            joint = name.removeprefix("qpos.")
+            if joint in qpos and name in p.layout.qpos:
+                moved, rate = smoothed(time, deviation[..., k], seen[..., k], self.along.time)
+                qpos[joint], qvel[joint] = qpos[joint] + moved, qvel[joint] + rate
+        return replace(self.along, qpos=qpos, qvel=qvel, memory={})
+
     def rows(self, keep: Bool[np.ndarray, " W"]) -> "Linear":
         """Return the linear model of some windows."""
         if keep.all():
@@ -220,6 +238,27 @@ class Linear:
         with np.errstate(over="ignore", invalid="ignore"):  # windows that diverge
             out *= p.weight[..., None]
         return out.reshape(len(node), -1, s.shape[-1])
+
+
+def smoothed(
+    time: Float[np.ndarray, "W H"],
+    values: Float[np.ndarray, "W H"],
+    seen: Bool[np.ndarray, "W H"],
+    at: Float[np.ndarray, "W M"],
+) -> tuple[Float[np.ndarray, "W M"], Float[np.ndarray, "W M"]]:
+    """Return a polynomial through the values that are seen in each window, and its rate.
+
+    The degree is 7, or less where a window has few samples; by least squares.
+    """
+    degree = min(_DEGREE, int(seen.sum(axis=1).min()) // _SAMPLES)
+    length = max(float(time.max()), float(at.max()), 1e-9)
+    basis = legendre.legvander(2 * time / length - 1, degree) * seen[..., None]
+    weights = np.linalg.pinv(basis) @ (values * seen)[..., None]
+    rates = legendre.legder(weights[..., 0], scl=2 / length, axis=1)[..., None]
+    z = 2 * at / length - 1
+    return tuple(  # type: ignore[return-value]
+        np.asarray((legendre.legvander(z, w.shape[1] - 1) @ w)[..., 0]) for w in (weights, rates)
+    )
 
 
 def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:

@@ -1,0 +1,135 @@
+"""A force law of no name, learned beside a set of effects through the simulator."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.linear import Linear, linearise, project
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.settling import settle
+from bo_sysid.diagnosis.signatures import response_to_forces, signatures
+from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
+from bo_sysid.effects.learned import Feature, features, learned_force
+from bo_sysid.simulation import State
+
+_ROUNDS = 8
+_SHARES = (1.0, 0.5, 0.2)  # of a step that are tried
+_SETTLED = 3  # steps of the starts after each
+_ENOUGH = 0.5  # of what was left: the whole step will do
+_LITTLE = 3e-3  # of what was left, to go on for
+
+
+def terms_of(machine: Machine, joint: str, depends_on: Collection[str]) -> tuple[Feature, ...]:
+    """Return the terms of a law at a joint that depends on some things only."""
+    return tuple(f for f in features(joint, machine) if f.depends_on in depends_on)
+
+
+def learn(
+    problem: Problem, fit: Fit, joint: str, terms: Sequence[Feature], ridge: float
+) -> tuple[Hypothesis, State]:
+    """Fit a force law beside the members of a fit, through the simulator.
+
+    Args:
+        problem: the windows.
+        fit: the set beside which it acts.
+        joint: where.
+        terms: of the law.
+        ridge: on their responses, scaled to length one.
+
+    Returns:
+        The hypothesis with the law as its last member, and the starts.
+    """
+    law = law_candidate(problem.machine, joint, terms)
+    hypothesis = fit.hypothesis
+    hypothesis = replace(
+        hypothesis, members=(*hypothesis.members, law), x=(*hypothesis.x, np.zeros(len(terms)))
+    )
+    start, r = fit.start, fit.residual
+    for _ in range(_ROUNDS):
+        linear = linearise(problem, hypothesis, start)
+        whole = _step(linear, hypothesis, r, len(terms), joint, terms, ridge)
+        moved, begin, rn = _line_search(linear, hypothesis, whole, start)
+        before, left = float((r**2).sum()), float((rn**2).sum())
+        if left < before:
+            hypothesis, start, r = moved, begin, rn
+        if left > (1 - _LITTLE) * before:
+            break
+    return hypothesis, start
+
+
+def law_candidate(machine: Machine, joint: str, terms: Sequence[Feature]) -> Candidate:
+    """Return a force law with the given terms as a candidate.
+
+    It is held for the model's time step, at which it is learned, also where the mechanics are
+    stepped finer: it is evaluated outside the engine.
+    """
+    scale, hold = machine.joints[joint].force, machine.model.opt.timestep
+    count = len(terms)
+    extent = Extent((0.05,) * count, (-1e6,) * count, (1e6,) * count)
+
+    def apply(spec: object, site: Site, x: np.ndarray, machine: Machine) -> Force:
+        return Force(joint, learned_force(terms, x, scale), hold)
+
+    effect = Effect(
+        id="unknown", kind="joint", components=tuple(Component(t.name, "–") for t in terms),
+        apply=apply, extent=lambda site, machine: extent, noun="an unknown force",
+        sentence="", evidence="", separation="", vector=count,
+    )  # fmt: skip
+    return Candidate(effect, Site("joint", joint), extent, np.full(count, 0.05))
+
+
+def law_columns(linear: Linear, joint: str, terms: Sequence[Feature]) -> Float[np.ndarray, "W R k"]:
+    """Return the projected response to each term of a law, per unit of the joint's force.
+
+    Its terms are those of the recorded motion. There the true law acted: without one, the deviation
+    δ of the truth from a prediction follows δ⁺ = A δ + B Σ wᵢ φᵢ(q + δ), which is linear in w.
+    """
+    scale = linear.problem.machine.joints[joint].force
+    forces = np.stack([scale * np.asarray(t.value(linear.recorded)) for t in terms], axis=-1)
+    return response_to_forces(linear, joint, forces)
+
+
+def _step(
+    linear: Linear,
+    hypothesis: Hypothesis,
+    r: Float[np.ndarray, "W R"],
+    count: int,
+    joint: str,
+    terms: Sequence[Feature],
+    ridge: float,
+) -> Hypothesis:
+    """Return the hypothesis after one Gauss-Newton step on members and law together."""
+    named = hypothesis.members[:-1]
+    S = signatures(linear, named).astype(float) if named else np.zeros((*r.shape, 0))
+    A = np.concatenate([S, law_columns(linear, joint, terms)], axis=-1)
+    y = project(linear.Q, r)
+    scale = np.sqrt((A**2).sum(axis=(0, 1))) + 1e-12
+    flat = (A / scale).reshape(-1, A.shape[-1])
+    penalty = np.concatenate([np.full(S.shape[-1], 1e-8), np.full(count, ridge)])
+    now = np.concatenate([np.zeros(S.shape[-1]), hypothesis.x[-1]]) * scale
+    G = flat.T @ flat + np.diag(penalty)
+    step = np.linalg.solve(G, flat.T @ y.ravel() - penalty * now) / scale
+    parts = np.split(step, np.cumsum([c.size for c in hypothesis.members])[:-1])
+    x = tuple(
+        np.clip(z + d, c.low, c.high)
+        for c, z, d in zip(hypothesis.members, hypothesis.x, parts, strict=True)
+    )
+    return replace(hypothesis, x=x)
+
+
+def _line_search(
+    linear: Linear, hypothesis: Hypothesis, whole: Hypothesis, start: State
+) -> tuple[Hypothesis, State, Float[np.ndarray, "W R"]]:
+    """Return the best of some shares of a step, its starts and what it leaves."""
+    found = []
+    for share in _SHARES:
+        x = tuple(a + share * (b - a) for a, b in zip(hypothesis.x, whole.x, strict=True))
+        moved = replace(hypothesis, x=x)
+        found.append((moved, *settle(linear.problem, linear, moved, start, _SETTLED, _SHARES)))
+        if share == 1.0 and (found[0][2] ** 2).sum() < _ENOUGH * (linear.residual**2).sum():
+            break
+    return min(found, key=lambda f: float((f[2] ** 2).sum()))
