@@ -1,6 +1,8 @@
 """What the decision amounts to: names that hold, and a learned law for what they leave."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 
 import numpy as np
 from scipy.stats import chi2
@@ -19,6 +21,7 @@ from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.errors import RecordingError
 
 _BETTER = 0.95  # of the forecast error with names beside a law, that refutes them if it is alone
+_ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
     "position": "where the joint is",
@@ -107,7 +110,10 @@ def explain(located: Located) -> Outcome:
     if unknown.law is None:
         fit, repaired = _fitted(located, fit, error)
     else:
-        law = _learned(located, fit, unknown.law, error) if fit.members else alone
+        law = alone
+        if fit.members:
+            law, clue = _learned(located, fit, unknown.clues, error)
+            unexplained = replace(unexplained, depends_on=clue.depends_on)
         if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
@@ -192,16 +198,26 @@ def _law_alone(
     left = problem.residual(stepped, nominal.start)
     nominal = replace(nominal, hypothesis=stepped, residual=left)
     found = replace(examine(problem, replace(decision, best=nominal)), flagged=True)
-    return (_learned(located, nominal, found.law, error) if found.law else None), found
+    if found.law is None:
+        return None, found
+    law, clue = _learned(located, nominal, found.clues, error)
+    return law, replace(found, clues=(clue,))
 
 
-def _learned(located: Located, fit: Fit, clue: Clue, error: PredictionError | None) -> Hypothesis:
-    """Return the hypothesis of a fit with a learned law beside its members, at its time step."""
+def _learned(
+    located: Located, fit: Fit, clues: Sequence[Clue], error: PredictionError | None
+) -> tuple[Hypothesis, Clue]:
+    """Return a fit's hypothesis with the law beside it that leaves least, at its time step."""
     problem = located.prepared.problem
-    terms = terms_of(problem.machine, clue.joint, clue.depends_on)
-    law, start = learn(problem, fit, clue.joint, terms, clue.ridge)
-    left = problem.residual(law, start)
-    return _stepped(located, law, float(np.sqrt((left**2).sum() / problem.dof)), error)
+    tried = []
+    for clue in clues:
+        terms = terms_of(problem.machine, clue.joint, clue.depends_on)
+        law, _, rms = learn(problem, fit, clue.joint, terms)
+        tried.append((rms, law, clue))
+        if rms**2 - 1.0 < _ENOUGH * fit.excess:
+            break
+    rms, law, clue = min(tried, key=itemgetter(0))
+    return _stepped(located, law, rms, error), clue
 
 
 def _stepped(

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.left_out import LeftOut
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.settling import settle
@@ -16,6 +17,7 @@ from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force
 from bo_sysid.simulation import State
 
+_NAMED = 1e-8  # ridge on names beside a law
 _ROUNDS = 8
 _SHARES = (1.0, 0.5, 0.2)  # of a step that are tried
 _SETTLED = 3  # steps of the starts after each
@@ -29,8 +31,8 @@ def terms_of(machine: Machine, joint: str, depends_on: Collection[str]) -> tuple
 
 
 def learn(
-    problem: Problem, fit: Fit, joint: str, terms: Sequence[Feature], ridge: float
-) -> tuple[Hypothesis, State]:
+    problem: Problem, fit: Fit, joint: str, terms: Sequence[Feature]
+) -> tuple[Hypothesis, State, float]:
     """Fit a force law beside the members of a fit, through the simulator.
 
     Args:
@@ -38,10 +40,9 @@ def learn(
         fit: the set beside which it acts.
         joint: where.
         terms: of the law.
-        ridge: on their responses, scaled to length one.
 
     Returns:
-        The hypothesis with the law as its last member, and the starts.
+        The hypothesis with the law as its last member, the starts, and the rms of what is left.
     """
     law = law_candidate(problem.machine, joint, terms)
     hypothesis = fit.hypothesis
@@ -51,14 +52,14 @@ def learn(
     start, r = fit.start, fit.residual
     for _ in range(_ROUNDS):
         linear = linearise(problem, hypothesis, start)
-        whole = _step(linear, hypothesis, r, len(terms), joint, terms, ridge)
+        whole = _step(linear, hypothesis, r, terms)
         moved, begin, rn = _line_search(linear, hypothesis, whole, start)
         before, left = float((r**2).sum()), float((rn**2).sum())
         if left < before:
             hypothesis, start, r = moved, begin, rn
         if left > (1 - _LITTLE) * before:
             break
-    return hypothesis, start
+    return hypothesis, start, float(np.sqrt((r**2).sum() / problem.dof))
 
 
 def law_candidate(machine: Machine, joint: str, terms: Sequence[Feature]) -> Candidate:
@@ -94,31 +95,30 @@ def law_columns(linear: Linear, joint: str, terms: Sequence[Feature]) -> Float[n
 
 
 def _step(
-    linear: Linear,
-    hypothesis: Hypothesis,
-    r: Float[np.ndarray, "W R"],
-    count: int,
-    joint: str,
-    terms: Sequence[Feature],
-    ridge: float,
+    linear: Linear, hypothesis: Hypothesis, r: Float[np.ndarray, "W R"], terms: Sequence[Feature]
 ) -> Hypothesis:
-    """Return the hypothesis after one Gauss-Newton step on members and law together."""
-    named = hypothesis.members[:-1]
+    """Return the hypothesis after one Gauss-Newton step on members and law together.
+
+    The ridge on the law is the one with which it predicts best what was left out.
+    """
+    *named, law = hypothesis.members
+    L = law_columns(linear, law.site.name, terms)
     S = signatures(linear, named).astype(float) if named else np.zeros((*r.shape, 0))
-    A = np.concatenate([S, law_columns(linear, joint, terms)], axis=-1)
-    y = project(linear.Q, r)
+    A = np.concatenate([L, S], axis=-1)
     scale = np.sqrt((A**2).sum(axis=(0, 1))) + 1e-12
-    flat = (A / scale).reshape(-1, A.shape[-1])
-    penalty = np.concatenate([np.full(S.shape[-1], 1e-8), np.full(count, ridge)])
-    now = np.concatenate([np.zeros(S.shape[-1]), hypothesis.x[-1]]) * scale
-    G = flat.T @ flat + np.diag(penalty)
-    step = np.linalg.solve(G, flat.T @ y.ravel() - penalty * now) / scale
-    parts = np.split(step, np.cumsum([c.size for c in hypothesis.members])[:-1])
-    x = tuple(
+    now = np.concatenate([hypothesis.x[-1], np.zeros(S.shape[-1])]) * scale
+    A = A / scale
+    held = LeftOut.of(A, project(linear.Q, r) + A @ now, linear.problem.block)
+    of_law, of_named = range(len(terms)), range(len(terms), A.shape[-1])
+    penalty = np.full(A.shape[-1], _NAMED)
+    penalty[: len(terms)] = held.gain(of_law, of_named, _NAMED)[1]
+    found = np.linalg.solve(held.G.sum(axis=0) + np.diag(penalty), held.b.sum(axis=0)) / scale
+    steps = np.split(found[len(terms) :], np.cumsum([c.size for c in named])[:-1])
+    x = [
         np.clip(z + d, c.low, c.high)
-        for c, z, d in zip(hypothesis.members, hypothesis.x, parts, strict=True)
-    )
-    return replace(hypothesis, x=x)
+        for c, z, d in zip(named, hypothesis.x[:-1], steps if named else (), strict=True)
+    ]
+    return replace(hypothesis, x=(*x, found[: len(terms)]))
 
 
 def _line_search(

@@ -5,7 +5,7 @@ residual says little. What says something is whether a flexible law at a joint p
 that it was not fitted to, what the answer leaves. Such a law is never given a physical name.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
 _ALSO = 0.2  # of what a law leaves, that it must predict to depend on something more
+_MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
 _WINDOWS = 40
 
 
@@ -41,13 +42,11 @@ class Clue:
         joint: name of the joint.
         depends_on: what the law depends on.
         gain: cross-validated gain of squared residual per degree of freedom.
-        ridge: with which it was reached.
     """
 
     joint: str
     depends_on: tuple[str, ...]
     gain: float
-    ridge: float
 
 
 @dataclass(frozen=True)
@@ -57,17 +56,18 @@ class Unknown:
     Attributes:
         flagged: whether it is more than noise.
         share: of the nominal model's excess.
-        clue: the law that predicts most of it, None where nothing was asked.
+        clues: laws at one joint that predict some of it: the one that predicts most, and others
+            that may be better, where that one leaves much.
     """
 
     flagged: bool
     share: float
-    clue: Clue | None
+    clues: tuple[Clue, ...] = ()
 
     @property
     def law(self) -> Clue | None:
         """The law that stands for it, where one predicts some of it."""
-        return self.clue if self.flagged and self.clue and self.clue.gain > _GAIN else None
+        return self.clues[0] if self.flagged and self.clues else None
 
 
 def examine(problem: Problem, decision: Decision) -> Unknown:
@@ -76,7 +76,7 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     share = best.excess / max(nominal.excess, 1e-9) if nominal.excess > 0 else 0.0
     share = min(share, 1.0)
     if best.excess < _WORTH:
-        return Unknown(False, share, None)
+        return Unknown(False, share)
     problem, best = _some(problem, best)
     linear = linearise(problem, best.hypothesis, best.start)
     clues = sorted(_clues(linear, best), key=lambda c: -c.gain)
@@ -88,8 +88,8 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
         need = max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)
     else:
         loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
-    law = _widened(linear, best, clues[0]) if clues else None
-    return Unknown(bool(loose or most > need), share, law)
+    laws = _laws(linear, best, clues) if most > _GAIN else ()
+    return Unknown(bool(loose or most > need), share, laws)
 
 
 def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
@@ -125,9 +125,21 @@ def _clues(linear: Linear, best: Fit) -> list[Clue]:
     for joint in linear.problem.machine.names("joint"):
         held, own, named = _regression(linear, best, joint)
         for dependence, columns in own.items():
-            gain, ridge = held.gain(columns, named)
-            found.append(Clue(joint, (dependence,), gain / linear.problem.dof, ridge))
+            gain = held.gain(columns, named)[0]
+            found.append(Clue(joint, (dependence,), gain / linear.problem.dof))
     return found
+
+
+def _laws(linear: Linear, best: Fit, clues: Sequence[Clue]) -> tuple[Clue, ...]:
+    """Return the law that predicts most, and rivals where what it leaves may be the linear model's.
+
+    A prediction that runs away from the recording says little of what acts there.
+    """
+    first = _widened(linear, best, clues[0])
+    if first.gain > _MOST * best.excess:
+        return (first,)
+    near = [c for c in clues if c.joint == first.joint and c.gain > _NEAR * clues[0].gain]
+    return (first, *(c for c in near if c.depends_on != first.depends_on))
 
 
 def _widened(linear: Linear, best: Fit, clue: Clue) -> Clue:
@@ -137,8 +149,8 @@ def _widened(linear: Linear, best: Fit, clue: Clue) -> Clue:
         tried = []
         for dependence in (d for d in own if d not in clue.depends_on):
             depends_on = (*clue.depends_on, dependence)
-            gain, ridge = held.gain([k for d in depends_on for k in own[d]], named)
-            tried.append(Clue(clue.joint, depends_on, gain / linear.problem.dof, ridge))
+            gain = held.gain([k for d in depends_on for k in own[d]], named)[0]
+            tried.append(Clue(clue.joint, depends_on, gain / linear.problem.dof))
         wider = max(tried, key=lambda c: c.gain, default=clue)
         left = best.excess - clue.gain
         if wider.gain - clue.gain <= max(_GAIN, _ALSO * left):

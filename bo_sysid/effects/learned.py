@@ -28,7 +28,7 @@ Shape: TypeAlias = Callable[[Signal], Signal]
 ELAPSED = "aux.elapsed"
 """Signal that features of time read: the time since a recording began, in [s]."""
 
-_POSITIONS, _SPEEDS, _TIMES, _OTHERS = 48, 10, 8, 6  # bumps over the range of each
+_POSITIONS, _SPEEDS, _TIMES, _OTHERS = 48, 10, 8, 12  # bumps over the range of each
 _FASTEST = 2.5  # of a joint's root-mean-square speed: the outermost bumps
 _NODES, _BEYOND = 4096, 0.5  # of the table that stands for many bumps; share of the range beyond
 _REVERSAL = 0.02  # of that speed: where a smooth sign turns
