@@ -94,6 +94,23 @@ def law_columns(linear: Linear, joint: str, terms: Sequence[Feature]) -> Float[n
     return response_to_forces(linear, joint, forces)
 
 
+def lengths(A: Float[np.ndarray, "W R k"]) -> Float[np.ndarray, " k"]:
+    """Return the length of each column."""
+    return np.asarray(np.sqrt((A**2).sum(axis=(0, 1))) + 1e-12)
+
+
+def scales(L: Float[np.ndarray, "W R k"], terms: Sequence[Feature]) -> Float[np.ndarray, " k"]:
+    """Return for each term the length of the longest column of its kind.
+
+    A ridge on columns in these units holds back what was hardly visited: a law says nothing there.
+    """
+    found, kinds = lengths(L), [(t.of.name, t.times and t.times[0]) for t in terms]
+    longest = {
+        kind: max(f for f, k in zip(found, kinds, strict=True) if k == kind) for kind in kinds
+    }
+    return np.array([longest[kind] for kind in kinds])
+
+
 def _step(
     linear: Linear, hypothesis: Hypothesis, r: Float[np.ndarray, "W R"], terms: Sequence[Feature]
 ) -> Hypothesis:
@@ -105,7 +122,7 @@ def _step(
     L = law_columns(linear, law.site.name, terms)
     S = signatures(linear, named).astype(float) if named else np.zeros((*r.shape, 0))
     A = np.concatenate([L, S], axis=-1)
-    scale = np.sqrt((A**2).sum(axis=(0, 1))) + 1e-12
+    scale = np.concatenate([scales(L, terms), lengths(S)])
     now = np.concatenate([hypothesis.x[-1], np.zeros(S.shape[-1])]) * scale
     A = A / scale
     held = LeftOut.of(A, project(linear.Q, r) + A @ now, linear.problem.block)

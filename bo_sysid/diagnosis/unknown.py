@@ -5,7 +5,7 @@ residual says little. What says something is whether a flexible law at a joint p
 that it was not fitted to, what the answer leaves. Such a law is never given a physical name.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,13 +13,13 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.law import law_columns, terms_of
+from bo_sysid.diagnosis.law import law_columns, lengths, scales, terms_of
 from bo_sysid.diagnosis.left_out import LeftOut
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import MARGIN
 from bo_sysid.diagnosis.windowing import in_contact
-from bo_sysid.effects.learned import features
+from bo_sysid.effects.learned import Feature, features
 
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
 _RELATIVE = 0.005  # the same, of what the nominal model left unexplained
@@ -102,9 +102,10 @@ def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
     """
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
-    L, S, y = *_columns(linear, fit, law.joint, law.depends_on), project(linear.Q, fit.residual)
-    A = np.concatenate([_normalised(L), _normalised(S)], axis=-1)
-    of_law, named = list(range(L.shape[-1])), list(range(L.shape[-1], A.shape[-1]))
+    terms = terms_of(problem.machine, law.joint, law.depends_on)
+    A, S = _columns(linear, fit, law.joint, terms), project(linear.Q, fit.jacobian.astype(float))
+    y = project(linear.Q, fit.residual)
+    of_law, named = list(range(len(terms))), list(range(len(terms), A.shape[-1]))
     explained = LeftOut.of(A, y, problem.block).gain(of_law, named)[0] / problem.dof
     need = max(MARGIN**2, fit.excess - explained)
     kept, first = [], 0
@@ -163,8 +164,7 @@ def _regression(
 ) -> tuple[LeftOut, dict[str, list[int]], list[int]]:
     """Return the regression on all laws at a joint, and the columns of each and of the names."""
     terms = features(joint, linear.problem.machine)
-    L, S = _columns(linear, best, joint, {t.depends_on for t in terms})
-    A = np.concatenate([_normalised(L), _normalised(S)], axis=-1)
+    A = _columns(linear, best, joint, terms)
     own: dict[str, list[int]] = {}
     for k, t in enumerate(terms):
         own.setdefault(t.depends_on, []).append(k)
@@ -173,15 +173,11 @@ def _regression(
 
 
 def _columns(
-    linear: Linear, fit: Fit, joint: str, depends_on: Collection[str]
-) -> tuple[Float[np.ndarray, "W R k"], Float[np.ndarray, "W R j"]]:
-    """Return the response to each term of a law, and to the magnitudes of a fit."""
-    terms = terms_of(linear.problem.machine, joint, depends_on)
-    return law_columns(linear, joint, terms), project(linear.Q, fit.jacobian.astype(float))
-
-
-def _normalised(A: Float[np.ndarray, "W R k"]) -> Float[np.ndarray, "W R k"]:
-    return np.asarray(A / (np.sqrt((A**2).sum(axis=(0, 1))) + 1e-9))
+    linear: Linear, fit: Fit, joint: str, terms: Sequence[Feature]
+) -> Float[np.ndarray, "W R k"]:
+    """Return the scaled responses to each term of a law, then to the magnitudes of a fit."""
+    L, S = law_columns(linear, joint, terms), project(linear.Q, fit.jacobian.astype(float))
+    return np.concatenate([L / scales(L, terms), S / lengths(S)], axis=-1)
 
 
 def _some(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
