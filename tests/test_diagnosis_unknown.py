@@ -103,10 +103,14 @@ def test_a_deviation_is_smoothed_by_a_polynomial_with_its_rate() -> None:
     time = np.sort(np.random.default_rng(0).uniform(0, 0.3, (4, 60)))
     seen = np.ones(time.shape, bool)
     seen[1, ::3] = False
+    seen[2, 5:] = False
     at = np.broadcast_to(np.linspace(0, 0.3, 31), (4, 31))
     values, rates = smoothed(time, np.where(seen, np.sin(9 * time), 99.0), seen, at)
-    np.testing.assert_allclose(values, np.sin(9 * at), atol=1e-5)
-    np.testing.assert_allclose(rates, 9 * np.cos(9 * at), atol=2e-3)
+    told = [0, 1, 3]  # five samples tell nothing of the third
+    np.testing.assert_allclose(values[told], np.sin(9 * at[told]), atol=1e-5)
+    np.testing.assert_allclose(rates[told], 9 * np.cos(9 * at[told]), atol=2e-3)
+    assert not values[2].any()
+    assert not rates[2].any()
 
 
 def test_the_gain_is_what_fits_without_a_block_predict_of_it() -> None:

@@ -248,9 +248,12 @@ def smoothed(
 ) -> tuple[Float[np.ndarray, "W M"], Float[np.ndarray, "W M"]]:
     """Return a polynomial through the values that are seen in each window, and its rate.
 
-    The degree is 7, or less where a window has few samples; by least squares.
+    By least squares, of degree 7 or less, by the window with most samples. It is zero where a
+    window has far fewer: what is not known to deviate does not.
     """
-    degree = min(_DEGREE, int(seen.sum(axis=1).min()) // _SAMPLES)
+    count = seen.sum(axis=1, keepdims=True)
+    degree = min(_DEGREE, int(count.max(initial=0)) // _SAMPLES)
+    seen = seen & (count >= _SAMPLES * degree)
     length = max(float(time.max()), float(at.max()), 1e-9)
     basis = legendre.legvander(2 * time / length - 1, degree) * seen[..., None]
     weights = np.linalg.pinv(basis) @ (values * seen)[..., None]

@@ -29,7 +29,8 @@ _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
 _NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
-_ALSO = 0.2  # of what a law leaves, that it must predict to depend on something more
+_ALSO = 0.2  # of what a law leaves, that it must predict more to depend on something more
+_AT_LEAST = 0.02  # the same, of what there was to predict
 _MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
 _WINDOWS = 40
 
@@ -154,7 +155,7 @@ def _widened(linear: Linear, best: Fit, clue: Clue) -> Clue:
             tried.append(Clue(clue.joint, depends_on, gain / linear.problem.dof))
         wider = max(tried, key=lambda c: c.gain, default=clue)
         left = best.excess - clue.gain
-        if wider.gain - clue.gain <= max(_GAIN, _ALSO * left):
+        if wider.gain - clue.gain <= max(_GAIN, _ALSO * left, _AT_LEAST * best.excess):
             return replace(clue, depends_on=tuple(sorted(clue.depends_on)))
         clue = wider
 
