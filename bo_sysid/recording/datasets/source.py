@@ -45,7 +45,9 @@ def locate(folder: str, file: SourceFile, how_to_get: str) -> Path:
             candidate = Path(root) / folder / name
             if candidate.is_file():
                 return candidate
-    looked = f"not under ${VARIABLE} ({Path(root) / folder})" if root else f"${VARIABLE} is not set"
+    looked = f"${VARIABLE} is not set"
+    if root:
+        looked = f"it is not under ${VARIABLE} ({Path(root) / folder})"
     if not file.url:
         raise RecordingError(f"dataset {folder}: {file.path}: {looked}. {how_to_get}")
     return _download(folder, file, f"{looked}. {how_to_get}")
@@ -62,9 +64,14 @@ def _download(folder: str, file: SourceFile, remedy: str) -> Path:
             fname=Path(file.path).name,
             path=cache / Path(file.path).parent,
         )
-    except (OSError, ValueError) as error:  # no network; another checksum
+    except OSError:
         raise RecordingError(
-            f"dataset {folder}: {file.path} could not be downloaded from {file.url}: {error}. It "
-            f"is {remedy}"
+            f"dataset {folder}: {file.path} could not be downloaded from {file.url} (no network?), "
+            f"and {remedy}"
+        ) from None
+    except ValueError as error:  # another checksum
+        raise RecordingError(
+            f"dataset {folder}: {file.path} could not be downloaded from {file.url}: {error}; "
+            f"and {remedy}"
         ) from None
     return Path(found)
