@@ -217,10 +217,12 @@ def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> Non
     rubs = candidate(magnet[0].problem.machine, "dry_friction", "elbow")
     beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
     alone = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.03]),))
-    named, right = replace(nominal, hypothesis=alone), replace(nominal, hypothesis=law)
+    named, right = replace(nominal, hypothesis=alone), replace(nominal, hypothesis=law, rms=1.1)
     assert _refuted(error, right, nominal, beside, law)
     assert not _refuted(error, right, nominal, law, beside)
     assert not _refuted(error, right, nominal, law, law)  # a name that harms nothing stays
+    assert _refuted(error, replace(right, rms=2.7), nominal, law, law)  # nor explains much alone
+    assert not _refuted(error, replace(right, rms=2.7), nominal, law, beside)
     assert not _refuted(error, right, nominal, beside, None)
     assert error(alone) > error(nominal.hypothesis)
     assert _refuted(error, named, nominal, law, beside)  # a law makes good for a wrong name

@@ -14,13 +14,14 @@ from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
+from bo_sysid.diagnosis.rules import LOOSE
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.errors import RecordingError
 
-_BETTER = 0.95  # of the forecast error with names beside a law, that refutes them if it is alone
+_BETTER = 0.95  # of a forecast error: what is less is better
 _ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
 _LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
@@ -148,10 +149,12 @@ def _refuted(
     """Whether nothing, or a law alone, forecasts the training recordings better than names do.
 
     Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
+    Names that are far from the recordings without a law must forecast better than it does alone.
     """
     if error(fit.hypothesis) > error(nominal.hypothesis):
         return True
-    return law is not None and alone is not None and error(alone) < _BETTER * error(law)
+    margin = _BETTER if fit.rms <= LOOSE else 1 / _BETTER
+    return law is not None and alone is not None and error(alone) < margin * error(law)
 
 
 def _better(
