@@ -148,6 +148,7 @@ def judged(case: Case) -> dict[str, object]:
         "probability": float(located.decision.probability[0]),
         "inside": _inside(case.truth, said),
         "rms": found.rms,
+        "nominal_rms": located.decision.nominal.rms,
         "forecasts": _forecasts(evidence, located, outcome, case),
         "seconds": seconds,
         "cpu": cpu,
