@@ -4,7 +4,8 @@ Cases are drawn with fixed seeds (`diagnosis_cases.py`): the nominal model with 
 stepped eight times finer, seen through noisy joint positions. Each figure is a share,
 the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
-hopper) from 3 sigma up, "unknown" what the training recordings show at all. Cases are computed in parallel, one thread each.
+hopper) from 3 sigma up, "unknown" what the training recordings show at all. Cases are computed in
+parallel, one thread each.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,6 @@ from diagnosis_judge import computed, plan
 from scipy.stats import binomtest
 
 from bo_sysid.execution import map_jobs
-
 
 _SHOWN = 1.02  # [sigma] that a nominal model leaves of recordings that show something
 
