@@ -119,7 +119,7 @@ def explain(located: Located) -> Outcome:
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
             unexplained = _said(found)
-        bare = _stepped(located, fit.hypothesis, fit.rms, error)
+        bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
     return Outcome(
         fit, nominal, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone

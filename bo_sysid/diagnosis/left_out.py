@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 RIDGES = (1e-5, 1e-3, 3e-2, 0.3, 2.0)
-"""On columns of length one; what is left says which."""
+"""On columns of length one at most; what is left out says which."""
 
 
 @dataclass(frozen=True)

@@ -256,12 +256,14 @@ def smoothed(
     seen = seen & (count >= _SAMPLES * degree)
     length = max(float(time.max()), float(at.max()), 1e-9)
     basis = legendre.legvander(2 * time / length - 1, degree) * seen[..., None]
-    weights = np.linalg.pinv(basis) @ (values * seen)[..., None]
-    rates = legendre.legder(weights[..., 0], scl=2 / length, axis=1)[..., None]
+    weights = (np.linalg.pinv(basis) @ (values * seen)[..., None])[..., 0]
+    rates = legendre.legder(weights, scl=2 / length, axis=1)
     z = 2 * at / length - 1
-    return tuple(  # type: ignore[return-value]
-        np.asarray((legendre.legvander(z, w.shape[1] - 1) @ w)[..., 0]) for w in (weights, rates)
-    )
+
+    def sums(w: Float[np.ndarray, "W k"]) -> Float[np.ndarray, "W M"]:
+        return np.asarray((legendre.legvander(z, w.shape[1] - 1) @ w[..., None])[..., 0])
+
+    return sums(weights), sums(rates)
 
 
 def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
