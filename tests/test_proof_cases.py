@@ -16,7 +16,7 @@ from bo_sysid.proof import conceal
 from bo_sysid.proof.case import NoCase, draw_case
 from bo_sysid.proof.draft import REALISED, Draft, Place, Scales
 from bo_sysid.proof.machine import Excitation, load_machine
-from bo_sysid.proof.oracle import _magnitudes
+from bo_sysid.proof.oracle import true_magnitudes
 from bo_sysid.proof.physics import Law, nominal_physics
 from bo_sysid.proof.plan import GROUPED, Draw, plan
 from bo_sysid.proof.rolled import Rolled
@@ -74,9 +74,10 @@ def test_where_nothing_is_concealed_the_size_is_zero(machines):
 
 
 def roll(machine, plant, seconds):
-    steps, n = round(seconds / DT), machine.compiled.nv
+    dt, n = machine.file.timestep, machine.compiled.nv
+    steps = round(seconds / dt)
     motion = Excitation(machine, seconds, np.random.default_rng(5), np.zeros((steps, n)))
-    return plant.roll(motion, steps, DT)
+    return plant.roll(motion, steps, dt)
 
 
 def scales(machine, rolled):
@@ -103,37 +104,71 @@ def test_the_forces_of_the_proof_are_the_edits_of_the_catalogue(machines, id):
     concealed = item.scaled(item.draw(rng, Place(machine, scales(machine, nominal), site)), 3.0)
     if id == "actuator_saturation":
         concealed = item.scaled(concealed, 0.5)
+    moved, apart = both(machine, concealed, nominal)
+    assert moved > 1e-4
+    assert apart < 0.01 * moved
+
+
+def both(machine, concealed, nominal):
+    """Return how far a change moves a plant, and how far the catalogue's edit ends from it."""
     draft = Draft.begin(machine, machine.compiled)
-    item.compose(draft, concealed)
+    REALISED[concealed.effect].compose(draft, concealed)
     commands = iter(nominal.ctrl)
     ours = SteppedPlant(draft.finished(), FINE).roll(lambda k, y: next(commands), 500, DT)
     moved = np.abs(ours.qpos - nominal.qpos).max()
-    assert moved > 1e-4
     edited = catalogued(machine, concealed, nominal)
     commands = iter(nominal.ctrl)
     theirs = SteppedPlant(nominal_physics(edited), FINE)
     theirs.model.actuator_forcelimited[:] = edited.actuator_forcelimited
     theirs.model.actuator_forcerange[:] = edited.actuator_forcerange
     theirs = theirs.roll(lambda k, y: next(commands), 500, DT)
-    assert np.abs(ours.qpos - theirs.qpos).max() < 0.01 * moved
+    return moved, np.abs(ours.qpos - theirs.qpos).max()
 
 
-def catalogued(machine, concealed, nominal):
-    """Return the nominal model with the catalogue's edit of the same magnitudes."""
+def surveyed(machine, nominal):
+    """Return the scales of a machine, as the diagnosis measures them."""
     m = machine.compiled
     recording = Recording.from_arrays(
         nominal.time,
         qpos={machine.joint(j): nominal.qpos[:, j] for j in range(m.nv)},
         ctrl={m.actuator(a).name: nominal.ctrl[:, a] for a in range(m.nu)},
     )
-    scaled = survey(m, (recording,))
+    return survey(m, (recording,))
+
+
+def catalogued(machine, concealed, nominal):
+    """Return the nominal model with the catalogue's edit of the same magnitudes."""
+    scaled = surveyed(machine, nominal)
     truth = concealed.plain()
     if concealed.effect == "actuator_saturation":
         truth["value"] = concealed.details["of"] - concealed.value  # the limit itself
-    x = np.array(_magnitudes(truth, scaled))
+    x = np.array(true_magnitudes(truth, scaled))
     site = Site(concealed.kind, concealed.site)
     effect = CATALOGUE[concealed.effect]
     return machine.model.compile([lambda spec: effect.parts(spec, site, x, scaled) and None])
+
+
+@pytest.mark.parametrize("id", sorted(i for i, r in REALISED.items() if r.known))
+def test_the_oracle_has_all_magnitudes_of_the_truth(machines, id):
+    """A length that differs from the catalogue's would leave the case out of the comparison."""
+    machine = next(m for m in machines.values() if REALISED[id].sites(m))
+    nominal = roll(machine, SteppedPlant(nominal_physics(machine.compiled), FINE), 0.3)
+    place = Place(machine, scales(machine, nominal), REALISED[id].sites(machine)[0])
+    drawn = REALISED[id].draw(np.random.default_rng(4), place)
+    made = true_magnitudes(drawn.plain(), surveyed(machine, nominal))
+    if not CATALOGUE[id].hidden:
+        assert len(made) == len(CATALOGUE[id].components)
+
+
+@pytest.mark.parametrize("id", ["dry_friction", "stribeck_friction"])
+def test_bristles_of_the_proof_are_those_of_the_catalogue(machines, id):
+    """Dahl's and Canudas de Wit's forms against MuJoCo's, which damps bristles otherwise."""
+    machine = machines["rotary_pendulum"]
+    nominal = roll(machine, SteppedPlant(nominal_physics(machine.compiled), FINE), 1.0)
+    place = Place(machine, scales(machine, nominal), "arm")
+    concealed = REALISED[id].scaled(REALISED[id].draw(np.random.default_rng(7), place), 3.0)
+    moved, apart = both(machine, concealed, nominal)
+    assert apart < 0.02 * moved
 
 
 def test_magnitude_zero_changes_nothing(machines):

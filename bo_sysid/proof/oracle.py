@@ -1,8 +1,8 @@
 """The oracle: the forecast error of the nominal model with exactly what was concealed put into it.
 
 It uses the catalogue's own edits and the same forecast as the diagnosis, so that it says what is
-left when every name, site and magnitude is right: sensor noise carried through, the form of the
-plant that no name describes (presliding, other integrators), and starts estimated from the past.
+left when every name, site and magnitude is right: sensor noise carried through, what no name
+describes (other integrators, the damping of bristles), and starts estimated from the past.
 """
 
 from collections.abc import Mapping
@@ -87,18 +87,21 @@ def _candidate(e: Mapping[str, Any], machine: Machine) -> Candidate | None:
         return None
     site = Site(effect.kind, e["site"])
     extent = effect.extent(site, machine)
-    point = _magnitudes(e, machine)
-    if extent is None or len(point) != len(effect.components):
+    if extent is None:
         return None
-    return Candidate(effect, site, extent, np.array(point, float))
+    return Candidate(effect, site, extent, np.array(true_magnitudes(e, machine), float))
 
 
-def _magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]:
-    """Return the magnitudes as the catalogue's function takes them."""
+def true_magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]:
+    """Return the magnitudes of an effect of the truth as the catalogue's function takes them."""
     value, details = float(e["value"]), e["details"]
     match e["effect"]:
+        case "dry_friction":
+            return value, 1.0, details["presliding"]  # it holds a load at rest
         case "stribeck_friction":
-            return value, details["coulomb"], details["speed"]
+            return value, details["coulomb"], details["speed"], details["presliding"]
+        case "load_dependent_friction":
+            return value, details["presliding"]
         case "joint_spring":
             return value, value * details["rest angle"]
         case "cogging":
