@@ -113,6 +113,25 @@ def test_readings_are_undone(machine) -> None:
     np.testing.assert_allclose(late.time, t - 0.02)
 
 
+def test_several_readings_of_a_channel_are_undone_together(machine) -> None:
+    """A reading that is late, too large by a tenth, and .3 rad off, of the other joint."""
+    site = Site("channel", "qpos.elbow")
+    placed = [("sensor_scale", (0.1,)), ("sensor_offset", (0.3,)), ("sensor_delay", (0.02,))]
+    other = float(machine.channels.index("qpos.shoulder"))
+    made = Beside(
+        machine,
+        (*(Placed(e, site, x) for e, x in placed), Placed("channel_swap", site, (1.0, other))),
+    )
+    t = np.arange(0, 1, 0.01)
+    shown = {"elbow": 1.1 * np.sin(3 * t) + 0.3, "shoulder": np.cos(t)}
+    recording = Recording.from_arrays(t, qpos=shown)
+    own = as_commanded_and_measured(recording, made.parts(arm()), 0.002).channels
+    np.testing.assert_allclose(own["qpos.shoulder"].values, np.sin(3 * t))
+    np.testing.assert_allclose(own["qpos.shoulder"].time, t - 0.02)
+    np.testing.assert_allclose(own["qpos.elbow"].values, np.cos(t))
+    np.testing.assert_array_equal(own["qpos.elbow"].time, t)
+
+
 def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:
     (tmp_path / "other.json").write_text('{"version": 1}')
     with pytest.raises(ModelError, match=r"other.json: is no file of what stands beside a model"):

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects import Part, Reading
+from bo_sysid.effects import Part
+from bo_sysid.effects.readings import readings
 from bo_sysid.simulation import Trajectory
 from bo_sysid.simulation.windows import Layout, Windows, predicted
 
@@ -15,17 +16,15 @@ def observe(
     layout: Layout, windows: Windows, trajectory: Trajectory, parts: Sequence[Part]
 ) -> Float[np.ndarray, "W H c"]:
     """Return what the channels show of a trajectory, after the readings among `parts`."""
-    shown = predicted(layout, windows, trajectory)
-    for r in parts:
-        if isinstance(r, Reading) and r.channel in windows.channels:
-            k = windows.channels.index(r.channel)
+    true = predicted(layout, windows, trajectory)
+    shown = true.copy()
+    for r in readings(parts).values():
+        if r.channel in windows.channels:
             source = windows.channels.index(r.source or r.channel)
-            value = (
-                predicted(layout, windows, trajectory)[..., source] if r.source else shown[..., k]
-            )
+            value = true[..., source]
             if r.delay:
                 value = value + _delayed(layout, windows, trajectory, source, r.delay)
-            shown[..., k] = (1.0 + r.scale) * value + r.offset
+            shown[..., windows.channels.index(r.channel)] = (1.0 + r.scale) * value + r.offset
     return shown
 
 

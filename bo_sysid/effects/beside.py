@@ -14,9 +14,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Filter, Force, Part, Reading, Site
+from bo_sysid.effects.contract import Filter, Force, Part, Site
 from bo_sysid.effects.learned import features, learned_force
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.effects.readings import readings
 from bo_sysid.effects.registry import CATALOGUE
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import Model
@@ -175,12 +176,12 @@ def as_commanded_and_measured(
         if isinstance(p, Filter) and f"ctrl.{p.actuator}" in channels:
             name = f"ctrl.{p.actuator}"
             channels[name] = p.change(channels[name], timestep)
-    for p in parts:
-        if isinstance(p, Reading) and p.channel in recording.channels:
-            shown = recording.channels[p.channel]
-            channels[p.source or p.channel] = Channel(
-                shown.time - p.delay,
-                (shown.values - p.offset) / (1.0 + p.scale),
+    for r in readings(parts).values():
+        if r.channel in recording.channels:
+            shown = recording.channels[r.channel]
+            channels[r.source or r.channel] = Channel(
+                shown.time - r.delay,
+                (shown.values - r.offset) / (1.0 + r.scale),
                 shown.unit,
                 shown.source,
                 shown.hold,
