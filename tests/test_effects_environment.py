@@ -102,6 +102,32 @@ def test_a_sliding_box_is_gripped_by_the_changed_coefficient(floor, block, geom,
     assert grip(model) == pytest.approx(max(floor, block) + change, rel=1e-6)
 
 
+def test_less_friction_changes_nothing_else_of_a_contact() -> None:
+    """Two geoms that differ in all that a contact takes from them; MuJoCo says what it makes."""
+    floor = 'friction=".8 .01 .002" condim="3" solref=".02 1" solimp=".9 .95 .001" solmix="2"'
+    xml = PLANE.format(floor=0.5, block=0.5)
+    xml = xml.replace('friction="0.5"', floor, 1)
+    xml = xml.replace('friction="0.5"', 'friction=".6 .03 .001" condim="1" solref=".05 .7"', 1)
+    plane = Bench(xml)
+    name = applicable(CATALOGUE["contact_friction"], plane.machine)[0].name
+    model, _ = plane.edited("contact_friction", "geom", name, [-0.4])
+    before, after = touched(plane.machine.model), touched(model)
+    assert before["friction"][0] == pytest.approx(0.8)
+    assert after["friction"][0] == pytest.approx(0.4)
+    for told in (before, after):
+        told["friction"][:2] = 0.0
+    for what in before:
+        np.testing.assert_allclose(after[what], before[what], err_msg=what)
+
+
+def touched(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Return what MuJoCo makes of the attributes of two geoms in their first contact."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    contact = data.contact[0]
+    return {n: np.copy(getattr(contact, n)) for n in ("dim", "friction", "solref", "solimp")}
+
+
 def test_friction_acts_at_the_geom_that_decides() -> None:
     for floor, block, sites in ((0.5, 0.5, 2), (0.5, 0.3, 1), (0.3, 0.5, 1)):
         machine = Bench(PLANE.format(floor=floor, block=block)).machine

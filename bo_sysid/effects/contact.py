@@ -2,58 +2,42 @@
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool
 
 from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
+from bo_sysid.mjcf.touching import partners, take_priority
 
 _MOST_FRICTION = 5.0
 _SLIPS = (0.5, 0.8)  # shares of the friction without which a grip may slip
 _SOFTEST = 0.5  # [s]
 
 
-def _partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
-    """Return which geoms can touch, by MuJoCo's rules of filtering.
-
-    Source: MuJoCo documentation, Computation, Collision detection, Filtering.
-    """
-    kinds, affine = model.geom_contype, model.geom_conaffinity
-    touch = ((kinds[:, None] & affine) | (affine[:, None] & kinds)) != 0
-    weld = model.body_weldid[model.geom_bodyid]
-    parent = model.body_weldid[model.body_parentid[weld]]
-    touch &= weld[:, None] != weld
-    if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        child = (weld[:, None] == parent) & (weld[:, None] != 0)
-        touch &= ~(child | child.T)
-    for signature in model.exclude_signature:
-        one, two = (model.geom_bodyid == b for b in divmod(int(signature), 1 << 16))
-        touch &= ~(np.outer(one, two) | np.outer(two, one))
-    return np.asarray(touch)
-
-
 def _friction(site: Site, machine: Machine) -> float:
     return float(machine.model.geom(site.name).friction[0])
 
 
-def _rivals(site: Site, machine: Machine) -> float | None:
-    """Return the largest friction among geoms of equal priority that this one can touch.
+def _rival(site: Site, machine: Machine) -> int | None:
+    """Return the number of the geom of most friction among equals that this one can touch.
 
-    None where this geom does not decide on the friction of each of its contacts: MuJoCo takes
-    the coefficient of the higher priority, among equals the larger one.
+    -1 where there are none of equal priority; None where this geom does not decide on the friction
+    of each of its contacts: MuJoCo takes the coefficient of the higher priority, among equals the
+    larger one.
     """
     model = machine.model
     geom = model.geom(site.name).id
-    others = np.flatnonzero(_partners(model)[geom])
+    others = np.flatnonzero(partners(model)[geom])
     if not others.size or (model.geom_priority[others] > model.geom_priority[geom]).any():
         return None
     equal = others[model.geom_priority[others] == model.geom_priority[geom]]
-    largest = float(model.geom_friction[equal, 0].max(initial=0.0))
-    return largest if largest <= model.geom_friction[geom, 0] else None
+    if not equal.size:
+        return -1
+    rival = int(equal[np.argmax(model.geom_friction[equal, 0])])
+    return rival if model.geom_friction[rival, 0] <= model.geom_friction[geom, 0] else None
 
 
 def _friction_extent(site: Site, machine: Machine) -> Extent | None:
-    if _rivals(site, machine) is None:
+    if _rival(site, machine) is None:
         return None
     nominal = _friction(site, machine)
     # a contact that grips tells nothing of less friction until it is so little that it slips
@@ -84,16 +68,18 @@ def contact_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Ma
 
     Where its partners would now have the larger coefficient, the geom takes priority over them.
     """
-    geom = spec.geom(site.name)
+    geom, rival = spec.geom(site.name), _rival(site, machine)
     geom.friction[0] = max(geom.friction[0] + float(x[0]), 0.0)
-    if geom.friction[0] < (_rivals(site, machine) or 0.0):
-        geom.priority = int(machine.model.geom_priority.max()) + 1
+    if rival is None or rival < 0:
+        return
+    if geom.friction[0] < machine.model.geom_friction[rival, 0]:
+        take_priority(spec, machine.model, site.name, rival)
 
 
 def _softness(site: Site, machine: Machine) -> float:
     """Return the smallest time constant of the geoms that touch, 0 where there is none."""
     model = machine.model
-    touching = _partners(model).any(axis=0)
+    touching = partners(model).any(axis=0) & (model.geom_solref[:, 0] > 0)
     return float(model.geom_solref[touching, 0].min()) if touching.any() else 0.0
 
 
@@ -130,7 +116,7 @@ _DAMPED = (0.02, 4.0)  # damping ratios of contacts that rebound almost fully, a
 def _damping_ratio(site: Site, machine: Machine) -> float:
     """Return the smallest damping ratio of the geoms that touch, 0 where there is none."""
     model = machine.model
-    touching = _partners(model).any(axis=0) & (model.geom_solref[:, 0] > 0)
+    touching = partners(model).any(axis=0) & (model.geom_solref[:, 0] > 0)
     return float(model.geom_solref[touching, 1].min()) if touching.any() else 0.0
 
 

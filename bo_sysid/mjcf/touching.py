@@ -1,26 +1,57 @@
-"""Whether parts of a model can come into contact at all."""
+"""Which parts of a model can come into contact, and how MuJoCo mixes what two of them ask for."""
 
 import mujoco
 import numpy as np
+from jaxtyping import Bool
 
 
 def can_touch(model: mujoco.MjModel) -> bool:
-    """Return whether MuJoCo would let any two geoms of a compiled model collide.
-
-    Its rules: no contact within a body or what is welded to it, nor between a body and its parent
-    (but the world), nor between excluded bodies, nor where no bits of contype and conaffinity meet.
-    """
+    """Return whether MuJoCo would let any two geoms of a compiled model collide."""
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
         return False
-    if model.npair:
-        return True
+    return bool(model.npair or partners(model).any())
+
+
+def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
+    """Return which geoms can touch, pairs that the model lists left aside.
+
+    No contact within a body or what is welded to it, nor between a body and its parent (but the
+    world), nor between excluded bodies, nor where no bits of contype and conaffinity meet.
+    Source: MuJoCo documentation, Computation, Collision detection, Filtering.
+    """
+    kinds, affine = model.geom_contype, model.geom_conaffinity
+    touch = ((kinds[:, None] & affine) | (affine[:, None] & kinds)) != 0
     weld = model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[weld]]
-    bits = model.geom_contype[:, None] & model.geom_conaffinity
-    meet = ((bits | bits.T) != 0) & (weld[:, None] != weld)
+    touch &= weld[:, None] != weld
     if not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT):
-        related = (parent[:, None] == weld) & (weld != 0) & (weld[:, None] != 0)
-        meet &= ~(related | related.T)
-    bodies = model.geom_bodyid.astype(int)
-    signature = np.minimum(bodies[:, None], bodies) * 2**16 + np.maximum(bodies[:, None], bodies)
-    return bool((meet & ~np.isin(signature, model.exclude_signature)).any())
+        child = (weld[:, None] == parent) & (weld[:, None] != 0)
+        touch &= ~(child | child.T)
+    for signature in model.exclude_signature:
+        one, two = (model.geom_bodyid == b for b in divmod(int(signature), 1 << 16))
+        touch &= ~(np.outer(one, two) | np.outer(two, one))
+    return np.asarray(touch)
+
+
+def take_priority(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, partner: int) -> None:
+    """Let a geom decide on the friction of its contacts; with a partner, nothing else changes.
+
+    The geom of higher priority decides on all attributes of a contact; those but sliding friction
+    become what MuJoCo makes of two equals: the larger condim and frictions, and solref and solimp
+    weighted by solmix (the smaller solref where one is given directly, as a negative number).
+    Source: MuJoCo documentation, Computation, Contact, Parameters.
+
+    Args:
+        spec: the spec to change.
+        model: the nominal model.
+        name: of the geom.
+        partner: number of a geom of equal priority.
+    """
+    both = [model.geom(name).id, partner]
+    geom, refs, weights = spec.geom(name), model.geom_solref[both], model.geom_solmix[both]
+    weights = weights / weights.sum() if weights.sum() > 0 else np.array([0.5, 0.5])
+    geom.priority = int(model.geom_priority.max()) + 1
+    geom.condim = int(model.geom_condim[both].max())
+    geom.friction[1:] = model.geom_friction[both, 1:].max(axis=0)
+    geom.solref = weights @ refs if (refs[:, 0] > 0).all() else refs.min(axis=0)
+    geom.solimp = weights @ model.geom_solimp[both]
