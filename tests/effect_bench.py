@@ -86,7 +86,7 @@ class Bench:
         return self.run(*self.edited(id, kind, site, x), seconds, **how)
 
 
-def pendulum(actuator: str = "", damping: float = 0.0) -> Bench:
+def pendulum(actuator: str = "", damping: float | str = 0.0) -> Bench:
     return Bench(PENDULUM.format(actuator=actuator, damping=damping))
 
 

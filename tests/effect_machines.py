@@ -41,7 +41,7 @@ XML = {
  <motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow" gear="2"/></actuator>
  {SENSORS}</mujoco>""",
     "servos": f"""<mujoco>{OPTION}{LINKS}<actuator>
- <position name="shoulder" joint="shoulder" kp="40" kv="4"/>
+ <position name="shoulder" joint="shoulder" kp="40" kv="4" forcerange="-3 5"/>
  <position name="elbow" joint="elbow" kp="20" dampratio=".8"/></actuator></mujoco>""",
     "cart-pole": f"""<mujoco>{OPTION}<option density="1000" viscosity=".05"/><worldbody>
  <body name="cart"><joint name="slider" type="slide" axis="1 0 0"/>
@@ -50,9 +50,9 @@ XML = {
    <geom type="capsule" fromto="0 0 0 0 0 -.5" size=".012" mass=".2"/></body></body></worldbody>
  <actuator><motor name="belt" joint="slider" gear="10"/></actuator></mujoco>""",
     "box": """<mujoco><option timestep="0.002"/><worldbody>
- <geom name="floor" type="plane" size="1 1 .1" friction=".6"/>
+ <geom name="floor" type="plane" size="1 1 .1" friction=".6" condim="1"/>
  <body name="box" pos="0 0 .05"><freejoint name="box"/>
-  <geom name="block" type="box" size=".08 .06 .05" mass=".5" friction=".4"/>
+  <geom name="block" type="box" size=".08 .06 .05" mass=".5" friction=".4" solref=".03 1"/>
  </body></worldbody></mujoco>""",
 }
 

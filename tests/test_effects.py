@@ -13,6 +13,7 @@ from bo_sysid.effects import (
     Force,
     Machine,
     Site,
+    applicable,
     chosen,
     load_effects,
     survey,
@@ -201,6 +202,20 @@ from bo_sysid.effects import Component, Extent, effect
 def my_friction(spec, site, x, machine):
     spec.joint(site.name).frictionloss += x[0]
 """
+
+
+def test_a_channel_that_only_some_recordings_have_is_no_site(arm) -> None:
+    t = np.arange(0, 1, 0.002)
+    qpos = {"shoulder": np.sin(3 * t), "elbow": np.cos(2 * t)}
+    ctrl = {"shoulder": 0 * t, "elbow": 0 * t}
+    both = [
+        Recording.from_arrays(t, qpos=qpos, ctrl=ctrl),
+        Recording.from_arrays(t, qpos=qpos, ctrl=ctrl, qvel={"elbow": np.sin(t)}),
+    ]
+    machine = survey(arm.compile(), both)
+    assert machine.channels == ("qpos.shoulder", "qpos.elbow")
+    for effect in CATALOGUE.values():
+        assert "qvel.elbow" not in {s.name for s in applicable(effect, machine)}
 
 
 def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:

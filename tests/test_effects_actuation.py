@@ -217,3 +217,23 @@ class TestReadings:
         )
         details = effect.details(np.array(extent.probe), arm.machine, Site("channel", "qpos.a"))
         assert list(details) == ["with qpos.b"]
+
+
+def test_a_limit_of_the_model_is_never_raised() -> None:
+    """A servo held at -3 and 5 N m: what is lost is counted from the largest force it can give."""
+    arm = pendulum(SERVO.replace('kv="1"', 'kv="1" forcerange="-3 5"'))
+    scale = arm.machine.actuators["servo"]
+    assert scale.force_max == pytest.approx(5.0)
+    for lost, expected in ((1.0, (-3.0, 4.0)), (4.0, (-1.0, 1.0))):
+        model, _ = arm.edited("actuator_saturation", "actuator", "servo", [lost])
+        np.testing.assert_allclose(model.actuator_forcerange[0], expected)
+    site = Site("actuator", "servo")
+    assert CATALOGUE["actuator_saturation"].nominal(site, arm.machine) == 5.0
+
+
+def test_what_is_no_position_servo_has_no_proportional_gain() -> None:
+    """A spring that an actuator of negative gain makes is none, and no bounds are out of order."""
+    spring = """<actuator><general name="servo" joint="hinge" gainprm="-10"
+      biastype="affine" biasprm="0 -10 -2"/></actuator>"""
+    machine = pendulum(spring).machine
+    assert CATALOGUE["servo_kp"].extent(Site("actuator", "servo"), machine) is None

@@ -82,6 +82,16 @@ class TestConformance:
                 for channel, values in predict(c, effect, site, zero).items():
                     np.testing.assert_array_equal(values, nominal[channel])
 
+    def test_a_small_magnitude_changes_little(self, effect: Effect, name: str) -> None:
+        if effect.discrete or effect.hidden or effect.id in SUDDEN:
+            return
+        c, nominal = case(name), _nominal(name)
+        for site in c.some(effect):
+            x = c.points(effect, site)[0]
+            little = np.where(np.arange(len(x)) < effect.linear, 1e-4 * x, x)
+            most = _moved(predict(c, effect, site, x), nominal)
+            assert _moved(predict(c, effect, site, little), nominal) <= 0.02 * most + 1e-12, site
+
     def test_a_probe_moves_the_prediction_and_keeps_what_the_recording_needs(
         self, effect: Effect, name: str
     ) -> None:
@@ -128,6 +138,8 @@ def test_what_is_written_into_a_file_moves_the_same_in_plain_mujoco(
             np.testing.assert_allclose(values, inside[channel], atol=2e-6 * scale)
 
 
+# a ramp takes a step at least; with another time step a command may come in the next step
+SUDDEN = ("command_rate", "timestep")
 # sites at which an effect cannot act in these recordings
 UNFELT: dict[tuple[str, str], set[str]] = {}
 _CACHE: dict[str, object] = {}

@@ -1,5 +1,7 @@
 """Friction, transmission and inertia against what physics says of them."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -21,6 +23,30 @@ class TestFriction:
         np.testing.assert_allclose(v[:, 0], 1.0 - 0.8 / 2 * t, atol=1e-5)
         t, _, v = slide.effect("dry_friction", "joint", "x", [0.8], 4.0, v=1.0)
         assert np.abs(v[t > 2.6]).max() < 1e-6  # it stops after 2.5 s and stays
+
+    @pytest.mark.parametrize(
+        ("id", "x"),
+        [("dry_friction", [0.8, 1.0, 1e-4]), ("stribeck_friction", [0.0, 0.8, 0.1, 1e-4])],
+    )
+    def test_bent_friction_adds_to_what_a_parameter_of_the_study_wrote(self, slide, id, x) -> None:
+        """1.3 N on 2 kg: .5 that was written into the spec before, .8 of the effect."""
+
+        def both(spec: mujoco.MjSpec) -> None:
+            spec.joint("x").frictionloss = 0.5
+            CATALOGUE[id].parts(spec, Site("joint", "x"), np.array(x), slide.machine)
+
+        t, _, v = slide.run(slide.model.compile([both]), (), 0.5, v=1.0)
+        assert v[-1, 0] == pytest.approx(1.0 - 1.3 / 2 * t[-1], rel=0.01)
+
+    def test_what_the_model_has_is_counted(self) -> None:
+        """Drag and a payload that are there already can be found smaller, and are told."""
+        arm = pendulum(MOTOR, damping="0.1 0.5")
+        drag, hinge = CATALOGUE["quadratic_damping"], Site("joint", "hinge")
+        assert drag.nominal(hinge, arm.machine) == pytest.approx(0.5)
+        assert drag.extent(hinge, arm.machine).low[0] == pytest.approx(-0.5)
+        loaded, _ = arm.edited("payload", "body", "rod", [0.2])
+        machine = replace(arm.machine, model=loaded)
+        assert CATALOGUE["payload"].nominal(Site("body", "rod"), machine) == pytest.approx(0.2)
 
     def test_viscous_damping_decays_exponentially(self, slide) -> None:
         t, _, v = slide.effect("viscous_damping", "joint", "x", [1.5], 2.0, v=1.0)

@@ -51,7 +51,7 @@ def _kp(site: Site, machine: Machine) -> float:
 
 def _kp_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if not (a.servo and affine(site, machine)):
+    if not (a.servo and a.gain > 0 and affine(site, machine)):
         return None
     return Extent((0.02 * a.gain,), (-0.9 * a.gain,), (3 * a.gain,))
 
@@ -69,7 +69,10 @@ def _kp_extent(site: Site, machine: Machine) -> Extent | None:
     separation="goals at rest under load",
 )
 def servo_kp(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Change the gain and the position bias of a servo together."""
+    """Change the gain and the position bias of a servo together, as its file has them.
+
+    They are the actuator's own, per its length: behind a gear, the joint has gear² times as much.
+    """
     a = with_own_bias(spec, site.name, machine)
     a.gainprm[0] = a.gainprm[0] + x[0]
     a.biasprm[1] = a.biasprm[1] - x[0]
@@ -84,7 +87,7 @@ def _kd_extent(site: Site, machine: Machine) -> Extent | None:
     if not (a.servo and affine(site, machine)):
         return None
     speed = machine.joints[a.joint or ""].speed
-    scale = max(-a.bias[2], 0.05 * a.force_std / speed)
+    scale = max(-a.bias[2], 0.05 * a.force_std / speed / a.gear**2)
     return Extent((0.02 * scale,), (a.bias[2] - 1e-12,), (10 * scale,))
 
 
@@ -102,7 +105,7 @@ def _kd_extent(site: Site, machine: Machine) -> Extent | None:
     separation="an unpowered run, or another derivative gain",
 )
 def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Change the velocity bias of a servo."""
+    """Change the velocity bias of a servo, the actuator's own as in `servo_kp`."""
     a = with_own_bias(spec, site.name, machine)
     a.biasprm[2] = a.biasprm[2] - x[0]
 
@@ -115,6 +118,13 @@ def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)
 
 
+def _limit(site: Site, machine: Machine) -> float:
+    """Return the model's limit of the force along the joint, 0 where it has none."""
+    a = machine.model.actuator(site.name)
+    limit = float(np.abs(a.forcerange).max()) if a.forcelimited[0] else 0.0
+    return limit * abs(actuator_at(site, machine).gear)
+
+
 def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
     return {"torque lost": (float(x[0]), "N m")}
 
@@ -124,8 +134,9 @@ def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, t
     kind="actuator",
     components=(Component("torque lost", "N m"),),
     extent=_saturation_extent,
+    nominal=_limit,
     noun="a torque limit",
-    sentence="{site} saturates at {value}, which the model does not.",
+    sentence="{site} saturates at {value}; the model gives more.",
     form="forcerange",
     evidence="large commands do no more than smaller ones",
     separation="steps of several sizes",
@@ -134,11 +145,13 @@ def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, t
     details=_saturation_lost,
 )
 def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Limit the force so that x[0] of the largest one used is lost."""
-    a, scale = spec.actuator(site.name), actuator_at(site, machine)
+    """Limit the force so that x[0] of the largest one used is lost; a tighter limit stays."""
+    a, scale = machine.model.actuator(site.name), actuator_at(site, machine)
+    low, high = a.forcerange if a.forcelimited[0] else (-np.inf, np.inf)
     most = max(scale.force_max - float(x[0]), 1e-9) / abs(scale.gear)
-    a.forcerange = [-most, most]
-    a.forcelimited = True
+    limited = spec.actuator(site.name)
+    limited.forcerange = [max(low, -most), min(high, most)]
+    limited.forcelimited = True
 
 
 def _back_emf(site: Site, machine: Machine) -> float:

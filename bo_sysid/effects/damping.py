@@ -49,10 +49,14 @@ def viscous_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Mac
     j.damping[0] = max(j.damping[0] + x[0], 0.0)
 
 
+def _quadratic(site: Site, machine: Machine) -> float:
+    return float(machine.model.dof_dampingpoly[machine.joints[site.name].dof, 0])
+
+
 def _quadratic_extent(site: Site, machine: Machine) -> Extent:
     joint = machine.joints[site.name]
     scale = joint.force / joint.speed**2
-    return Extent((0.02 * scale,), (0.0,), (20 * scale,))
+    return Extent((0.02 * scale,), (-_quadratic(site, machine) - 1e-12,), (20 * scale,))
 
 
 @effect(
@@ -60,6 +64,7 @@ def _quadratic_extent(site: Site, machine: Machine) -> Extent:
     kind="joint",
     components=(Component("coefficient", "N m s²/rad²"),),
     extent=_quadratic_extent,
+    nominal=_quadratic,
     noun="quadratic damping",
     sentence="{site} has quadratic damping of {value} that the model lacks.",
     form="damping, second term",
@@ -70,7 +75,7 @@ def _quadratic_extent(site: Site, machine: Machine) -> Extent:
 def quadratic_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Drag -x·v·|v|."""
     j = spec.joint(site.name)
-    j.damping[1] = j.damping[1] + x[0]
+    j.damping[1] = max(j.damping[1] + x[0], 0.0)
 
 
 def _asymmetric_damping_extent(site: Site, machine: Machine) -> Extent:

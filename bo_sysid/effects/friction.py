@@ -80,7 +80,7 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     """
     # shapes that are left out: it holds, and does not bend
     level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
-    total = _frictionloss(site, machine) + level
+    total = spec.joint(site.name).frictionloss + level
     if bend and level and total > 0:
         speed = machine.joints[site.name].speed
         add_bristles(spec, site.name, (total, total, speed), bend, machine)
@@ -115,7 +115,7 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
 def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Write the friction of `stribeck_friction` as LuGre friction with the same steady state."""
     excess, coulomb, speed, bend = _stribeck_magnitudes(x)
-    low = _frictionloss(site, machine) + coulomb
+    low = spec.joint(site.name).frictionloss + coulomb
     add_bristles(spec, site.name, (low, low + excess, speed), bend or STIFF, machine)
 
 

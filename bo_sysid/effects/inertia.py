@@ -42,9 +42,15 @@ def armature(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     j.armature = max(j.armature + x[0], 0.0)
 
 
+def _carried(site: Site, machine: Machine) -> float:
+    """Return the mass of the payload that the model has there already, 0 where there is none."""
+    load = mujoco.mj_name2id(machine.model, mujoco.mjtObj.mjOBJ_BODY, f"{site.name}_payload")
+    return float(machine.model.body_mass[load]) if load >= 0 else 0.0
+
+
 def _payload_extent(site: Site, machine: Machine) -> Extent:
     mass = machine.bodies[site.name].mass
-    return Extent((0.03 * mass,), (0.0,), (5 * mass,))
+    return Extent((0.03 * mass,), (-_carried(site, machine) - 1e-12,), (5 * mass,))
 
 
 @effect(
@@ -52,6 +58,7 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
     kind="body",
     components=(Component("mass", "kg"),),
     extent=_payload_extent,
+    nominal=_carried,
     noun="a payload",
     sentence="{site} carries {value} at its end that the model lacks.",
     form="child body with an inertial",
@@ -67,7 +74,7 @@ def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
             name=name, pos=list(machine.bodies[site.name].tip), explicitinertial=True, mass=0.0
         )
     load.ipos, load.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # undefined, it would be at pos
-    load.mass = load.mass + float(x[0])
+    load.mass = max(load.mass + float(x[0]), 0.0)
     load.inertia = [max(_POINT * load.mass, 1e-12)] * 3
 
 

@@ -58,7 +58,7 @@ class ActuatorScale:
         servo: whether its force depends on the position of the joint.
         ctrl_max: largest absolute control recorded.
         ctrl_std: standard deviation of the recorded control.
-        force_max: largest absolute force along the joint.
+        force_max: largest absolute force along the joint, within the model's limits.
         force_std: standard deviation of that force.
         levels: fractions of `force_max` at which a saturation is looked for.
         plain: whether its force is affine in control, length and velocity, as of a motor or servo.
@@ -123,7 +123,7 @@ class Machine:
         joints: hinge and slide joints by name.
         actuators: actuators by name.
         bodies: moving bodies with mass by name.
-        channels: names of the recorded channels that the model predicts.
+        channels: names of the channels that all recordings have and the model predicts.
         sampling: median sampling interval of the recordings in [s].
         duration: length of all recordings in [s].
         scales: of every channel that all recordings have, by name.

@@ -15,6 +15,7 @@ from bo_sysid.recording import Recording
 
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
+_LEAST = 0.03  # of the largest torque: less is no saturation
 _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
@@ -55,15 +56,16 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     }
     known = _predicted(model)
     times = [c.time for r in recordings for c in r.of_kind("qpos").values()]
+    scales = _scales(recordings, joints)
     return Machine(
         model,
         MappingProxyType(joints),
         MappingProxyType(actuators),
         MappingProxyType(bodies),
-        tuple(dict.fromkeys(n for r in recordings for n in r.channels if n in known)),
+        tuple(n for n in scales if n in known),
         float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
         float(sum(r.span[1] - r.span[0] for r in recordings)),
-        MappingProxyType(_scales(recordings, joints)),
+        MappingProxyType(scales),
     )
 
 
@@ -115,12 +117,14 @@ def _actuator(
         held = [r.channels[key].values for r in recordings if key in r.channels]
         u = np.concatenate(held) if held else np.zeros(1)
         force = gear * gain * u
+    if model.actuator_forcelimited[a]:
+        force = gear * np.clip(force / gear, *model.actuator_forcerange[a])
     top = max(float(np.abs(force).max()), _FLOOR)
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
     return ActuatorScale(
         name, a, joint, gear, gain, (float(b[0]), float(b[1]), float(b[2])), bool(b[1] != 0),
         float(np.abs(u).max()), float(u.std()), top, float(force.std()),
-        tuple(dict.fromkeys(x for x in levels if x > 0.02)),
+        tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
         int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
         _jumps(recordings, key),
