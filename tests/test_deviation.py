@@ -10,7 +10,7 @@ from bo_sysid.deviation.measure import PENALTY, correlation_time
 from bo_sysid.deviation.problem import DeviationProblem
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import CandidateSet, Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, MujocoSimulator, State, Windows, cut
 from bo_sysid.simulation.analytic import Oscillator
 
@@ -172,3 +172,33 @@ def test_problem_is_the_deviation_in_torch() -> None:
     np.testing.assert_array_equal(values.ravel(), deviation(candidates.points).deviation)
     low, high = problem.bounds
     np.testing.assert_array_equal(torch.stack([low, high]), candidates.bounds)
+
+
+BRICK = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+  <body><freejoint name="brick"/><geom type="box" size=".1 .06 .03" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_fitted_starts_and_forecasts_know_both_signs_of_an_orientation() -> None:
+    """The model's own motion, told with w >= 0, leaves nothing under any measure."""
+    model = Model.from_xml(BRICK)
+    compiled = model.compile()
+    start = State(compiled.qpos0[None], np.array([[0, 0, 0, 9.0, 1.0, 2.0]]), np.zeros((1, 0)))
+    t = Engine(1).rollout(compiled, start, np.zeros((1, 900, 0)))
+    told = t.qpos[0].copy()
+    told[:, 3:] *= np.where(told[:, 3:4] < 0, -1.0, 1.0)
+    channels = dict(zip(model.qpos_channels, told.T, strict=True))
+    channels |= dict(zip(model.qvel_channels, t.qvel[0].T, strict=True))
+    time = np.arange(901) * 0.002
+    recording = Recording("brick", {n: Channel(time, x) for n, x in channels.items()})
+    windows = cut(model, [recording], horizon=100)
+    assert (np.diff(windows.observed[..., 3], axis=1).min() < -0.5) or (
+        np.abs(np.diff(windows.observed[..., 4:7], axis=1)).max() > 0.5
+    )
+    scale = np.ones(len(windows.channels))
+    whitening = Whitening(windows.channels, scale, ("sensor noise",) * len(scale))
+    simulator = MujocoSimulator(model, (), Engine(1))
+    fitted = Deviation(simulator, windows, whitening, fitted_starts=True)
+    assert fitted(np.zeros((1, 0))).deviation[0] < 1e-6
+    ahead = prediction_error(Deviation(simulator, windows, whitening), np.zeros(0))
+    assert ahead["rms"].max() < 1e-6

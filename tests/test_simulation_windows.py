@@ -196,3 +196,29 @@ def test_free_joint_velocity_is_estimated_in_mujocos_frames() -> None:
     windows = cut(body, [recording], horizon=20)
     rows = np.rint(windows.time / 0.001).astype(int)
     np.testing.assert_allclose(windows.start.qvel, t.qvel[0][rows], atol=6e-3)
+
+
+TUMBLE = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
+  <body><freejoint name="brick"/><geom type="box" size=".1 .06 .03" mass="1"/></body>
+  <body pos="1 0 0"><joint name="wheel" type="ball"/><geom type="box" size=".1 .06 .03" mass="1"/>
+  </body></worldbody></mujoco>"""
+
+
+def test_an_orientation_may_be_told_with_either_sign() -> None:
+    """A free body and one on a ball joint turn more than once; the log says w >= 0."""
+    model = Model.from_xml(TUMBLE)
+    compiled = model.compile()
+    qvel = np.array([[0, 0, 0, 9.0, 1.0, 2.0, 1.0, 11.0, 0.5]])
+    start = State(compiled.qpos0[None], qvel, np.zeros((1, 0)))
+    t = Engine(threads=1).rollout(compiled, start, np.zeros((1, 800, 0)))
+    told = t.qpos[0].copy()
+    for first in (3, 7):
+        told[:, first : first + 4] *= np.where(told[:, first] < 0, -1.0, 1.0)[:, None]
+    assert np.abs(told - t.qpos[0]).max() > 1.0
+    channels = dict(zip(model.qpos_channels, told.T, strict=True))
+    rates = dict(zip(model.qvel_channels, t.qvel[0].T, strict=True))
+    time = np.arange(801) * 0.002
+    both = {n: Channel(time, x) for n, x in {**channels, **rates}.items()}
+    windows, prediction = forecast(model, Recording("tumbling", both), 100)
+    assert np.abs(windows.observed - prediction.values).max() > 0.5
+    assert np.abs(windows.residual(prediction.values)).max() < 1e-9

@@ -28,7 +28,7 @@ def fit_error(deviation: Deviation, point: Float[np.ndarray, " d"]) -> pd.DataFr
         deviation.simulator, point, deviation.windows, 1.0 / deviation.whitening.scale
     )
     residual, good = _residual(deviation, point, windows)
-    n = residual.shape[1] * residual.shape[2]
+    n = np.isfinite(windows.observed).sum() / len(windows)
     p = 2 * windows.start.qvel.shape[1]
     return _table(windows, residual[good] / np.sqrt(max(n - p, 1) / n), good)
 
@@ -78,7 +78,7 @@ def _residual(
     deviation: Deviation, point: Float[np.ndarray, " d"], windows: Windows
 ) -> tuple[Float[np.ndarray, "W H c"], np.ndarray]:
     prediction = next(iter(deviation.simulator.predictions(point[None], windows)))
-    return windows.observed - prediction.values, ~prediction.diverged
+    return windows.residual(prediction.values), ~prediction.diverged
 
 
 def _table(windows: Windows, residual: np.ndarray, good: np.ndarray) -> pd.DataFrame:

@@ -171,7 +171,6 @@ class Deviation:
         self.fitted_starts = fitted_starts
         self._weight = 1.0 / whitening.scale
         self._complete = bool(np.isfinite(windows.observed).all())
-        self._quaternions = _quaternions(windows.channels)
         observed = windows.observed.reshape(-1, len(windows.channels))
         extent = np.nanmax(observed, axis=0) - np.nanmin(observed, axis=0)
         self.penalty = float(PENALTY * np.linalg.norm(extent * self._weight))
@@ -207,31 +206,10 @@ class Deviation:
     def _norms(self, points: Points) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield for each point the `W` window norms and the `W` flags of divergence."""
         for prediction in self._predictions(points):
-            residual = self._difference(prediction.values)
+            residual = self.windows.residual(prediction.values)
             residual *= self._weight
             if not self._complete:
                 np.nan_to_num(residual, copy=False, nan=0.0)
             norms = np.sqrt(np.einsum("whc,whc->w", residual, residual) / residual.shape[1])
             norms[prediction.diverged | ~(norms < self.penalty)] = self.penalty
             yield norms, prediction.diverged
-
-    def _difference(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
-        """Return observed minus predicted; a quaternion is compared with its nearer sign."""
-        observed = self.windows.observed
-        if self._quaternions:
-            observed = observed.copy()
-            for columns in self._quaternions:
-                dot = (observed[..., columns] * values[..., columns]).sum(axis=-1, keepdims=True)
-                observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
-        return np.asarray(observed - values)
-
-
-def _quaternions(channels: Sequence[str]) -> list[list[int]]:
-    """Return the columns of each free joint's quaternion (``qpos.<joint>.3`` to ``.6``)."""
-    where = {name: k for k, name in enumerate(channels)}
-    out = []
-    for name in channels:
-        if name.startswith("qpos.") and name.endswith(".6"):
-            stem = name[:-1]
-            out.append([where[f"{stem}{i}"] for i in (3, 4, 5, 6) if f"{stem}{i}" in where])
-    return out

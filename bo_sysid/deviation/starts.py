@@ -21,8 +21,9 @@ def fit_starts(
     """Return the windows with the starts that fit them best at one candidate.
 
     Gauss-Newton on position and velocity of each window by itself: x ← x + t J⁺ W (y - F(x)),
-    J by finite differences through the simulator. A step is accepted window by window, where it
-    lowers that window's residual; a window in which the simulation diverges keeps its start.
+    J by finite differences through the simulator at the first guess, and kept (the chord method).
+    A step is accepted window by window, where it lowers that window's residual; a window in which
+    the simulation diverges keeps its start.
 
     Args:
         simulator: predicts.
@@ -33,17 +34,17 @@ def fit_starts(
     dof = windows.start.qvel.shape[1]
     start = windows.start
     residual, cost = _cost(simulator, point, windows, [start], weight)[0]
-    jacobian = None
+    inverse = np.linalg.pinv(_jacobian(simulator, point, windows, start, residual, weight, dof))
     for _ in range(_ITERATIONS):
-        if jacobian is None:
-            jacobian = _jacobian(simulator, point, windows, start, residual, weight, dof)
-        step = (np.linalg.pinv(jacobian) @ residual[..., None])[..., 0]
+        step = (inverse @ residual[..., None])[..., 0]
         moved, residual, after = _search(
             simulator, point, windows, start, step, weight, residual, cost
         )
-        gain = float((cost - after).sum() / max(cost.sum(), np.finfo(float).tiny))
+        runs = np.isfinite(cost)
+        gain = float((cost[runs] - after[runs]).sum())
+        little = _GAIN * float(cost[runs].sum())
         start, cost = moved, after
-        if gain < _GAIN:
+        if gain <= little:
             break
     return windows.with_start(start)
 
@@ -86,7 +87,7 @@ def _cost(
     points = np.repeat(point[None], len(starts), axis=0)
     out = []
     for prediction in simulator.predictions(points, windows, starts):
-        residual = np.nan_to_num((windows.observed - prediction.values) * weight, nan=0.0)
+        residual = np.nan_to_num(windows.residual(prediction.values) * weight, nan=0.0)
         flat = residual.reshape(len(windows), -1)
         cost = np.where(prediction.diverged, np.inf, (flat**2).sum(axis=1))
         out.append((np.where(prediction.diverged[:, None], 0.0, flat), cost))

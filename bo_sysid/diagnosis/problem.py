@@ -198,7 +198,7 @@ class Problem:
         """Return recorded minus predicted for every observation, in sigma."""
         s = self.simulate(hypothesis, start, finer)
         shown = observe(self.layout, s.windows, s.trajectory, s.parts)
-        r = self.weighted(np.nan_to_num(s.windows.observed) - shown)
+        r = self.weighted(np.where(self.weight > 0, s.windows.residual(shown), 0.0))
         if self.correction is not None and hypothesis.numerics:
             r = r - hypothesis.numerics * self.correction
         return r

@@ -1,6 +1,6 @@
 """Windows: pieces of recordings with a start, the controls of every step, and what was observed."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -85,6 +85,34 @@ class Windows:
     def with_start(self, start: State) -> "Windows":
         """Return the same windows from other starts."""
         return replace(self, start=start)
+
+    def residual(self, predicted: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
+        """Return observed minus predicted; a quaternion is compared with its nearer sign.
+
+        A body's orientation is q as well as -q, and loggers change over from one to the other.
+        """
+        observed = self.observed
+        for columns in quaternions(self.channels):
+            observed = observed.copy() if observed is self.observed else observed
+            dot = (observed[..., columns] * predicted[..., columns]).sum(axis=-1, keepdims=True)
+            observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
+        return np.asarray(observed - predicted)
+
+
+def quaternions(channels: Sequence[str]) -> list[list[int]]:
+    """Return where among channels the whole quaternions of free and ball joints are.
+
+    Those of a free joint are ``qpos.<joint>.3`` to ``.6``, of a ball joint ``.0`` to ``.3``.
+    """
+    where = {name: k for k, name in enumerate(channels)}
+    stems = dict.fromkeys(n.rpartition(".")[0] for n in channels if n.startswith("qpos."))
+    found = []
+    for stem in stems:
+        first = 3 if f"{stem}.4" in where else 0
+        columns = [where.get(f"{stem}.{i}", -1) for i in range(first, first + 4)]
+        if min(columns) >= 0:
+            found.append(columns)
+    return found
 
 
 @dataclass(frozen=True)
