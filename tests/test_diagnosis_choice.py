@@ -31,6 +31,7 @@ from bo_sysid.diagnosis.shapes import sharpened
 from bo_sysid.diagnosis.tables import doubts, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
+from bo_sysid.simulation import Controller
 from bo_sysid.study.outer import Limit
 
 
@@ -283,6 +284,35 @@ def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(fric
     nothing = missing_force(thrown, explain(friction))
     assert nothing.empty
     assert list(nothing.columns) == list(joints.columns)
+
+
+def test_missing_forces_are_those_of_the_model_with_its_controllers(friction) -> None:
+    """The elbow's command is not recorded; a controller passes on a goal that is."""
+    recorded = record([("dry_friction", "joint", "elbow", [0.02])], duration=6.0)
+    channels = dict(recorded.channels)
+    channels["goal.elbow"] = channels.pop("ctrl.elbow")
+    passed = Controller("elbow", lambda inputs: inputs.signals["goal.elbow"])
+    told = [
+        make_evidence(arm(), [r], noise={"qpos": SIGMA}, threads=1, laws=laws)
+        for r, laws in ((recorded, ()), (Recording("goals", channels), (passed,)))
+    ]
+    expected, found = (missing_force(e, explain(friction)) for e in told)
+    assert_allclose(found["nominal"], expected["nominal"], rtol=1e-6, atol=1e-9)
+
+
+def test_a_study_that_looks_for_no_effect_has_no_candidates() -> None:
+    evidence = make_evidence(arm(), [record(duration=2.0)], effects=(), threads=1)
+    assert evidence.candidates == ()
+
+
+def test_a_fit_is_kept_with_the_candidates_that_are_listed(friction) -> None:
+    """An equal candidate, made anew, is found in the list by identity."""
+    search = friction.search
+    best = search.best
+    again = tuple(c.with_shapes(c.shapes) for c in best.members)
+    search.listed(replace(best, hypothesis=replace(best.hypothesis, members=again)))
+    for c in search.fits[best.key].members:
+        assert any(c is listed for listed in search.candidates)
 
 
 def test_a_period_between_those_of_the_grid_needs_no_second_name() -> None:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.forecast import forecast, forecast_problem, noise_floor
+from bo_sysid.diagnosis.forecast import fitted, forecast, forecast_problem, noise_floor
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine
 
 SIGMA, SAMPLING = 1e-3, 0.005
@@ -18,6 +18,14 @@ FLOOR = '<geom type="plane" size="1 1 .1" pos="0 0 -5"/>'
 """Never reached; that it could be is what decides how the floor is computed."""
 
 
+def posed(model: Model, recording: Recording, past: float = 0.1):
+    sigma = {n: SIGMA for n in recording.channels if n.startswith("qpos.")}
+    return forecast_problem(
+        model, survey(model.compile(), [recording]), [recording], sigma,
+        past=past, ahead=0.1, timestep=0.005, engine=Engine(1),
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(("floor", "within"), [("", 0.01), (FLOOR, 0.05)])
 def test_the_noise_floor_is_that_of_a_line_through_noisy_points(floor, within):
     model, rng = Model.from_xml(MASS.format(floor=floor)), np.random.default_rng(0)
@@ -25,10 +33,7 @@ def test_the_noise_floor_is_that_of_a_line_through_noisy_points(floor, within):
     shown = 0.2 * time + SIGMA * rng.normal(size=len(time))
     still = {"slide": np.zeros(len(time))}
     recording = Recording.from_arrays(time, qpos={"slide": shown}, ctrl=still)
-    problem, past = forecast_problem(
-        model, survey(model.compile(), [recording]), [recording], {"qpos.slide": SIGMA},
-        past=0.1, ahead=0.1, timestep=0.005, engine=Engine(1),
-    )  # fmt: skip
+    problem, past = posed(model, recording)
     X = np.stack([np.ones(problem.count), np.arange(problem.count)], axis=1)
     spread = np.linalg.inv(X[:past].T @ X[:past])
     expected = np.sqrt(1 + np.mean(np.einsum("ij,jk,ik->i", X[past:], spread, X[past:])))
@@ -36,3 +41,27 @@ def test_the_noise_floor_is_that_of_a_line_through_noisy_points(floor, within):
     assert expected > 1.25
     assert noise_floor(problem, past, Hypothesis(), errors) == pytest.approx(expected, rel=within)
     assert errors.ahead == pytest.approx(expected, rel=0.05)
+
+
+TWO = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody>
+<body><joint name="fast" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body>
+<body pos="0 2 0"><joint name="slow" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def test_what_was_not_recorded_counts_in_no_error_and_in_no_floor():
+    """Two masses that drift, one sampled at a quarter of the rate: noise and nothing else."""
+    rng, time = np.random.default_rng(1), np.arange(0, 120, SAMPLING)
+    channels = {
+        f"qpos.{n}": Channel(t, 0.1 * t + SIGMA * rng.normal(size=len(t)))
+        for n, t in (("fast", time), ("slow", time[::4]))
+    }
+    problem, past = posed(Model.from_xml(TWO), Recording("drift", channels), past=0.2)
+    errors = forecast(problem, past, Hypothesis())
+    seen = problem.weight[:, past:] > 0
+    assert seen[..., 1].mean() == pytest.approx(0.25, abs=0.01)
+    assert errors.ahead == pytest.approx(np.sqrt(np.mean(errors.residual[seen] ** 2)))
+    floor = noise_floor(problem, past, Hypothesis(), errors)
+    assert errors.ahead == pytest.approx(floor, rel=0.03)
+    whole = fitted(problem, Hypothesis())
+    assert whole.ahead == pytest.approx(1.0, rel=0.03)

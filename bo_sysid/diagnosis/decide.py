@@ -134,7 +134,7 @@ def _scored(
 
 def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
     D = fit.cv - best.cv
-    spread = float(D.var(ddof=1)) * len(D)
+    spread = float(D.var(ddof=1)) * len(D) if len(D) > 1 else 0.0
     usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
     inflation = max(1.0, kappa * float(np.sqrt(max(spread / usual, 1.0))))
     return -0.5 * float(D.sum()) / inflation + prior.log(fit)

@@ -90,7 +90,8 @@ def make_evidence(
     """
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
-    wanted = [e for e in effects or CATALOGUE.values() if e.family != "learned"]
+    every = CATALOGUE.values() if effects is None else effects
+    wanted = [e for e in every if e.family != "learned"]
     return Evidence(
         model,
         machine,

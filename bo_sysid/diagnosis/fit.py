@@ -179,8 +179,10 @@ def sandwich(
     """
     p, blocks = len(G), len(g)
     inverse = np.linalg.pinv(G + 1e-9 * np.eye(p), hermitian=True)
+    if blocks < 2:
+        return np.asarray(inverse * variance)
     centred = g - g.mean(axis=0)
-    meat = centred.T @ centred * blocks / max(blocks - 1, 1)
+    meat = centred.T @ centred * blocks / (blocks - 1)
     robust, white = inverse @ meat @ inverse, inverse * variance
     least = np.diag(white) / np.maximum(np.diag(robust), 1e-12 * np.diag(white) + 1e-300)
     grow = np.sqrt(np.clip(np.nan_to_num(least, posinf=1e12), 1.0, 1e12))

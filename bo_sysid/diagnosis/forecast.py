@@ -32,7 +32,7 @@ class Errors:
     """Errors of one hypothesis over the same windows.
 
     Attributes:
-        ahead: root mean square of recorded minus forecast, in sigma.
+        ahead: root mean square of recorded minus forecast over what was recorded, in sigma.
         channel: the same by channel, in its unit.
         residual: recorded minus predicted after the past, in sigma.
         start: that was estimated for each window.
@@ -84,7 +84,8 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     channels = len(problem.windows.channels)
     start = estimated(problem.beginning(past), plain, finer, resting=True)
     r = problem.residual(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
-    return Errors(float(np.sqrt(np.mean(r**2))), _by_channel(problem, r, past), r, start)
+    ahead = np.sqrt((r**2).sum() / max((problem.weight[:, past:] > 0).sum(), 1))
+    return Errors(float(ahead), _by_channel(problem, r, past), r, start)
 
 
 def noise_floor(problem: Problem, past: int, hypothesis: Hypothesis, errors: Errors) -> float:
@@ -105,11 +106,12 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     plain = _plain(hypothesis)
     start = estimated(problem, plain, finer)
     r = problem.residual(plain, start, finer)
-    n, p = problem.count, 2 * problem.machine.model.nv
+    seen = int((problem.weight > 0).sum())
+    n, p = seen / len(r), 2 * problem.machine.model.nv
     spare = np.sqrt(max(n - p, 1) / n)
     shaped = r.reshape(len(r), -1, len(problem.windows.channels))
     channel = {k: v / spare for k, v in _by_channel(problem, shaped, 0).items()}
-    return Errors(float(np.sqrt(np.mean(r**2))) / spare, channel, shaped, start)
+    return Errors(float(np.sqrt((r**2).sum() / seen)) / spare, channel, shaped, start)
 
 
 def _plain(hypothesis: Hypothesis) -> Hypothesis:
@@ -130,15 +132,16 @@ def _floor(problem: Problem, past: int, plain: Hypothesis, errors: Errors) -> fl
     good = np.abs(errors.residual).max(axis=(1, 2)) < _DIVERGED
     linear = linearise(problem, plain, errors.start)
     J, spread = linear.J, prior(problem, linear.points.coordinates)
-    J = J[good & (np.abs(J) < DIVERGING).all(axis=(1, 2))]
-    if not len(J):
+    good &= (np.abs(J) < DIVERGING).all(axis=(1, 2))
+    J, seen = J[good], (problem.weight[good, past:] > 0).sum()
+    if not seen:
         return 1.0
     known, ahead = np.split(J, [past * len(problem.windows.channels)], axis=1)
     # what noise leaves of the start: ahead·(known'known + prior)⁻¹·ahead', by least squares
     about = np.broadcast_to(np.diag(1 / spread), (len(J), *[J.shape[-1]] * 2))
     R = np.linalg.qr(np.concatenate([known, about], axis=1), mode="r")
     noise = ahead @ np.linalg.pinv(R, rcond=1e-12)
-    return float(np.sqrt(1.0 + np.mean((noise**2).sum(axis=(1, 2)) / ahead.shape[1])))
+    return float(np.sqrt(1.0 + (noise**2).sum() / seen))
 
 
 def _by_channel(problem: Problem, r: Float[np.ndarray, "W H c"], first: int) -> dict[str, float]:

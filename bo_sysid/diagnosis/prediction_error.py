@@ -49,7 +49,8 @@ class PredictionError:
 
         A few windows end on the other side of an impact whatever is supposed.
         """
-        squares = (forecast(self._problem, self._past, hypothesis).residual ** 2).mean(axis=(1, 2))
+        squares = (forecast(self._problem, self._past, hypothesis).residual ** 2).sum(axis=(1, 2))
+        squares /= np.maximum((self._problem.weight[:, self._past :] > 0).sum(axis=(1, 2)), 1)
         return float(np.exp(0.5 * np.log(squares + _FLOOR).mean()))
 
     def stepped(self, hypothesis: Hypothesis) -> Hypothesis:

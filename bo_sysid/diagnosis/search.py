@@ -6,7 +6,7 @@ to longer ones (`moves`, `locate`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -162,10 +162,10 @@ class Search:
         return present.get(set_key([candidate]), candidate)
 
     def listed(self, fit: Fit) -> None:
-        """Keep a fit, and its members among the candidates."""
-        for c in fit.members:
-            self.known(c)
-        self.fits[fit.key] = fit
+        """Keep a fit, and its members among the candidates, which are told apart by identity."""
+        members = tuple(self.known(c) for c in fit.members)
+        hypothesis = replace(fit.hypothesis, members=members)
+        self.fits[fit.key] = replace(fit, hypothesis=hypothesis)
 
     def screened(self, base: Fit) -> Screen:
         """Linearise the model at a fit, and return what every candidate would do there."""

@@ -96,6 +96,7 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
         stride=max(int(np.ceil(whole / horizon / _PIECES)), 1),
         timestep=outcome.timestep,
         engine=evidence.engine,
+        laws=evidence.laws,
     )
     linear, nominal, _ = _forces(problem, Hypothesis())
     linear, repaired, sigma = _forces(problem, replace(outcome.repaired, numerics=0.0))
