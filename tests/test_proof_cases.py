@@ -219,6 +219,20 @@ def test_a_case_has_the_size_that_was_drawn_and_can_be_drawn_again(tmp_path):
     assert train.span == (0.0, 2.498)
 
 
+def test_a_suite_is_another_one_with_another_model(tmp_path):
+    """An interrupted concealment is not gone on with after a model was changed."""
+    suite = written(tmp_path)
+    machine = tmp_path / "cart_pole.yaml"
+    content = yaml.safe_load(machine.read_text())
+    xml = Path(content["model"]).read_text()
+    (tmp_path / "model.xml").write_text(xml)
+    machine.write_text(yaml.safe_dump({**content, "model": str(tmp_path / "model.xml")}))
+    before = conceal.suite_record(suite, {})
+    assert conceal.suite_record(suite, {}) == before
+    (tmp_path / "model.xml").write_text(xml.replace('gear="10"', 'gear="11"'))
+    assert conceal.suite_record(suite, {}) != before
+
+
 def test_in_the_place_of_a_case_that_cannot_be_had_another_is_drawn(tmp_path, monkeypatch):
     loaded = load_suite(written(tmp_path), {})
     draws = plan(loaded)

@@ -8,10 +8,12 @@ import pytest
 
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.proof.answer import answer, freeze
-from bo_sysid.proof.conceal import SHOWN, concealed_run, seals_of
+from bo_sysid.proof.conceal import concealed_run, seals_of
 from bo_sysid.proof.reveal import reveal
 from bo_sysid.proof.seal import Seal, canonical, digest, file_digest, write_json
 from bo_sysid.runs import Run
+
+SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
 
 NAMES = ("case-1", "case-2")
 ANSWER = {"verdict": "nothing-missing", "findings": [], "alternatives": [], "holdout": {}}

@@ -21,6 +21,7 @@ from bo_sysid.diagnosis.forecast import (
     noise_floor,
 )
 from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.tables import traces
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
@@ -35,7 +36,7 @@ class Holdout:
     """Errors on the hold-out.
 
     Attributes:
-        table: columns measure, horizon_s, model, error, floor, unit; one row each.
+        table: columns measure, horizon_s, model, error, unit; one row each.
         free_runs: free-run error by channel for each model.
         traces: what was recorded and what the models forecast, over the longest horizon.
         note: why there is none, where there is none.
@@ -163,8 +164,6 @@ def _fits(
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
 ) -> list[dict[str, Any]]:
-    from bo_sysid.diagnosis.problem import pose
-
     horizon = max(round(LONGER / evidence.machine.sampling), 4)
     problem = pose(
         evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
@@ -212,7 +211,7 @@ def _each(
 
 def _cut(
     evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording], past: float, ahead: float
-) -> Any:
+) -> tuple[Problem, int]:
     return forecast_problem(
         evidence.model,
         evidence.machine,

@@ -57,6 +57,11 @@ class Along:
     timestep: float
     memory: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def anew(self) -> "Along":
+        """The same with an empty memory, for another law."""
+        return replace(self, memory={})
+
 
 @dataclass(frozen=True)
 class Linear:

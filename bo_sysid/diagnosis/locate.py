@@ -110,7 +110,7 @@ def _lengthened(
     """Carry the best sets to longer windows: at once to full ones where the leader holds there."""
     leader = search.best
     longer = horizon if length * _ALMOST > horizon else int(length * _GROWTH)
-    for tried in (horizon, longer) if clean(leader) else (longer,):
+    for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
         prepared = prepare(windows_of(evidence, tried, step), leader.hypothesis)
         made = carried(search, prepared, _CARRIED)
         if made.best.rms < ROUGH:

@@ -166,7 +166,7 @@ def _caught_up(
 def _descend(
     frame: Linear, space: _Space, point: _Point, S: np.ndarray | None, effort: Effort
 ) -> tuple[_Point, np.ndarray]:
-    _problem, dof = frame.problem, frame.problem.dof
+    dof = frame.problem.dof
     exact = S is None
     J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
     for iteration in range(effort.iterations):

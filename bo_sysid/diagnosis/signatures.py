@@ -81,7 +81,7 @@ def _difference(
     law, directly = candidate.effect.force, np.zeros(linear.Q.shape[:2])
     if law is not None and not candidate.secant:
         joint = candidate.site.name
-        force = law(candidate.site, candidate.full(x), linear.problem.machine)(linear.along)
+        force = law(candidate.site, candidate.full(x), linear.problem.machine)(linear.along.anew)
         return _by_force(linear, joint, force), directly
     h = linear.hypothesis
     added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
@@ -103,7 +103,7 @@ def _by_edits(linear: Linear, added: Hypothesis) -> tuple[np.ndarray, np.ndarray
         w = w + linear.held(step.reshape(len(linear.start), -1, linear.A.shape[-1]))
     for part in new:
         if isinstance(part, Force):
-            w = w + _by_force(linear, part.joint, part.law(linear.along))
+            w = w + _by_force(linear, part.joint, part.law(linear.along.anew))
     if new:
         ctrl = problem.controls(parts, problem.windows)
         change = _per_macro(ctrl - linear.ctrl[:, : ctrl.shape[1]], linear.macro, linear.macros)

@@ -17,6 +17,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,6 @@ from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run, atomic, read_json, read_record, versions
 
 COMMITMENTS, CASES = "commitments.json", "cases"
-SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
-"""Files of a case."""
 
 _PLAN = "plan.json"
 _STAMP = 946_684_800  # 2000-01-01: every file of every case carries this time
@@ -85,7 +84,10 @@ def suite_record(path: Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return a suite as it is stored in a run, with the hashes of its machines' models."""
     loaded = load_suite(path, overrides)
     machines = {
-        name: {"file": m.file.model_dump(mode="json", exclude_none=True)}
+        name: {
+            "file": m.file.model_dump(mode="json", exclude_none=True),
+            "model_sha256": sha256(m.model.spec().to_xml().encode()).hexdigest(),
+        }
         for name, m in loaded.machines.items()
     }
     return {"suite": loaded.suite.model_dump(mode="json", exclude_none=True), "machines": machines}
