@@ -173,6 +173,27 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
         d.safe(np.zeros((len(d.series.time), 1)))
 
 
+def test_a_limit_outside_the_range_of_its_joint_is_refused() -> None:
+    ranged = Model.from_xml(ROD.replace('damping=".05"', 'damping=".05" range="0 1.5"').replace(
+        "<mujoco>", '<mujoco><compiler angle="radian"/>'))  # fmt: skip
+    stated = {"hinge": Limit(position=(-2.0, -1.0))}
+    with pytest.raises(StudyError, match=r"hinge: position \[-2, -1\] .* range .* \[0, 1.5\]"):
+        Limits.of(ranged, stated)
+    with pytest.raises(StudyError, match="must overlap"):
+        Limits.of(ranged, {"hinge": Limit(position=(1.5, 2.0))})  # in one point alone
+    kept = Limits.of(ranged, {"hinge": Limit(position=(-2.0, 1.0))})
+    np.testing.assert_allclose(kept.position, [[0.0, 1.0]])
+
+
+def test_limits_that_leave_an_actuator_no_command_are_refused() -> None:
+    motor = '<motor name="m" joint="hinge" ctrlrange="-2 2"/>'
+    servo = '<position name="s" joint="hinge" kp="5" ctrlrange="1 2"/>'
+    model = Model.from_xml(ROD.replace(motor, servo))
+    limits = Limits.of(model, LIMIT)
+    with pytest.raises(StudyError, match=r"limits: hinge: they leave actuator 's' no command"):
+        limits.commands(model.compile())
+
+
 def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:
     text = ROD.replace(
         '<motor name="m" joint="hinge" ctrlrange="-2 2"/>',
