@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from bo_sysid.cli import main
+from bo_sysid.effects import Site, survey
+from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError
 from bo_sysid.excite.design import design
 from bo_sysid.excite.evolution import minimise
@@ -16,6 +18,8 @@ from bo_sysid.excite.multisine import multisines
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, ForceLaw, State
 from bo_sysid.study import Study
 from bo_sysid.study.outer import Limit
 
@@ -36,10 +40,10 @@ PARAMETERS = (
 LIMIT = {"hinge": Limit(position=(-0.8, 0.6), velocity=4.0, effort=1.5)}
 
 
-def trial() -> Trial:
-    model = Model.from_xml(ROD)
+def trial(*laws: ForceLaw) -> Trial:
+    model, noise = Model.from_xml(ROD), {"qpos.hinge": 1e-3}
     limits = Limits.of(model, LIMIT)
-    return Trial(model, PARAMETERS, limits, {"qpos.hinge": 1e-3}, seconds=3.0, interval=0.02)
+    return Trial(model, PARAMETERS, limits, noise, seconds=3.0, interval=0.02, laws=laws)
 
 
 def test_a_quadratic_is_minimised() -> None:
@@ -158,6 +162,69 @@ def test_the_command_writes_controls_a_picture_and_intervals(
     assert lines[0] == "time,ctrl.m"
     assert len(lines) == 201
     assert (tmp_path / "runs/rod-excite/predicted.png").is_file()
+
+
+def with_beside(folder: Path, effect: Placed) -> Study:
+    """A study of the rod with an effect beside its model."""
+    (folder / "rod.xml").write_text(ROD)
+    t = np.arange(0.0, 4.0, 0.01)
+    moved = Recording.from_arrays(
+        t, qpos={"hinge": np.sin(4 * t)}, ctrl={"m": np.cos(4 * t)}, aux={"voltage": 12 - t}
+    )
+    machine = survey(Model.from_xml(ROD).compile(), [moved])
+    Beside(machine, (effect,)).write(folder / "rod.json")
+    return Study.from_dict(
+        {
+            "model": {"file": "rod.xml", "beside": ["rod.json"]},
+            "recordings": {"train": "later.csv"},
+            "parameters": [{"name": "mass", "address": "geom[rod].mass", "low": 0.4, "high": 0.6}],
+            "limits": {"hinge": {"position": [-0.8, 0.6], "velocity": 4}},
+        },
+        folder,
+    )
+
+
+def test_the_limits_are_kept_by_the_machine_with_the_forces_beside_its_model(
+    tmp_path: Path,
+) -> None:
+    faster = Placed("asymmetric_damping", Site("joint", "hinge"), (-0.3,))  # 0.15 N m s/rad |v|
+    found = excite(with_beside(tmp_path, faster), seconds=3.0, interval=0.02, budget=60)
+    compiled = Model.from_xml(ROD).compile()
+    rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    ctrl = np.repeat(found.controls["ctrl.m"].to_numpy(), 4)[None, :, None]
+    law = ForceLaw("hinge", lambda motion: 0.15 * np.abs(motion.qvel["hinge"]))
+    real = Engine(1).rollout(compiled, rest, ctrl, laws=[law])
+    assert -0.8 <= real.qpos.min() < real.qpos.max() <= 0.6
+    np.testing.assert_allclose(
+        found.predicted.channels["qpos.hinge"].values, real.qpos[0, :-1:4, 0], atol=1e-9
+    )
+    plain = Engine(1).rollout(compiled, rest, ctrl)
+    assert np.abs(plain.qpos - real.qpos).max() > 0.02
+
+
+def test_candidates_are_judged_with_the_forces_beside_the_model() -> None:
+    law = ForceLaw("hinge", lambda motion: 0.15 * np.abs(motion.qvel["hinge"]))
+    d, plain = trial(law), trial()
+    tones = 0.7 * multisines(d, 2, 7, (0.3, 4.0))
+    found, other = (x.judge((0, 3))(tones, 0.0) for x in (d, plain))
+    for u, sigma, over in zip(tones, found.sigma, found.over, strict=True):
+        np.testing.assert_allclose(sigma, d.information(u).sigma, rtol=0.05)
+        assert over == pytest.approx(d.violation(u, d.machines[[0, 3]], 0.0), abs=0.03)
+    assert np.abs(found.over - other.over).max() > 0.06
+
+
+@pytest.mark.parametrize(
+    ("effect", "site", "told"),
+    [
+        ("actuator_deadzone", Site("actuator", "m"), "changes the commands of m beside"),
+        ("voltage_sag", Site("actuator", "m"), "depends on 'aux.voltage'"),
+    ],
+)
+def test_what_cannot_be_planned_through_is_refused(
+    effect: str, site: Site, told: str, tmp_path: Path
+) -> None:
+    with pytest.raises(StudyError, match=rf"model.beside: .*{told}"):
+        excite(with_beside(tmp_path, Placed(effect, site, (0.02,))), seconds=3.0, budget=60)
 
 
 def test_wrong_limits_are_refused(tmp_path: Path) -> None:

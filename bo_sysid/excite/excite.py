@@ -6,14 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from bo_sysid.effects import Filter, Reading
 from bo_sysid.excite.design import design
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
+from bo_sysid.simulation import ForceLaw
+from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_model
+from bo_sysid.study.inputs import load_model, load_parts
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
 
@@ -53,7 +56,7 @@ def excite(
     """Return a trajectory that tells a study's parameters, within its limits.
 
     Args:
-        study: model, parameters and limits; recordings are not read.
+        study: model with the forces beside it, parameters and limits; recordings are not read.
         seconds: length of the trajectory.
         interval: between two controls in [s].
         budget: number of trajectories that are tried.
@@ -61,7 +64,8 @@ def excite(
         report: told the number of trajectories tried and the lowest cost.
 
     Raises:
-        StudyError: there is nothing to be known, or the limits allow no motion.
+        StudyError: there is nothing to be known, the limits allow no motion, or what stands beside
+            the model cannot be planned through.
         UserError: the model is wrong.
     """
     model = load_model(study)
@@ -69,12 +73,12 @@ def excite(
         raise study.error(
             ("actuators",), "excite cannot plan through a law in Python; leave it out"
         )
+    laws, notes = _beside(study, model)
     parameters = study.parameter_set(model)
     if effects:
         parameters = (*parameters, *_catalogue(model, parameters))
     if not parameters:
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
-    notes = []
     noise = {}
     for name in model.qpos_channels:
         stated = study.recordings.noise.get(name, study.recordings.noise.get("qpos"))
@@ -95,7 +99,7 @@ def excite(
         )
     trial = Trial(
         model, parameters, limits, noise,
-        seconds=seconds, interval=interval, seed=study.search.seed,
+        seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
     )  # fmt: skip
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
@@ -112,6 +116,34 @@ def excite(
         float(trial.energy(controls)),
         tuple(notes),
     )
+
+
+def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]]:
+    """Return the forces beside the model, and what is to be said of what else stands there.
+
+    Raises:
+        StudyError: a force depends on what is only recorded, or a command is changed on its way.
+    """
+    key, parts = ("model", "beside"), load_parts(study, model)
+    changed = dict.fromkeys(p.actuator for p in parts if isinstance(p, Filter))
+    if changed:
+        raise study.error(
+            key,
+            f"excite cannot plan through what changes the commands of {', '.join(changed)} beside "
+            "the model, such as a delay; leave that effect out",
+        )
+    forces = tuple(law for law in study_laws(study, model) if isinstance(law, ForceLaw))
+    missing = recorded_input(model, forces)
+    if missing is not None:
+        raise study.error(
+            key,
+            f"a force beside the model depends on {missing!r}, which is recorded and not "
+            "simulated: excite cannot plan under it; leave it out",
+        )
+    shown = dict.fromkeys(p.channel for p in parts if isinstance(p, Reading))
+    if not shown:
+        return forces, []
+    return forces, [f"Limits hold for what is, not for what is shown by {', '.join(shown)}."]
 
 
 def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
