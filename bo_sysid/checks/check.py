@@ -25,11 +25,11 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
-from bo_sysid.simulation.of_study import make_simulator, study_signals
+from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
 from bo_sysid.study.check import Check, nominal
 from bo_sysid.study.check import check as check_study
-from bo_sysid.study.inputs import load_function, load_model, load_train
+from bo_sysid.study.inputs import load_model, load_train
 
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
@@ -82,9 +82,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     summary = check_study(study, strict=strict)
     model = load_model(study)
     read = load_train(study, strict=strict)
-    laws: Laws = {
-        name: (load_function(study, a.law), a.uses) for name, a in study.actuators.items()
-    }
+    laws: Laws = {name: (study_law(study, name), a.uses) for name, a in study.actuators.items()}
     wraps = find_wraps(read)
     whole = unwrapped(read, wraps)
     compiled = model.compile()
