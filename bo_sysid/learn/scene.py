@@ -66,6 +66,10 @@ class Scene:
                 "learn needs a task with a reward: task: {dm_control: {domain: …, task: …}}, or "
                 "{file: reach.py, class: Reach}, a dm_control Task",
             )
+        if not np.isfinite(task.time_limit):
+            raise study.error(
+                ("task",), "learn needs a task that ends: a class says its time_limit in s"
+            )
         parameters = study.parameter_set(model)
         if not parameters:
             raise study.error(
