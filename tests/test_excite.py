@@ -227,6 +227,30 @@ def test_what_cannot_be_planned_through_is_refused(
         excite(with_beside(tmp_path, Placed(effect, site, (0.02,))), seconds=3.0, budget=60)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "told"),
+    [
+        ("--seconds", "-1", "seconds is -1; it must be at least 1"),
+        ("--seconds", "0.3", "seconds is 0.3; it must be at least 1"),
+        ("--seconds", "nan", "seconds is nan; it must be at least 1"),
+        ("--interval", "0", "interval is 0 s; it must be above 0 and at most 0.1 s"),
+        ("--interval", "0.7", "interval is 0.7 s; it must be above 0"),
+        ("--budget", "0", "budget is 0; at least 28 trajectories are tried"),
+    ],
+)
+def test_wrong_arguments_say_the_rule(
+    option: str, value: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rod.xml").write_text(ROD)
+    study = tmp_path / "rod.yaml"
+    study.write_text(
+        "model: rod.xml\nrecordings: {train: [later.csv]}\n"
+        "parameters:\n  - {name: mass, address: 'geom[rod].mass', low: 0.4, high: 0.6}\n"
+    )
+    assert main(["excite", str(study), "--out", str(tmp_path / "out"), f"{option}={value}"]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     (tmp_path / "rod.xml").write_text(ROD)
     data = {"model": "rod.xml", "recordings": {"train": "x"}, "parameters": []}

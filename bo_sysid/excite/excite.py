@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.effects import Filter, Reading
-from bo_sysid.excite.design import design
+from bo_sysid.errors import UserError
+from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
@@ -19,6 +20,8 @@ from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
+_SHORTEST = 1.0  # [s], half of which fades in and half out
+_COARSEST = 0.1  # [s] between two controls; windows of half a second tell
 
 
 @dataclass(frozen=True)
@@ -57,17 +60,19 @@ def excite(
 
     Args:
         study: model with the forces beside it, parameters and limits; recordings are not read.
-        seconds: length of the trajectory.
-        interval: between two controls in [s].
-        budget: number of trajectories that are tried.
+        seconds: length of the trajectory, 1 s or more.
+        interval: between two controls in [s], 0.1 s at most; at least the model's time step is
+            taken.
+        budget: number of trajectories that are tried, 28 or more.
         effects: also make friction, damping, armature and springs of all joints tellable.
         report: told the number of trajectories tried and the lowest cost.
 
     Raises:
         StudyError: there is nothing to be known, the limits allow no motion, or what stands beside
             the model cannot be planned through.
-        UserError: the model is wrong.
+        UserError: the model or an argument is wrong.
     """
+    _require(seconds, interval, budget)
     model = load_model(study)
     if study.actuators:
         raise study.error(
@@ -116,6 +121,23 @@ def excite(
         float(trial.energy(controls)),
         tuple(notes),
     )
+
+
+def _require(seconds: float, interval: float, budget: int) -> None:
+    """Refuse arguments from which nothing can be planned."""
+    if not _SHORTEST <= seconds < np.inf:
+        raise UserError(
+            f"excite: seconds is {seconds:g}; it must be at least {_SHORTEST:g}: controls fade in "
+            "during half a second and out during another"
+        )
+    if not 0 < interval <= _COARSEST:
+        raise UserError(
+            f"excite: interval is {interval:g} s; it must be above 0 and at most {_COARSEST:g} s"
+        )
+    if budget < LEAST:
+        raise UserError(
+            f"excite: budget is {budget}; at least {LEAST} trajectories are tried, 2400 by default"
+        )
 
 
 def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]]:
