@@ -160,6 +160,19 @@ def test_a_proposal_continues_the_rules_that_are_there() -> None:
     assert yaml.safe_load(text) == {"columns": columns, "clocks": {"ctrl": {"shift": 0.006}}}
 
 
+def test_a_proposal_keeps_the_size_of_a_jump() -> None:
+    written = {"qpos.a": {"from": "theta", "unwrap": 4.096}, "qpos.b": {"unwrap": True}}
+    wires = {
+        "qpos.a": Wire("qpos.a", sign=-1),
+        "qpos.b": Wire("qpos.b", sign=-1),
+    }
+    columns = proposed_columns(written, wires, {})
+    assert columns["qpos.a"] == {"from": "theta", "sign": -1, "unwrap": 4.096}
+    assert columns["qpos.b"] == {"sign": -1, "unwrap": True}
+    scaled = proposed_columns(written, {"qpos.a": Wire("qpos.a", scale=1e-3, unit="mm")}, {})
+    assert scaled["qpos.a"] == {"from": "theta", "unit": "mm", "unwrap": 4.096e-3}
+
+
 def test_information_about_a_mass_is_that_of_the_formula() -> None:
     """x = x0 + v0 t + F t²/(2 m): what is left of t² without 1 and t tells the mass."""
     model = Model.from_xml(SLIDE)
