@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.edits import SkyEdit
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot import Posed, find_site, outline, view
 
@@ -28,6 +30,24 @@ def test_a_mark_is_red_where_the_joint_is(tmp_path: Path) -> None:
 
 def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
     assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None
+
+
+def test_a_model_gets_a_white_sky_and_light_where_it_has_none() -> None:
+    ball = "<worldbody>{}<body><freejoint/><geom size='.1'/></body></worldbody>"
+    own = (
+        "<asset><texture type='skybox' builtin='flat' width='8' height='48' rgb1='0 0 1'/></asset>"
+    )
+    plain, lit = (Model.from_xml(f"<mujoco>{t}</mujoco>") for t in (
+        ball.format(""), own + ball.format("<light pos='0 0 2'/>")
+    ))  # fmt: skip
+    sky = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    made, kept = (m.compile([SkyEdit()], visuals=True) for m in (plain, lit))
+    assert made.tex_type.tolist() == kept.tex_type.tolist() == [sky]
+    assert made.tex_data.min() == 255
+    assert kept.tex_data[0] == 0
+    assert made.vis.headlight.ambient[0] == pytest.approx(0.55)
+    assert kept.vis.headlight.ambient[0] == pytest.approx(0.1)
+    assert plain.compile(visuals=True).ntex == 0
 
 
 def test_joints_lie_where_kinematics_puts_them() -> None:
