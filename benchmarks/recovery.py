@@ -13,11 +13,11 @@ from common import Cases, benchmark
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Deviation, Evaluation, Whitening
-from bo_sysid.identify.problem import make_simulator
 from bo_sysid.identify.search import History, Rules, believe, search
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.simulation import cut
+from bo_sysid.simulation.of_study import make_simulator
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model

@@ -24,6 +24,8 @@ from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.sensitivity import Information, in_words, information
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.effects import Site, survey
+from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
@@ -158,6 +160,19 @@ def test_a_proposal_continues_the_rules_that_are_there() -> None:
     assert yaml.safe_load(text) == {"columns": columns, "clocks": {"ctrl": {"shift": 0.006}}}
 
 
+def test_a_proposal_keeps_the_size_of_a_jump() -> None:
+    written = {"qpos.a": {"from": "theta", "unwrap": 4.096}, "qpos.b": {"unwrap": True}}
+    wires = {
+        "qpos.a": Wire("qpos.a", sign=-1),
+        "qpos.b": Wire("qpos.b", sign=-1),
+    }
+    columns = proposed_columns(written, wires, {})
+    assert columns["qpos.a"] == {"from": "theta", "sign": -1, "unwrap": 4.096}
+    assert columns["qpos.b"] == {"sign": -1, "unwrap": True}
+    scaled = proposed_columns(written, {"qpos.a": Wire("qpos.a", scale=1e-3, unit="mm")}, {})
+    assert scaled["qpos.a"] == {"from": "theta", "unit": "mm", "unwrap": 4.096e-3}
+
+
 def test_information_about_a_mass_is_that_of_the_formula() -> None:
     """x = x0 + v0 t + F t²/(2 m): what is left of t² without 1 and t tells the mass."""
     model = Model.from_xml(SLIDE)
@@ -220,6 +235,33 @@ def test_the_proposal_of_a_check_makes_the_next_one_clean(tmp_path: Path) -> Non
     assert again.proposal == ""
     assert [f for f in again.flags if f.level == "wrong"] == []
     assert again.parameters["determined"].tolist() == ["yes"]
+
+
+def test_predictions_of_a_check_have_the_forces_beside_the_model(tmp_path: Path) -> None:
+    """Forwards alone, damping that differs between the directions is damping of half of that."""
+    damped = SLIDE.replace('axis="1 0 0"', 'axis="1 0 0" damping="10"')
+    compiled = Model.from_xml(damped).compile()
+    ctrl = 1.0 + 0.8 * np.sin(5 * TIME)
+    rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(compiled, rest, np.repeat(ctrl, 2)[None, :, None])
+    assert np.diff(run.qpos[0, :, 0]).min() >= 0
+    q = run.qpos[0, :-1:2, 0] + 1e-5 * np.random.default_rng(0).standard_normal(len(TIME))
+    log = Recording.from_arrays(TIME, qpos={"x": q}, ctrl={"m": ctrl})
+    log.to_frame().to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "damped.xml").write_text(damped)
+    (tmp_path / "plain.xml").write_text(SLIDE)
+    effect = Placed("asymmetric_damping", Site("joint", "x"), (20.0,))
+    Beside(survey(Model.from_xml(SLIDE).compile(), [log]), (effect,)).write(tmp_path / "x.json")
+    models = ({"file": "damped.xml"}, {"file": "plain.xml", "beside": ["x.json"]}, "plain.xml")
+    data = {
+        "recordings": {"train": "log.csv"},
+        "parameters": [{"address": "geom[load].mass", "low": 1.0, "high": 3.0}],
+    }
+    true, beside, without = (check(Study.from_dict({**data, "model": m}, tmp_path)) for m in models)
+    sigma, same, other = (float(c.parameters["sigma"][0]) for c in (true, beside, without))
+    assert same == pytest.approx(sigma, rel=0.05)
+    assert abs(other - sigma) > 0.3 * sigma
+    assert any("stand beside the model at x" in f.sentence for f in beside.flags)
 
 
 def test_checks_do_not_import_torch() -> None:

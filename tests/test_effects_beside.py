@@ -18,10 +18,11 @@ from bo_sysid.effects.beside import (
     read_beside,
 )
 from bo_sysid.errors import ModelError
-from bo_sysid.identify.problem import make_problem, study_laws
+from bo_sysid.identify.problem import make_problem
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
+from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.simulation.stepper import Stepper
 from bo_sysid.study import Study
 

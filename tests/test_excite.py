@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from bo_sysid.cli import main
+from bo_sysid.effects import Site, survey
+from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError
 from bo_sysid.excite.design import design
 from bo_sysid.excite.evolution import minimise
@@ -16,6 +18,8 @@ from bo_sysid.excite.multisine import multisines
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, ForceLaw, State
 from bo_sysid.study import Study
 from bo_sysid.study.outer import Limit
 
@@ -36,10 +40,10 @@ PARAMETERS = (
 LIMIT = {"hinge": Limit(position=(-0.8, 0.6), velocity=4.0, effort=1.5)}
 
 
-def trial() -> Trial:
-    model = Model.from_xml(ROD)
+def trial(*laws: ForceLaw) -> Trial:
+    model, noise = Model.from_xml(ROD), {"qpos.hinge": 1e-3}
     limits = Limits.of(model, LIMIT)
-    return Trial(model, PARAMETERS, limits, {"qpos.hinge": 1e-3}, seconds=3.0, interval=0.02)
+    return Trial(model, PARAMETERS, limits, noise, seconds=3.0, interval=0.02, laws=laws)
 
 
 def test_a_quadratic_is_minimised() -> None:
@@ -160,6 +164,93 @@ def test_the_command_writes_controls_a_picture_and_intervals(
     assert (tmp_path / "runs/rod-excite/predicted.png").is_file()
 
 
+def with_beside(folder: Path, effect: Placed) -> Study:
+    """A study of the rod with an effect beside its model."""
+    (folder / "rod.xml").write_text(ROD)
+    t = np.arange(0.0, 4.0, 0.01)
+    moved = Recording.from_arrays(
+        t, qpos={"hinge": np.sin(4 * t)}, ctrl={"m": np.cos(4 * t)}, aux={"voltage": 12 - t}
+    )
+    machine = survey(Model.from_xml(ROD).compile(), [moved])
+    Beside(machine, (effect,)).write(folder / "rod.json")
+    return Study.from_dict(
+        {
+            "model": {"file": "rod.xml", "beside": ["rod.json"]},
+            "recordings": {"train": "later.csv"},
+            "parameters": [{"name": "mass", "address": "geom[rod].mass", "low": 0.4, "high": 0.6}],
+            "limits": {"hinge": {"position": [-0.8, 0.6], "velocity": 4}},
+        },
+        folder,
+    )
+
+
+def test_the_limits_are_kept_by_the_machine_with_the_forces_beside_its_model(
+    tmp_path: Path,
+) -> None:
+    faster = Placed("asymmetric_damping", Site("joint", "hinge"), (-0.3,))  # 0.15 N m s/rad |v|
+    found = excite(with_beside(tmp_path, faster), seconds=3.0, interval=0.02, budget=60)
+    compiled = Model.from_xml(ROD).compile()
+    rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    ctrl = np.repeat(found.controls["ctrl.m"].to_numpy(), 4)[None, :, None]
+    law = ForceLaw("hinge", lambda motion: 0.15 * np.abs(motion.qvel["hinge"]))
+    real = Engine(1).rollout(compiled, rest, ctrl, laws=[law])
+    assert -0.8 <= real.qpos.min() < real.qpos.max() <= 0.6
+    np.testing.assert_allclose(
+        found.predicted.channels["qpos.hinge"].values, real.qpos[0, :-1:4, 0], atol=1e-9
+    )
+    plain = Engine(1).rollout(compiled, rest, ctrl)
+    assert np.abs(plain.qpos - real.qpos).max() > 0.02
+
+
+def test_candidates_are_judged_with_the_forces_beside_the_model() -> None:
+    law = ForceLaw("hinge", lambda motion: 0.15 * np.abs(motion.qvel["hinge"]))
+    d, plain = trial(law), trial()
+    tones = 0.7 * multisines(d, 2, 7, (0.3, 4.0))
+    found, other = (x.judge((0, 3))(tones, 0.0) for x in (d, plain))
+    for u, sigma, over in zip(tones, found.sigma, found.over, strict=True):
+        np.testing.assert_allclose(sigma, d.information(u).sigma, rtol=0.05)
+        assert over == pytest.approx(d.violation(u, d.machines[[0, 3]], 0.0), abs=0.03)
+    assert np.abs(found.over - other.over).max() > 0.06
+
+
+@pytest.mark.parametrize(
+    ("effect", "site", "told"),
+    [
+        ("actuator_deadzone", Site("actuator", "m"), "changes the commands of m beside"),
+        ("voltage_sag", Site("actuator", "m"), "depends on 'aux.voltage'"),
+    ],
+)
+def test_what_cannot_be_planned_through_is_refused(
+    effect: str, site: Site, told: str, tmp_path: Path
+) -> None:
+    with pytest.raises(StudyError, match=rf"model.beside: .*{told}"):
+        excite(with_beside(tmp_path, Placed(effect, site, (0.02,))), seconds=3.0, budget=60)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "told"),
+    [
+        ("--seconds", "-1", "seconds is -1; it must be at least 1"),
+        ("--seconds", "0.3", "seconds is 0.3; it must be at least 1"),
+        ("--seconds", "nan", "seconds is nan; it must be at least 1"),
+        ("--interval", "0", "interval is 0 s; it must be above 0 and at most 0.1 s"),
+        ("--interval", "0.7", "interval is 0.7 s; it must be above 0"),
+        ("--budget", "0", "budget is 0; at least 28 trajectories are tried"),
+    ],
+)
+def test_wrong_arguments_say_the_rule(
+    option: str, value: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "rod.xml").write_text(ROD)
+    study = tmp_path / "rod.yaml"
+    study.write_text(
+        "model: rod.xml\nrecordings: {train: [later.csv]}\n"
+        "parameters:\n  - {name: mass, address: 'geom[rod].mass', low: 0.4, high: 0.6}\n"
+    )
+    assert main(["excite", str(study), "--out", str(tmp_path / "out"), f"{option}={value}"]) == 2
+    assert told in capsys.readouterr().err
+
+
 def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     (tmp_path / "rod.xml").write_text(ROD)
     data = {"model": "rod.xml", "recordings": {"train": "x"}, "parameters": []}
@@ -171,6 +262,27 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
     object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
     with pytest.raises(StudyError, match="standing still"):
         d.safe(np.zeros((len(d.series.time), 1)))
+
+
+def test_a_limit_outside_the_range_of_its_joint_is_refused() -> None:
+    ranged = Model.from_xml(ROD.replace('damping=".05"', 'damping=".05" range="0 1.5"').replace(
+        "<mujoco>", '<mujoco><compiler angle="radian"/>'))  # fmt: skip
+    stated = {"hinge": Limit(position=(-2.0, -1.0))}
+    with pytest.raises(StudyError, match=r"hinge: position \[-2, -1\] .* range .* \[0, 1.5\]"):
+        Limits.of(ranged, stated)
+    with pytest.raises(StudyError, match="must overlap"):
+        Limits.of(ranged, {"hinge": Limit(position=(1.5, 2.0))})  # in one point alone
+    kept = Limits.of(ranged, {"hinge": Limit(position=(-2.0, 1.0))})
+    np.testing.assert_allclose(kept.position, [[0.0, 1.0]])
+
+
+def test_limits_that_leave_an_actuator_no_command_are_refused() -> None:
+    motor = '<motor name="m" joint="hinge" ctrlrange="-2 2"/>'
+    servo = '<position name="s" joint="hinge" kp="5" ctrlrange="1 2"/>'
+    model = Model.from_xml(ROD.replace(motor, servo))
+    limits = Limits.of(model, LIMIT)
+    with pytest.raises(StudyError, match=r"limits: hinge: they leave actuator 's' no command"):
+        limits.commands(model.compile())
 
 
 def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:

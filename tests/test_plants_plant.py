@@ -200,7 +200,7 @@ def test_wrong_arguments_name_the_rule(pendulum, arguments, message):
         (np.zeros((3, 2)), None, r"controls \(3, 2\) must be S x 1"),
         (np.array([[0.0], [np.nan]]), None, "controls in row 1 are not finite"),
         (np.zeros((3, 1)), 4, "steps is 4; from 1 to 3"),
-        (lambda o: o, None, "without a task, say for how many steps"),
+        (lambda o: o, None, "without a task that ends, say for how many steps"),
     ],
 )
 def test_wrong_controls_name_the_rule(pendulum, source, steps, message):

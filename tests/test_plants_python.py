@@ -65,6 +65,29 @@ def test_a_task_that_is_not_vectorised_is_dm_controls_own():
         assert step.reward[0] == theirs.reward
 
 
+def test_a_task_without_end_goes_on_and_needs_a_number_of_steps():
+    task = load_task("lqr", "lqr_2_1")
+    assert task.time_limit == np.inf
+    model = Model.from_dm_control("lqr", "lqr_2_1")
+    ours = make_environment(task, compiled(model, task), 2, seed=3, stagger=True)
+    assert ours.episode_steps > 10**9
+    other = suite.load("lqr", "lqr_2_1", task_kwargs={"random": 0})
+    controls, start = np.full((20, 1), 0.1), np.array([0.3, -0.2])
+    plant = Plant(model, task=task)
+    recording = plant.record(controls, start=Start(start))
+    other.reset()
+    with other.physics.reset_context():
+        other.physics.data.qpos[:], other.physics.data.qvel[:] = start, 0.0
+    for u in controls:
+        other.step(u)
+    shown = [recording.channels[n].values[-1] for n in model.qpos_channels]
+    np.testing.assert_allclose(shown, other.physics.data.qpos, atol=1e-12)
+    with pytest.raises(PlantError, match="without a task that ends, say for how many steps"):
+        plant.record(lambda o: controls[0])
+    with pytest.raises(PlantError, match="its task has no end"):
+        plant.evaluate(lambda o: controls[:1], 2)
+
+
 def test_a_vectorised_task_and_its_python_form_agree():
     model = Model.from_dm_control("hopper", "stand")
     fast, slow = find_task("hopper", "stand"), suite_task("hopper", "stand")

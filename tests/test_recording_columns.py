@@ -179,6 +179,44 @@ def test_a_wrong_clock_is_refused_with_the_nearest_right_one(clocks, match):
         read(None, clocks, ctrl__m=WAVE, t2=TIME)
 
 
+def test_a_counter_of_microseconds_is_unwrapped():
+    start = 2.0**32 - 200_000  # it wraps after 0.2 s
+    counter = (start + 1e6 * TIME) % 2.0**32
+    rule = {"from": "micros", "unit": "us", "unwrap": 2**32 * 1e-6, "offset": -start * 1e-6}
+    table = RawTable("log.csv", {"micros": counter, "qpos.a": WAVE})
+    recording = to_recording(table, {"time": rule})
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, TIME, atol=1e-9)
+    assert "Time stamps in column 'micros' unwrapped (1 jumps of 4294.97)." in recording.notes
+    with pytest.raises(RecordingError, match="time runs backwards in row 20"):
+        to_recording(table, {"time": {**rule, "unwrap": False}})
+    gone = np.where(np.arange(50) == 30, np.nan, counter)  # an empty cell is none that ends a log
+    with pytest.raises(RecordingError, match="row 30 is empty"):
+        to_recording(RawTable("log.csv", {"micros": gone, "qpos.a": WAVE}), {"time": rule})
+
+
+def test_a_register_that_counts_from_below_zero_is_signed():
+    counter = (np.arange(50) - 25) % 2.0**16
+    rule = {"from": "ticks", "scale": 0.01, "signed": 16, "offset": 0.25}
+    table = RawTable("log.csv", {"ticks": counter, "qpos.a": WAVE})
+    time = to_recording(table, {"time": rule}).channels["qpos.a"].time
+    np.testing.assert_allclose(time, TIME, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        ({"sign": -1}, "columns: time: sign is -1, but time stamps have none; they take from"),
+        ({"missing": "skip"}, "columns: time: missing is 'skip', but"),
+        ({"hold": "zero"}, "columns: time: hold is 'zero', but"),
+        ({"clock": "t2"}, "columns: time: clock is 't2', but"),
+        ({"unwrap": True}, "columns: time: unwrap is true, .* must be the size of the jump in s"),
+    ],
+)
+def test_what_says_nothing_of_a_clock_is_refused(rule, told):
+    with pytest.raises(RecordingError, match=told):
+        read({"time": rule})
+
+
 def test_without_a_time_column_the_message_shows_how_to_name_it():
     with pytest.raises(RecordingError, match=r"no column 'time'.*'stamp'.*columns: \{time: \{from"):
         to_recording(RawTable("log.csv", {"stamp": TIME, "qpos.a": WAVE}))

@@ -234,3 +234,11 @@ def test_local_files_and_gzipped_copies_come_first(copy, cache, monkeypatch, tmp
     (folder / copy).touch()
     monkeypatch.setenv("BO_SYSID_DATA", str(tmp_path / "data"))
     assert locate("arm", SourceFile("log.csv"), "Ask.") == folder / copy
+
+
+def test_a_gzipped_copy_that_no_reader_takes_is_not_found(monkeypatch, tmp_path):
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "log.json.gz").touch()
+    monkeypatch.setenv("BO_SYSID_DATA", str(tmp_path))
+    with pytest.raises(RecordingError, match=r"log.json: it is not under \$BO_SYSID_DATA"):
+        locate("arm", SourceFile("log.json"), "Ask.")

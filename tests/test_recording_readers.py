@@ -196,6 +196,30 @@ def test_time_stamps_of_a_date_become_seconds(ending, zone, tmp_path):
     assert "Dates in column 'time' converted to seconds since 1970." in recording.notes
 
 
+def test_lists_of_several_lengths_are_left_out_of_parquet(tmp_path):
+    states = [np.array([0.1 * k, 2.0]) if k != 3 else None for k in range(20)]
+    frame = pd.DataFrame(COLUMNS).head(20)
+    frame["hits"] = [list(range(k % 3)) for k in range(20)]
+    frame["state"] = states
+    frame.to_parquet(tmp_path / "log.parquet")
+    rules = {"aux.s": {"from": "state.0", "missing": "skip"}}
+    recording = read_recording(tmp_path / "log.parquet", rules)
+    assert "Column 'hits' left out: its lists have 0 to 2 numbers." in recording.notes
+    expected = [0.1 * k for k in range(20) if k != 3]
+    np.testing.assert_allclose(recording.channels["aux.s"].values, expected)
+
+
+@pytest.mark.parametrize("wrong", ["null", "3.5"])
+def test_an_entry_that_is_no_record_names_its_row(wrong, tmp_path):
+    rows = [f'{{"time": {k}, "qpos.a": {k}}}' for k in range(5)]
+    for text in ('{{"entries": [{}]}}', "[{}]"):
+        for k in (0, 3) if wrong == "null" else (3,):
+            entries = [*rows[:k], wrong, *rows[k:]]
+            (tmp_path / "log.json").write_text(text.format(", ".join(entries)))
+            with pytest.raises(RecordingError, match=rf"row {k}: {wrong} is no record"):
+                read_recording(tmp_path / "log.json")
+
+
 def test_a_date_that_is_missing_names_its_row(tmp_path):
     dates = pd.to_datetime([0.0, None, 2.0], unit="s")
     pd.DataFrame({"time": dates, "qpos.a": [1.0, 2, 3]}).to_parquet(tmp_path / "log.parquet")

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -66,6 +69,19 @@ def test_from_arrays_indexes_coordinates_and_holds_controls():
     assert list(recording.of_kind("ctrl")) == ["arm"]
     with pytest.raises(RecordingError, match="unknown kind 'qpoz'; did you mean 'qpos'"):
         Recording.from_arrays(TIME, qpoz={"a": VALUES})
+
+
+def test_samples_without_a_name_are_refused():
+    code = (  # of its own, since types are checked in tests
+        "from bo_sysid import Recording\n"
+        "from bo_sysid.errors import RecordingError\n"
+        "try:\n    Recording.from_arrays([0, 1], qpos=[0, 1])\n"
+        "except RecordingError as error:\n    print(error)"
+    )
+    done = subprocess.run(  # noqa: S603 - our own code
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "qpos is list; it must be a mapping from names to samples" in done.stdout
 
 
 def test_frames_there_and_back():

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.edits import SkyEdit
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot import Posed, find_site, outline, view
 
@@ -30,6 +32,24 @@ def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
     assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None
 
 
+def test_a_model_gets_a_white_sky_and_light_where_it_has_none() -> None:
+    ball = "<worldbody>{}<body><freejoint/><geom size='.1'/></body></worldbody>"
+    own = (
+        "<asset><texture type='skybox' builtin='flat' width='8' height='48' rgb1='0 0 1'/></asset>"
+    )
+    plain, lit = (Model.from_xml(f"<mujoco>{t}</mujoco>") for t in (
+        ball.format(""), own + ball.format("<light pos='0 0 2'/>")
+    ))  # fmt: skip
+    sky = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    made, kept = (m.compile([SkyEdit()], visuals=True) for m in (plain, lit))
+    assert made.tex_type.tolist() == kept.tex_type.tolist() == [sky]
+    assert made.tex_data.min() == 255
+    assert kept.tex_data[0] == 0
+    assert made.vis.headlight.ambient[0] == pytest.approx(0.55)
+    assert kept.vis.headlight.ambient[0] == pytest.approx(0.1)
+    assert plain.compile(visuals=True).ntex == 0
+
+
 def test_joints_lie_where_kinematics_puts_them() -> None:
     posed = Posed.of(Model.from_file(ARM), POSE)
     np.testing.assert_allclose(posed.joint_place("elbow"), ELBOW, atol=1e-9)
@@ -43,7 +63,8 @@ def test_joints_lie_where_kinematics_puts_them() -> None:
 def test_the_view_shows_the_plane_in_which_the_arm_moves() -> None:
     posed = Posed.of(Model.from_file(ARM), POSE)
     onto = view(posed)
-    np.testing.assert_allclose(np.abs(onto @ posed.joint_axis("elbow")), 0, atol=1e-9)
+    axis = posed.data.xaxis[posed.model.joint("elbow").id]
+    np.testing.assert_allclose(onto @ axis, 0, atol=1e-9)
     np.testing.assert_allclose(onto[1], [0, 0, 1], atol=1e-9)
 
 

@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.errors import StudyError
+from bo_sysid.mjcf import Model
 from bo_sysid.simulation import (
     Controller,
     Engine,
@@ -14,6 +16,8 @@ from bo_sysid.simulation import (
     State,
     tangent_difference,
 )
+from bo_sysid.simulation.of_study import study_laws
+from bo_sysid.study import Study
 
 PENDULUM = """<mujoco><option timestep="0.001" integrator="{integrator}"/><worldbody>
   <body name="rod"><joint name="hinge" axis="0 1 0" damping="{damping}"/>
@@ -134,6 +138,38 @@ def test_laws_step_with_the_simulation() -> None:
         mujoco.MjModel.from_xml_string(xml), start, np.full((6, 200, 1), 0.3)
     )
     np.testing.assert_allclose(by_law.qpos, in_mjcf.qpos, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("x.signals['aux.voltage']", r"reads 'aux.voltage'.*uses"),
+        ("x.qpos['hing']", r"reads 'hing', .*did you mean 'hinge'"),
+        ("1 / 0", "fails: ZeroDivisionError"),
+        ("[0.1, 0.2]", r"returned an array \(2,\); it must be one number for each .* \(3,\)"),
+    ],
+)
+def test_what_is_wrong_in_the_law_of_an_actuator_names_it(
+    body: str, told: str, tmp_path: Path
+) -> None:
+    (tmp_path / "servo.py").write_text(
+        "def right(x):\n    return 4 * x.signals['goal.motor']\n\n"
+        f"def duty(x):\n    return {body}\n"
+    )
+    (tmp_path / "rod.xml").write_text(PENDULUM.format(damping=0, integrator="Euler"))
+    data = {"model": "rod.xml", "recordings": {"train": "later.csv"}}
+    signals = {"goal.motor": np.full((3, 5), 0.3)}
+
+    def run(name: str) -> np.ndarray:
+        law = {"law": f"servo.py:{name}", "uses": ["goal.motor"]}
+        study = Study.from_dict({**data, "actuators": {"motor": law}}, tmp_path, trust_code=True)
+        laws = study_laws(study, Model.from_file(tmp_path / "rod.xml"))
+        ctrl = np.zeros((3, 5, 1))
+        return Engine().rollout(pendulum(), starts(3), ctrl, laws=laws, signals=signals).ctrl
+
+    np.testing.assert_allclose(run("right"), 1.2)
+    with pytest.raises(StudyError, match=rf"actuators.motor: servo.py:duty {told}"):
+        run("duty")
 
 
 def test_a_held_force_is_evaluated_once_every_few_steps() -> None:

@@ -185,6 +185,22 @@ def test_a_pattern_without_files_names_the_nearest(folder: Path) -> None:
         _ = study.train_files
 
 
+@pytest.mark.parametrize(
+    ("pattern", "told"),
+    [
+        (".", "'.' matches no file; it is a folder; name the files in it"),
+        ("./", "it is a folder"),
+        ("data", "it is a folder"),
+        ("/", "it is a folder"),
+        ("data/**.csv", r"\*\* stands for folders and must be alone .*'data/\*\*/\*.csv'"),
+    ],
+)
+def test_a_pattern_of_no_files_is_told_what_it_is(folder: Path, pattern: str, told: str) -> None:
+    study = load(folder, recordings__train=[pattern])
+    with pytest.raises(StudyError, match=rf"recordings.train.0: .*{told}"):
+        _ = study.train_files
+
+
 def test_a_file_for_training_and_holdout_is_refused(folder: Path) -> None:
     study = load(folder, recordings__holdout=["data/*.csv"])
     with pytest.raises(StudyError, match=r"holdout: arm-1.csv is among the files of train"):

@@ -24,11 +24,12 @@ from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
-from bo_sysid.simulation import Controller, Engine, MujocoSimulator, Windows, cut
+from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
+from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
 from bo_sysid.study.check import Check, nominal
 from bo_sysid.study.check import check as check_study
-from bo_sysid.study.inputs import load_function, load_model, load_train
+from bo_sysid.study.inputs import load_model, load_train
 
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
@@ -81,9 +82,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     summary = check_study(study, strict=strict)
     model = load_model(study)
     read = load_train(study, strict=strict)
-    laws: Laws = {
-        name: (load_function(study, a.law), a.uses) for name, a in study.actuators.items()
-    }
+    laws: Laws = {name: (study_law(study, name), a.uses) for name, a in study.actuators.items()}
     wraps = find_wraps(read)
     whole = unwrapped(read, wraps)
     compiled = model.compile()
@@ -92,19 +91,18 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     right = rewired(whole, wiring.wires, wiring.delay, kind)
     motion = excitation(right, compiled)
     noise = _noise(study, right)
-    windows = _windows(model, right, laws, None)
+    windows = _windows(study, model, right, None)
     parameters = study.parameter_set(model)
-    simulator = MujocoSimulator(
-        model, parameters, Engine(1), tuple(Controller(n, law) for n, (law, _) in laws.items())
-    )
+    simulator = make_simulator(study, model, parameters, threads=1)
     point = np.array([nominal(model, p) for p in parameters])
     step = step_effect(
-        simulator, point, windows, _windows(model, right, laws, 0.5 * windows.timestep)
+        simulator, point, windows, _windows(study, model, right, 0.5 * windows.timestep)
     )
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
     flags = [*wrap_flags(wraps), *wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
     flags += [*step_flags(step, noise, windows.timestep), *contact_flags(compiled, right)]
+    flags += _beside_flags(simulator)
     written = study.resolved()["recordings"]
     return Checked(
         summary,
@@ -137,7 +135,7 @@ def _noise(study: Study, recordings: Sequence[Recording]) -> dict[str, float]:
 
 
 def _windows(
-    model: Model, recordings: Sequence[Recording], laws: Laws, timestep: float | None
+    study: Study, model: Model, recordings: Sequence[Recording], timestep: float | None
 ) -> Windows:
     """Return windows of 0.3 s, spread over the recordings."""
     steps = [np.median(np.diff(c.time)) for r in recordings for c in r.of_kind("qpos").values()]
@@ -148,11 +146,23 @@ def _windows(
         recordings,
         horizon=horizon,
         timestep=timestep,
-        signals=sorted({n for _, uses in laws.values() for n in uses}),
-        controlled=tuple(laws),
+        signals=study_signals(study, recordings),
+        controlled=tuple(study.actuators),
     )
     chosen = np.unique(np.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).astype(int))
     return windows.rows(chosen)
+
+
+def _beside_flags(simulator: MujocoSimulator) -> list[Flag]:
+    """Return what the balance of forces, which knows the model file alone, does not know."""
+    joints = tuple(dict.fromkeys(w.joint for w in simulator.laws if isinstance(w, ForceLaw)))
+    if not joints:
+        return []
+    sentence = (
+        f"Forces stand beside the model at {', '.join(joints)}: predictions have them, the test of "
+        "the wiring has not."
+    )
+    return [Flag("note", "balance", joints, sentence)]
 
 
 def _identifiability(

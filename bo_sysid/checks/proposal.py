@@ -51,13 +51,20 @@ def proposed_columns(
         shift = wire.sign * wire.scale * offset + wire.offset
         if shift:
             made["offset"] = _rounded(shift, 4)
-        if wire.source in wraps and wraps[wire.source].signed:
-            made["signed"] = wraps[wire.source].signed
-        elif wire.source in wraps or rule.get("unwrap"):
-            period = wraps[wire.source].period * wire.scale if wire.source in wraps else 2 * pi
-            made["unwrap"] = True if isclose(period, 2 * pi, rel_tol=1e-3) else _rounded(period)
+        wrap, own = wraps.get(wire.source), rule.get("unwrap")
+        if wrap is not None and wrap.signed:
+            made["signed"] = wrap.signed
+        elif wrap is not None:
+            made["unwrap"] = _unwrap(wrap.period * wire.scale)
+        elif own:
+            made["unwrap"] = True if own is True else _unwrap(own * wire.scale)
         out[name] = made
     return out
+
+
+def _unwrap(period: float) -> bool | float:
+    """Return the size of a jump as it stands in a rule: true where it is a turn."""
+    return True if isclose(period, 2 * pi, rel_tol=1e-3) else _rounded(period)
 
 
 def proposed_clocks(

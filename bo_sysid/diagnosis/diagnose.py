@@ -25,9 +25,9 @@ from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, paramete
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import chosen, load_effects
 from bo_sysid.execution import Progress, Report, silent, threads
-from bo_sysid.identify.problem import study_laws
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
+from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train
 

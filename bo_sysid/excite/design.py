@@ -28,6 +28,9 @@ _ADDED = 4  # machines that the next round heeds, too
 _NORM = 12  # of the intervals: stands for the largest
 _PENALTY = 20.0
 _SHARE, _HALVINGS = 0.25, 6  # of the budget for random spectra; simulations each
+_SPECTRA = 4  # at least
+LEAST = _SPECTRA * (_HALVINGS + 1)
+"""Trajectories that are tried in any case: of the random spectra."""
 _SPREAD, _SLOPE = 1.2, 3.0  # of random spectra: deviation of log amplitudes; most that they fall
 _OFFSPRING = 24  # of a generation
 _FLOOR, _SHIFT = 0.02, 0.3  # of the units, for tones that are hardly there; of frequencies
@@ -58,7 +61,7 @@ def design(
 
     Args:
         trial: of the machine.
-        budget: number of trajectories that are tried, in whole generations.
+        budget: number of trajectories that are tried, in whole generations, `LEAST` or more.
         seed: of the search.
         energy: most that the controls may have.
         report: told the number of trajectories tried and the lowest cost.
@@ -134,7 +137,8 @@ def _start(how: _How, budget: int) -> tuple[Float[np.ndarray, " p"], Float[np.nd
     """Return the best of random spectra, the units of its coefficients, and what was tried."""
     rng, trial = np.random.default_rng(how.seed), how.trial
     s = trial.series
-    count, tones, nu = max(int(_SHARE * budget / _HALVINGS), 4), len(s.frequencies), len(s.half)
+    count = max(int(_SHARE * budget / _HALVINGS), _SPECTRA)
+    tones, nu = len(s.frequencies), len(s.half)
     fall = rng.uniform(0, _SLOPE, (count, 1, 1)) * np.linspace(0, 1, tones)
     size = np.exp(_SPREAD * rng.standard_normal((count, nu, tones)) - fall)
     size /= size.max(axis=(1, 2), keepdims=True)

@@ -6,16 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from bo_sysid.excite.design import design
+from bo_sysid.effects import Filter, Reading
+from bo_sysid.errors import UserError
+from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
+from bo_sysid.simulation import ForceLaw
+from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_model
+from bo_sysid.study.inputs import load_model, load_parts
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
+_SHORTEST = 1.0  # [s], half of which fades in and half out
+_COARSEST = 0.1  # [s] between two controls; windows of half a second tell
 
 
 @dataclass(frozen=True)
@@ -53,28 +59,31 @@ def excite(
     """Return a trajectory that tells a study's parameters, within its limits.
 
     Args:
-        study: model, parameters and limits; recordings are not read.
-        seconds: length of the trajectory.
-        interval: between two controls in [s].
-        budget: number of trajectories that are tried.
+        study: model with the forces beside it, parameters and limits; recordings are not read.
+        seconds: length of the trajectory, 1 s or more.
+        interval: between two controls in [s], 0.1 s at most; at least the model's time step is
+            taken.
+        budget: number of trajectories that are tried, 28 or more.
         effects: also make friction, damping, armature and springs of all joints tellable.
         report: told the number of trajectories tried and the lowest cost.
 
     Raises:
-        StudyError: there is nothing to be known, or the limits allow no motion.
-        UserError: the model is wrong.
+        StudyError: there is nothing to be known, the limits allow no motion, or what stands beside
+            the model cannot be planned through.
+        UserError: the model or an argument is wrong.
     """
+    _require(seconds, interval, budget)
     model = load_model(study)
     if study.actuators:
         raise study.error(
             ("actuators",), "excite cannot plan through a law in Python; leave it out"
         )
+    laws, notes = _beside(study, model)
     parameters = study.parameter_set(model)
     if effects:
         parameters = (*parameters, *_catalogue(model, parameters))
     if not parameters:
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
-    notes = []
     noise = {}
     for name in model.qpos_channels:
         stated = study.recordings.noise.get(name, study.recordings.noise.get("qpos"))
@@ -95,7 +104,7 @@ def excite(
         )
     trial = Trial(
         model, parameters, limits, noise,
-        seconds=seconds, interval=interval, seed=study.search.seed,
+        seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
     )  # fmt: skip
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
@@ -112,6 +121,51 @@ def excite(
         float(trial.energy(controls)),
         tuple(notes),
     )
+
+
+def _require(seconds: float, interval: float, budget: int) -> None:
+    """Refuse arguments from which nothing can be planned."""
+    if not _SHORTEST <= seconds < np.inf:
+        raise UserError(
+            f"excite: seconds is {seconds:g}; it must be at least {_SHORTEST:g}: controls fade in "
+            "during half a second and out during another"
+        )
+    if not 0 < interval <= _COARSEST:
+        raise UserError(
+            f"excite: interval is {interval:g} s; it must be above 0 and at most {_COARSEST:g} s"
+        )
+    if budget < LEAST:
+        raise UserError(
+            f"excite: budget is {budget}; at least {LEAST} trajectories are tried, 2400 by default"
+        )
+
+
+def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]]:
+    """Return the forces beside the model, and what is to be said of what else stands there.
+
+    Raises:
+        StudyError: a force depends on what is only recorded, or a command is changed on its way.
+    """
+    key, parts = ("model", "beside"), load_parts(study, model)
+    changed = dict.fromkeys(p.actuator for p in parts if isinstance(p, Filter))
+    if changed:
+        raise study.error(
+            key,
+            f"excite cannot plan through what changes the commands of {', '.join(changed)} beside "
+            "the model, such as a delay; leave that effect out",
+        )
+    forces = tuple(law for law in study_laws(study, model) if isinstance(law, ForceLaw))
+    missing = recorded_input(model, forces)
+    if missing is not None:
+        raise study.error(
+            key,
+            f"a force beside the model depends on {missing!r}, which is recorded and not "
+            "simulated: excite cannot plan under it; leave it out",
+        )
+    shown = dict.fromkeys(p.channel for p in parts if isinstance(p, Reading))
+    if not shown:
+        return forces, []
+    return forces, [f"Limits hold for what is, not for what is shown by {', '.join(shown)}."]
 
 
 def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:

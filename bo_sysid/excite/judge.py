@@ -16,7 +16,7 @@ from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
-from bo_sysid.simulation import Engine, State
+from bo_sysid.simulation import Engine, ForceLaw, State
 
 _STEP = 1e-3  # of a parameter's range
 _MOVE = (1e-6, 1e-4)  # of positions in [rad] or [m], of velocities
@@ -50,6 +50,7 @@ class Judge:
         noise: standard deviation of each position, in its unit.
         interval: between two controls, and between two samples, in [s].
         window: instants of a window, whose start is a nuisance.
+        laws: forces that are stepped with the model.
     """
 
     def __init__(
@@ -63,10 +64,11 @@ class Judge:
         *,
         interval: float,
         window: int,
+        laws: Sequence[ForceLaw] = (),
     ) -> None:
         self._hold = int(np.ceil(interval / _COARSE - 1e-9))
         step = interval / self._hold
-        self._window, self._limits = window, limits
+        self._window, self._limits, self._laws = window, limits, tuple(laws)
 
         def compiled(point: np.ndarray) -> mujoco.MjModel:
             return model.compile(parameter_edits(model, parameters, point), timestep=step)
@@ -108,7 +110,7 @@ class Judge:
             np.zeros((len(ctrl), model.nv)),
             np.zeros((len(ctrl), model.na)),
         )
-        run = self._whole.rollout(self._machines * count, start, ctrl)
+        run = self._whole.rollout(self._machines * count, start, ctrl, laws=self._laws)
         over = self._limits.violation(model, run, ctrl, margin).reshape(count, machines).max(axis=1)
         if not told:
             return Judgement(np.full((count, len(self._varied)), _PRIOR**-0.5), over)
@@ -137,8 +139,9 @@ class Judge:
         moved = State(qpos.reshape(-1, nv), qvel.reshape(-1, nv), np.tile(start.act, (runs, 1)))
         models = [self._nominal, *self._varied, *2 * nv * [self._nominal]]
         run = self._pieces.rollout(
-            [m for m in models for _ in range(count)], moved, np.tile(ctrl, (runs, 1, 1))
-        )
+            [m for m in models for _ in range(count)], moved, np.tile(ctrl, (runs, 1, 1)),
+            laws=self._laws,
+        )  # fmt: skip
         seen = (run.qpos[:, self._hold :: self._hold] * self._weight).reshape(runs, count, -1)
         change = np.moveaxis(seen[1:] - seen[0], 0, -1)
         effect, nuisance = change[..., :d] / _STEP, change[..., d:]

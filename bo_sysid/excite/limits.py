@@ -42,7 +42,8 @@ class Limits:
         """Return the stated limits, within those of the model's joints.
 
         Raises:
-            StudyError: a limit names no joint, or a joint is neither a hinge nor a slide.
+            StudyError: a limit names no joint or lies outside the joint's own range, or a joint is
+                neither a hinge nor a slide.
         """
         compiled = model.compile()
         for name in stated:
@@ -57,8 +58,7 @@ class Limits:
                 position[j] = compiled.jnt_range[j]
             limit = stated.get(name)
             if limit is not None and limit.position is not None:
-                low, high = limit.position
-                position[j] = max(position[j, 0], low), min(position[j, 1], high)
+                position[j] = _within(position[j], limit.position, name)
             if limit is not None:
                 velocity[j] = limit.velocity or np.inf
                 effort[j] = limit.effort or np.inf
@@ -72,6 +72,9 @@ class Limits:
         """Return the least and the largest control of every actuator; infinite where unlimited.
 
         See `command_bounds`.
+
+        Raises:
+            StudyError: the limits of a joint leave its actuator no command.
         """
         ends = np.where(
             np.asarray(model.actuator_ctrllimited, bool)[:, None],
@@ -82,6 +85,11 @@ class Limits:
                 j = int(model.actuator_trnid[a, 0])
                 low, high = self.position[j]
                 ends[a] = command_bounds(model, a, (low, high), float(self.effort[j]))
+                if not ends[a, 0] < ends[a, 1]:
+                    raise StudyError(
+                        f"limits: {self.joints[j]}: they leave actuator {model.actuator(a).name!r} "
+                        f"no command within its ctrlrange"
+                    )
         return ends[:, 0], ends[:, 1]
 
     def violation(
@@ -148,3 +156,16 @@ class Limits:
                     touched[w] = True
                     break
         return touched
+
+
+def _within(
+    own: Float[np.ndarray, " 2"], stated: tuple[float, float], joint: str
+) -> tuple[float, float]:
+    """Return what a joint's own range and a stated limit have in common."""
+    low, high = max(float(own[0]), stated[0]), min(float(own[1]), stated[1])
+    if not low < high:
+        raise StudyError(
+            f"limits: {joint}: position [{stated[0]:g}, {stated[1]:g}] lies outside the range of "
+            f"the model's joint, [{own[0]:g}, {own[1]:g}]; the two must overlap"
+        )
+    return low, high

@@ -17,7 +17,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Engine, MujocoSimulator, State, Trajectory, cut
+from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, State, Trajectory, cut
 from bo_sysid.study.check import nominal
 
 PROOF = 24
@@ -38,6 +38,7 @@ class Trial:
         seconds: length of the trajectory.
         interval: between two controls, and between two samples, in [s].
         seed: of the drawn parameter vectors.
+        laws: forces that are stepped with the model.
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class Trial:
         seconds: float,
         interval: float,
         seed: int = 0,
+        laws: Sequence[ForceLaw] = (),
     ) -> None:
-        self.model, self.parameters = model, tuple(parameters)
+        self.model, self.parameters, self.laws = model, tuple(parameters), tuple(laws)
         self.limits, self.noise = limits, noise
         compiled = model.compile()
         self._hold = max(round(interval / compiled.opt.timestep), 1)
@@ -61,7 +63,7 @@ class Trial:
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
         self._engine = Engine(threads())
-        self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()))
+        self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()), self.laws)
         self._compiled = compiled
         self.point = np.array([nominal(model, p) for p in self.parameters])
         sobol = qmc.Sobol(len(self.parameters), seed=seed).random(32)
@@ -90,7 +92,7 @@ class Trial:
             np.zeros((count, self._compiled.nv)),
             np.zeros((count, self._compiled.na)),
         )
-        return self._engine.rollout(models, start, ctrl), ctrl
+        return self._engine.rollout(models, start, ctrl, laws=self.laws), ctrl
 
     def violation(
         self, controls: Float[np.ndarray, "R nu"], points: np.ndarray, margin: float
@@ -129,7 +131,7 @@ class Trial:
         if rows not in self._judges:
             self._judges[rows] = Judge(
                 self.model, self.parameters, self.point, self.machines[list(rows)], self.limits,
-                self.noise, interval=self.series.interval, window=self._horizon,
+                self.noise, interval=self.series.interval, window=self._horizon, laws=self.laws,
             )  # fmt: skip
         return self._judges[rows]
 

@@ -8,17 +8,14 @@ import numpy as np
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
-from bo_sysid.effects import Force
-from bo_sysid.effects.learned import ELAPSED
-from bo_sysid.effects.machine import recorded_inputs
-from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Controller, Engine, ForceLaw, MujocoSimulator, Windows, cut
+from bo_sysid.simulation import Windows, cut
+from bo_sysid.simulation.of_study import make_simulator, study_signals
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set, nominal, require_known
-from bo_sysid.study.inputs import load_function, load_model, load_parts, load_train
+from bo_sysid.study.inputs import load_model, load_train
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 
@@ -141,36 +138,11 @@ def _framing(
     return True, horizon, (note,)
 
 
-def make_simulator(
-    study: Study, model: Model, parameters: Sequence[Parameter], *, threads: int = 0
-) -> MujocoSimulator:
-    """Return the simulator of a study: its model, its parameters and its actuators' laws."""
-    return MujocoSimulator(model, tuple(parameters), Engine(threads), study_laws(study, model))
-
-
-def study_laws(study: Study, model: Model) -> tuple[Controller | ForceLaw, ...]:
-    """Return what is stepped with the model: the laws of actuators, and forces beside it.
-
-    Raises:
-        StudyError: the model has no such actuator, or the file no such function.
-    """
-    for name in study.actuators:
-        if name not in model.actuators:
-            near = nearest(name, model.actuators)
-            raise study.error(("actuators", name), f"the model has no such actuator; {near}")
-    laws = [Controller(n, load_function(study, a.law)) for n, a in study.actuators.items()]
-    forces = [p for p in load_parts(study, model) if isinstance(p, Force)]
-    return (*laws, *(ForceLaw(p.joint, p.law) for p in forces))
-
-
 def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:
-    signals = {channel for a in study.actuators.values() for channel in a.uses}
-    if study.model.beside:
-        signals |= {*recorded_inputs(recordings), ELAPSED}
     return cut(
         model,
         recordings,
         horizon=horizon,
-        signals=sorted(signals),
+        signals=study_signals(study, recordings),
         controlled=tuple(study.actuators),
     )

@@ -8,17 +8,16 @@ import mujoco
 import numpy as np
 
 from bo_sysid.arrays import Point
-from bo_sysid.identify.problem import study_laws
 from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
-from bo_sysid.plants.effects import recorded_input
 from bo_sysid.plants.environment import BatchEnvironment, Environment
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
+from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
@@ -66,6 +65,10 @@ class Scene:
                 ("task",),
                 "learn needs a task with a reward: task: {dm_control: {domain: …, task: …}}, or "
                 "{file: reach.py, class: Reach}, a dm_control Task",
+            )
+        if not np.isfinite(task.time_limit):
+            raise study.error(
+                ("task",), "learn needs a task that ends: a class says its time_limit in s"
             )
         parameters = study.parameter_set(model)
         if not parameters:

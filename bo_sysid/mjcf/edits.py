@@ -1,6 +1,6 @@
 """Edits that write values to addresses."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -135,3 +135,47 @@ class MotorEdit:
             name=self.joint, target=self.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
         motor.set_to_motor()
+
+
+@dataclass(frozen=True)
+class RangeEdit:
+    """Narrows what actuators may be told and what they may do.
+
+    Attributes:
+        controls: least and largest control by actuator.
+        forces: largest force by actuator, in [N m] or [N] before the gear.
+    """
+
+    controls: Mapping[str, tuple[float, float]]
+    forces: Mapping[str, float]
+    moves_mass = False
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        """Set the ranges."""
+        for name, (low, high) in self.controls.items():
+            spec.actuator(name).ctrllimited = True
+            spec.actuator(name).ctrlrange = [low, high]
+        for name, force in self.forces.items():
+            spec.actuator(name).forcelimited = True
+            spec.actuator(name).forcerange = [-force, force]
+
+    def __str__(self) -> str:
+        return f"ranges of {', '.join({**self.controls, **self.forces})}"
+
+
+@dataclass(frozen=True)
+class SkyEdit:
+    """Adds a white sky and light, for pictures of models that have none of their own."""
+
+    moves_mass = False
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        """Add them."""
+        sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
+        if not any(t.type == sky for t in spec.textures):
+            white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 48}
+            flat = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            spec.add_texture(name="bo_sysid_sky", type=sky, builtin=flat, **white)
+        if not spec.lights:
+            spec.visual.headlight.ambient[:] = 0.55
+            spec.visual.headlight.diffuse[:] = 0.55

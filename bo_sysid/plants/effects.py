@@ -17,7 +17,8 @@ from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.plant import Plant
-from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+from bo_sysid.simulation.lockstep import ForceLaw
+from bo_sysid.simulation.of_study import recorded_input
 from bo_sysid.study import Study
 
 STEPPED = ("joint_spring", "constant_force", "cogging")
@@ -153,20 +154,6 @@ def _require_no_inputs(effect: Effect, model: Model, laws: Sequence[ForceLaw]) -
             f"{effect.id} reads the recorded input {missing!r}, which a simulated plant does not "
             "have"
         )
-
-
-def recorded_input(model: Model, laws: Sequence[ForceLaw]) -> str | None:
-    """Return a recorded input that a law reads, which a simulation of its own does not have."""
-    compiled = model.compile()
-    sizes = {"qpos": compiled.nq, "qvel": compiled.nv, "ctrl": compiled.nu}
-    views = {name: np.zeros((1, size)) for name, size in sizes.items()}
-    try:
-        LockStep(
-            compiled, tuple(laws), {}, {**views, "qfrc_applied": views["qvel"] * 0}, None
-        ).apply(0)
-    except KeyError as error:
-        return str(error.args[0])
-    return None
 
 
 def _require_same_coordinates(effect: Effect, model: Model, edit: Edit) -> None:

@@ -105,7 +105,7 @@ class BatchEnvironment:
         self._models = self._first_models(model)
         first = self._models[0]
         self.substeps = physics_steps(task.control_timestep / task.repeat, first)
-        self.episode_steps = episode_steps(task)
+        self.episode_steps = episode_steps(task.time_limit, task.control_timestep)
         self.action_size = int(first.nu)
         self.sims = Simulations(first, n, task.goal_size, threads)
         if any(m is not first for m in self._models):
@@ -268,9 +268,14 @@ def episode_returns(
     return total
 
 
-def episode_steps(task: VectorTask) -> int:
-    """Return how many control steps an episode has; of a task without end, the largest integer."""
-    steps = task.time_limit / task.control_timestep
+def episode_steps(time_limit: float, control_timestep: float) -> int:
+    """Return how many control steps an episode has; of a task without end, the largest integer.
+
+    Args:
+        time_limit: of an episode in [s]; infinite where it has no end.
+        control_timestep: between two actions in [s].
+    """
+    steps = time_limit / control_timestep
     return round(steps) if np.isfinite(steps) else int(np.iinfo(np.int64).max)
 
 

@@ -5,14 +5,13 @@ that no action and no excitation leaves it. Positions and velocities cannot be k
 episode ends for good where they are left, so that a policy learns to stay within.
 """
 
-from collections.abc import Mapping
-
 import mujoco
 import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import command_bounds, is_position_servo
+from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.study import Study
@@ -50,20 +49,7 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
             )
         if np.isfinite([low, high]).all():
             bounds[name] = (low, high)
-    return (_edit(bounds, forces),)
-
-
-def _edit(bounds: Mapping[str, tuple[float, float]], forces: Mapping[str, float]) -> Edit:
-    def edit(spec: mujoco.MjSpec) -> None:
-        for name, (low, high) in bounds.items():
-            spec.actuator(name).ctrllimited = True
-            spec.actuator(name).ctrlrange = [low, high]
-        for name, force in forces.items():
-            spec.actuator(name).forcelimited = True
-            spec.actuator(name).forcerange = [-force, force]
-
-    edit.moves_mass = False  # type: ignore[attr-defined] # see bo_sysid.mjcf.model.Edit
-    return edit
+    return (RangeEdit(bounds, forces),)
 
 
 def _joint_of(model: mujoco.MjModel, actuator: int) -> str:

@@ -192,10 +192,12 @@ class Plant:
         Episodes with one seed start alike on every plant with this task.
 
         Raises:
-            PlantError: there is no task to be rewarded for.
+            PlantError: there is no task to be rewarded for, or it has no end.
         """
         if not self.task.rewarded:
             raise PlantError(f"{self.name}: a plant without a task has no reward to evaluate")
+        if not np.isfinite(self.task.time_limit):
+            raise PlantError(f"{self.name}: its task has no end, and so no whole episodes")
         self._evaluations += episodes
         environment = make_environment(self.task, self._model, episodes, seed=seed, laws=self._laws)
         return episode_returns(environment, act)
@@ -205,8 +207,8 @@ class Plant:
     ) -> tuple[Callable[[int, np.ndarray], np.ndarray], int]:
         """Return the control at (step, observation), and the number of steps."""
         if callable(source):
-            if steps is None and not self.task.rewarded:
-                raise PlantError(f"{self.name}: without a task, say for how many steps")
+            if steps is None and not np.isfinite(self.task.time_limit):
+                raise PlantError(f"{self.name}: without a task that ends, say for how many steps")
             act, controls = source, self._machine.controls
             most = self._machine.episode_steps
             return (lambda _, observation: controls(act(observation))), self._count(steps, most)

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import StudyError, UserError, nearest
-from bo_sysid.plants.environment import Step, physics_steps
+from bo_sysid.plants.environment import Step, episode_steps, physics_steps
 from bo_sysid.plants.machine import TRACED, Applied
 from bo_sysid.plants.tasks.base import Start
 
@@ -28,7 +28,7 @@ class PythonTask:
         make: returns a fresh task, given the seed of its random state.
         physics: the physics class that it needs.
         control_timestep: time between two actions in [s].
-        time_limit: length of an episode in [s].
+        time_limit: length of an episode in [s]; infinite where it has no end.
     """
 
     name: str
@@ -127,7 +127,7 @@ class PythonMachine:
         self.physics = task.physics.from_model(wrapper.MjModel(model))
         self.task = task.make(seed)
         self._substeps = physics_steps(task.control_timestep, model)
-        self.episode_steps = round(task.time_limit / task.control_timestep)
+        self.episode_steps = episode_steps(task.time_limit, task.control_timestep)
         self._seed, self._index, self.episodes = seed, index, 0
         self._name = task.name
         spec = self.task.action_spec(self.physics)

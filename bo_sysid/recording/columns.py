@@ -40,6 +40,8 @@ class ColumnRule:
         hold: "zero" or "none"; None for what the kind of channel says.
         clock: column of the time stamps in [s]; None for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
+
+    The rule of ``time`` has no sign, hold, clock or missing, and states the size of a jump.
     """
 
     source: str | None = None
@@ -67,7 +69,8 @@ class ColumnRule:
         """Return the rule of `channel` from what stands in a study; a bare name is the column.
 
         Raises:
-            RecordingError: the channel is not one, a key is unknown or a value is wrong.
+            RecordingError: the channel is not one, a key is unknown or says nothing of it, or a
+                value is wrong.
         """
         where = f"columns: {channel}"
         kind = channel.split(".", 1)[0]
@@ -82,6 +85,8 @@ class ColumnRule:
                 rule = cls(**arguments)
             except RecordingError as error:
                 raise RecordingError(f"{where}: {error}") from None
+        if channel == "time":
+            _require_clock(rule, where)
         if rule.unit is not None:
             unit = unit_of_kind(rule.unit, kind, where)
             if unit.factor is None and rule.scale == 1.0:
@@ -136,6 +141,21 @@ class ClockRule:
             return cls(**arguments)
         except RecordingError as error:
             raise RecordingError(f"{where}: {error}") from None
+
+
+def _require_clock(rule: ColumnRule, where: str) -> None:
+    """Refuse what says nothing of a clock, in a rule for the time stamps."""
+    for key, none in (("sign", 1), ("missing", "error"), ("hold", None), ("clock", None)):
+        if getattr(rule, key) != none:
+            raise RecordingError(
+                f"{where}: {key} is {getattr(rule, key)!r}, but time stamps have none; they take "
+                "from, unit, scale, offset, unwrap and signed"
+            )
+    if rule.unwrap is True:
+        raise RecordingError(
+            f"{where}: unwrap is true, which is a turn of an angle; for time stamps it must be the "
+            "size of the jump in s (4294.967296 for a counter of µs with 32 bits)"
+        )
 
 
 def _arguments(where: str, rule: Mapping[str, Any] | str, names: Sequence[str]) -> dict[str, Any]:

@@ -171,9 +171,22 @@ class _Mapper:
             self.notes.append(f"Dates in column {column!r} converted to seconds since 1970.")
         if factor != 1.0:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
-        return read_clock(
-            column, stated.scale * factor * table.column(column) + stated.offset, where
-        )
+        raw = table.column(column)
+        if stated.signed:
+            raw = twos_complement(raw, stated.signed)
+            self.notes.append(
+                f"Time stamps in column {column!r} read as signed numbers of {stated.signed} bits."
+            )
+        stamps = stated.scale * factor * raw
+        if stated.period:
+            filled = ~np.isnan(stamps)
+            unwrapped = np.unwrap(stamps[filled], period=stated.period)
+            jumps = _jumps(stamps[filled], unwrapped, stated.period)
+            self.notes.append(
+                f"Time stamps in column {column!r} unwrapped ({jumps} jumps of {stated.period:g})."
+            )
+            stamps[filled] = unwrapped
+        return read_clock(column, stamps + stated.offset, where)
 
     def _converted(
         self, name: str, rule: ColumnRule, column: str, raw: np.ndarray, where: str
@@ -196,7 +209,7 @@ class _Mapper:
             done.append(f"scaled by {rule.scale:g}")
         if rule.period:
             unwrapped = np.unwrap(values, period=rule.period)
-            jumps = int(np.count_nonzero(np.diff(np.rint((unwrapped - values) / rule.period))))
+            jumps = _jumps(values, unwrapped, rule.period)
             done.append(f"unwrapped ({jumps} jumps of {rule.period:g})")
             values = unwrapped
         if rule.sign < 0:
@@ -213,6 +226,10 @@ class _Mapper:
 def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
     """Return what unsigned integers mean where they hold signed ones."""
     return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
+
+
+def _jumps(values: np.ndarray, unwrapped: np.ndarray, period: float) -> int:
+    return int(np.count_nonzero(np.diff(np.rint((unwrapped - values) / period))))
 
 
 def _kind(channel: str) -> str:

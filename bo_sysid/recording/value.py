@@ -134,6 +134,11 @@ class Recording:
         for kind, group in kinds.items():
             if kind not in KINDS:
                 raise RecordingError(f"{name}: unknown kind {kind!r}; {nearest(kind, KINDS)}")
+            if not isinstance(group, Mapping):
+                raise RecordingError(
+                    f"{name}: {kind} is {type(group).__name__}; it must be a mapping from names to "
+                    f"samples, as in {kind}={{'elbow': q}}"
+                )
             hold: Hold = "zero" if kind in HELD_KINDS else "none"
             for item, samples in group.items():
                 for key, column in _columns(f"{kind}.{item}", np.asarray(samples, float)):

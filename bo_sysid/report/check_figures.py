@@ -47,11 +47,6 @@ def recording_figure(recording: Recording, flagged: set[str]) -> Figure:
     return figure
 
 
-def _rank(name: str) -> int:
-    kind = name.split(".", 1)[0]
-    return _KINDS.index(kind) if kind in _KINDS else len(_KINDS)
-
-
 def _thinned(channel: Channel) -> tuple[np.ndarray, np.ndarray]:
     step = max(len(channel.time) // _SHOWN, 1)
     return channel.time[::step], channel.values[::step]

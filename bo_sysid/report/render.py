@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.edits import SkyEdit
 from bo_sysid.report.look import NOMINAL
 from bo_sysid.report.robot import Posed, view
 
@@ -73,7 +74,7 @@ def _draw(model: Path, pose: Mapping[str, float], points: np.ndarray, out: Path)
 
     made = Model.from_file(model)
     posed = Posed.of(made, pose)
-    compiled = _with_sky(made)
+    compiled = made.compile([SkyEdit()], visuals=True)
     data = mujoco.MjData(compiled)
     data.qpos[:] = posed.data.qpos
     mujoco.mj_forward(compiled, data)
@@ -85,20 +86,6 @@ def _draw(model: Path, pose: Mapping[str, float], points: np.ndarray, out: Path)
         for point in points:
             _mark(renderer.scene, point, _MARK * size)
         imsave(out, renderer.render())
-
-
-def _with_sky(made: Model) -> mujoco.MjModel:
-    """Return the model with a white sky and light, where it has none of its own."""
-    spec = made.spec()
-    sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX
-    if not any(t.type == sky for t in spec.textures):
-        white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 48}
-        flat = mujoco.mjtBuiltin.mjBUILTIN_FLAT
-        spec.add_texture(name="bo_sysid_sky", type=sky, builtin=flat, **white)
-    if not spec.lights:
-        spec.visual.headlight.ambient[:] = 0.55
-        spec.visual.headlight.diffuse[:] = 0.55
-    return spec.compile()
 
 
 def _camera(posed: Posed, middle: np.ndarray, size: float) -> mujoco.MjvCamera:

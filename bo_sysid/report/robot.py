@@ -69,10 +69,6 @@ class Posed:
         """Return where a joint is, in the world."""
         return np.array(self.data.xanchor[self.model.joint(name).id])
 
-    def joint_axis(self, name: str) -> Float[np.ndarray, " 3"]:
-        """Return the direction of a joint's axis, in the world."""
-        return np.array(self.data.xaxis[self.model.joint(name).id])
-
 
 @dataclass(frozen=True)
 class Site:

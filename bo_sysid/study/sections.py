@@ -72,7 +72,7 @@ class Column(Section):
     offset: Real = 0.0
     """Added last, in SI units."""
     unwrap: bool | Positive = False
-    """true for an angle that jumps by a turn, or the size of the jump in SI units."""
+    """true for an angle that jumps by a turn, or the size of the jump in SI units (of time: s)."""
     signed: Literal[0, 8, 16, 32] = 0
     """Bits of an unsigned integer that holds a signed one, as the registers of servos do."""
     hold: Literal["none", "zero"] | None = None

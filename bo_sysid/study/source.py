@@ -75,10 +75,24 @@ def read(path: Path, overrides: Mapping[str, Any]) -> Source:
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:
-    """Return the files that a pattern matches, relative to `folder` unless it is absolute."""
-    anchor = Path(pattern).anchor
+    """Return the files that a pattern matches, relative to `folder` unless it is absolute.
+
+    Raises:
+        StudyError: it is no pattern.
+    """
+    anchor, parts = Path(pattern).anchor, Path(pattern).parts
     root = Path(anchor) if anchor else folder
-    return sorted(root.glob(pattern[len(anchor) :]))
+    if parts in ((), (anchor,)):  # the folder itself
+        return [root]
+    if any("**" in part and part != "**" for part in parts):
+        raise StudyError(
+            f"{pattern!r} is no pattern: ** stands for folders and must be alone between slashes, "
+            "as in 'data/**/*.csv'"
+        )
+    try:
+        return sorted(root.glob(pattern[len(anchor) :]))
+    except (ValueError, IndexError, NotImplementedError) as error:
+        raise StudyError(f"{pattern!r} is no pattern of files: {error}") from None
 
 
 def override(source: Source, overrides: Mapping[str, Any]) -> Source:

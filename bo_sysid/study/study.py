@@ -284,12 +284,15 @@ class Study(Section):
     def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
         found: dict[Path, None] = {}
         for i, pattern in enumerate(getattr(self.recordings, part) or ()):
-            files = [p for p in matching(self._folder, pattern) if _is_log(p)]
+            key = ("recordings", part, i)
+            try:
+                files = [p for p in matching(self._folder, pattern) if _is_log(p)]
+            except StudyError as error:
+                raise self.error(key, str(error)) from None
             if not files:
                 made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
                 raise self.error(
-                    ("recordings", part, i),
-                    f"{pattern!r} matches no file; {_near(self._folder / pattern)}{made}",
+                    key, f"{pattern!r} matches no file; {_near(self._folder / pattern)}{made}"
                 )
             found.update(dict.fromkeys(files))
         return tuple(found)
@@ -305,8 +308,10 @@ def _is_log(path: Path) -> bool:
 
 
 def _near(path: Path) -> str:
-    """Return the files nearest to a path that does not exist, from its nearest folder."""
+    """Return the files nearest to a path that is no file, from its nearest folder."""
     path = Path(os.path.normpath(path))
+    if path.is_dir():
+        return "it is a folder; name the files in it, for instance with *.csv"
     folder = next((p for p in path.parents if p.is_dir()), Path())
     files = [p.name for p in folder.iterdir()] if folder == path.parent else []
     missing = path.relative_to(folder).parts[0]

@@ -18,7 +18,8 @@ class SourceFile:
     """A raw file of a dataset.
 
     Attributes:
-        path: path under the dataset's folder; a gzipped copy (``.gz`` added) is found too.
+        path: path under the dataset's folder; of a ``.csv`` a gzipped copy (``.csv.gz``) is found
+            too.
         url: stable public address; empty where there is none.
         sha256: checksum of what is downloaded.
     """
@@ -41,7 +42,8 @@ def locate(folder: str, file: SourceFile, how_to_get: str) -> Path:
     """
     root = os.environ.get(VARIABLE, "")
     if root:
-        for name in (file.path, f"{file.path}.gz"):
+        gzipped = [f"{file.path}.gz"] if file.path.endswith(".csv") else []  # others are not read
+        for name in (file.path, *gzipped):
             candidate = Path(root) / folder / name
             if candidate.is_file():
                 return candidate

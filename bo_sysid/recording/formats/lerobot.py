@@ -1,6 +1,7 @@
 """LeRobot datasets: a folder of Parquet files with many episodes and `meta/info.json`."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,13 +41,14 @@ def read_lerobot(path: Path) -> tuple[RawTable, ...]:
             table = pq.ParquetFile(file).read()
         except (pa.ArrowException, OSError) as error:
             raise RecordingError(f"{file}: a damaged Parquet file: {error}") from None
-        columns = arrow_columns(table)
+        columns, notes = arrow_columns(table)
         if "timestamp" not in columns:
             raise RecordingError(f"{file}: no column 'timestamp', which LeRobot's clock is in")
         episode = columns.pop("episode_index", np.zeros(len(table), int))
         for number in np.unique(episode):
             rows = episode == number
-            tables.append(_episode(path, int(number), columns, rows, features))
+            made = _episode(path, int(number), columns, rows, features)
+            tables.append(replace(made, notes=notes))
     return tuple(tables)
 
 

@@ -24,9 +24,10 @@ def read_parquet(path: Path) -> RawTable:
         raise RecordingError(f"{path}: a damaged Parquet file: {error}") from None
     described = {f.name: f.metadata or {} for f in table.schema}
     own = json.loads((table.schema.metadata or {}).get(b"bo_sysid", b"{}"))
+    columns, left_out = arrow_columns(table)
     return RawTable(
         source=str(path),
-        columns=arrow_columns(table),
+        columns=columns,
         units={n: m[b"unit"].decode() for n, m in described.items() if b"unit" in m},
         holds={
             n: "zero" if m[b"hold"] == b"zero" else "none"
@@ -34,26 +35,39 @@ def read_parquet(path: Path) -> RawTable:
             if b"hold" in m
         },
         name=own.get("name", ""),
-        notes=tuple(own.get("notes", ())),
+        notes=(*own.get("notes", ()), *left_out),
     )
 
 
-def arrow_columns(table: Any) -> dict[str, np.ndarray]:
-    """Return the columns of a `pyarrow.Table` by name; null becomes NaN, dates become UTC."""
+def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the columns of a `pyarrow.Table` by name, and sentences about those left out.
+
+    Null becomes NaN, dates become UTC. Vectors of one length become columns with an index; those
+    of several lengths are left out.
+    """
     import pyarrow as pa
 
     columns: dict[str, np.ndarray] = {}
+    notes = []
     for name in table.column_names:
         column = table.column(name)
         if pa.types.is_timestamp(column.type):
             column = column.cast(pa.timestamp("ns"))
         values = column.to_pandas().to_numpy()
-        if _lists(column.type):  # a vector in every cell becomes columns with an index
-            wide = np.stack(values) if len(values) else np.zeros((0, 0))
-            columns |= {f"{name}.{i}": wide[:, i] for i in range(wide.shape[1])}
-        else:
+        if not _lists(column.type):
             columns[name] = values
-    return columns
+            continue
+        sizes = sorted({len(v) for v in values if v is not None})
+        if len(sizes) > 1:
+            notes.append(
+                f"Column {name!r} left out: its lists have {sizes[0]} to {sizes[-1]} numbers."
+            )
+            continue
+        empty = np.full(sizes[0] if sizes else 0, np.nan)
+        cells = [empty if v is None else v for v in values]
+        wide = np.stack(cells) if cells else np.zeros((0, 0))
+        columns |= {f"{name}.{i}": wide[:, i] for i in range(wide.shape[1])}
+    return columns, tuple(notes)
 
 
 def _lists(kind: Any) -> bool:

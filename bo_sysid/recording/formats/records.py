@@ -16,6 +16,9 @@ def read_json(path: Path) -> RawTable:
     """Read records (objects of one shape in a list) or columns (lists of one length).
 
     Numbers beside the records become columns that never change.
+
+    Raises:
+        RecordingError: it is no JSON, holds neither, or a record is none.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -23,9 +26,10 @@ def read_json(path: Path) -> RawTable:
         raise RecordingError(f"{path}: not JSON as its ending says: {error}") from None
     whole: dict[str, Any] = data if isinstance(data, dict) else {"": data}
     lists = {k: v for k, v in whole.items() if isinstance(v, list) and v}
-    records = [v for v in lists.values() if isinstance(v[0], dict)]
+    records = [k for k, v in lists.items() if isinstance(_first(v), dict)]
     if records:
-        rows = max(records, key=len)
+        longest = max(records, key=lambda k: len(lists[k]))
+        rows = _objects(lists[longest], f"{path}: {longest}" if longest else str(path))
         names = list(dict.fromkeys(k for row in rows for k in row))
         columns = {n: _column([row.get(n) for row in rows]) for n in names}
     else:
@@ -37,6 +41,21 @@ def read_json(path: Path) -> RawTable:
         if isinstance(value, int | float) and name not in columns:
             columns[name] = np.full(length, float(value))
     return RawTable(str(path), columns)
+
+
+def _first(cells: list[Any]) -> Any:
+    return next((c for c in cells if c is not None), None)
+
+
+def _objects(records: list[Any], where: str) -> list[dict[str, Any]]:
+    """Return records, all of which are objects."""
+    for row, record in enumerate(records):
+        if not isinstance(record, dict):
+            raise RecordingError(
+                f"{where}, row {row}: {json.dumps(record)[:40]} is no record; in a list of "
+                'records every entry is an object, as in {"time": 0.0, "qpos.elbow": 0.1}'
+            )
+    return records
 
 
 def _column(cells: list[Any]) -> np.ndarray:

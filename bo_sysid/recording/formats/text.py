@@ -46,7 +46,7 @@ def read_csv(path: Path) -> RawTable:
         found = re.search(r"Row #(\d+): (.*)", str(error), re.DOTALL)
         what = f"row {int(found[1]) - 1}: {found[2]}" if found else str(error)
         raise RecordingError(f"{path}: not a table of {len(names)} columns: {what}") from None
-    columns = arrow_columns(table)
+    columns, _ = arrow_columns(table)
     if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
     return RawTable(str(path), columns)
