@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from learning import pendulum
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
 from bo_sysid.compare.arms import Posed, arms_of, problems_of
-from bo_sysid.compare.compare import Comparison, compare
+from bo_sysid.compare.compare import Comparison, compare, so_far
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, search
@@ -196,9 +197,9 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
         arms_of(posed(arms=["greedy", "greedy"]))
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(small()))
     with pytest.raises(StudyError, match=r"compare.problems.0: no file 'oter.yaml'.*'other.yaml'"):
-        problems_of(posed(arms=["greedy"], problems="oter.yaml"))
+        problems_of(posed(arms=["greedy"], problems="oter.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.problems.0: other.yaml is called 'small', as a"):
-        problems_of(posed(arms=["greedy"], problems="other.yaml"))
+        problems_of(posed(arms=["greedy"], problems="other.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.lop: unknown key; did you mean 'loop'"):
         posed(arms=["greedy"], lop="outer")
 
@@ -211,6 +212,28 @@ def test_an_unknown_acquisition_has_its_nearest_name(
     assert main(["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]) == 2
     assert "unknown acquisition 'gredy'; did you mean 'greedy'" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_code_of_another_problem_runs_only_when_trusted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran = tmp_path / "ran"
+    (tmp_path / "law.py").write_text(
+        f"open({str(ran)!r}, 'w').close()\ndef law(u):\n    return u\n"
+    )
+    other = {**small(actuators={"torque": {"law": "law.py:law"}}), "name": "other"}
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    settings = {"arms": ["random"], "seeds": 1, "problems": ["other.yaml"]}
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(small(compare=settings)))
+    command = ["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]
+    assert main([*command, "--threads", "1"]) == 2
+    told = capsys.readouterr().err
+    assert re.search(r"other.yaml.*\(law.py\), which runs only with --trust-code", told)
+    assert not ran.exists()
+    with pytest.raises(StudyError, match="--trust-code"):
+        so_far(Study.load(tmp_path / "small.yaml"), tmp_path / "run")
+    main([*command, "--threads", "1", "--trust-code"])
+    assert ran.exists()
 
 
 def test_a_dataset_that_is_not_to_be_had_is_left_out(

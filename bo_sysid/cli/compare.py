@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
     with open_run(args, study, "compare") as run, shown("compare") as progress:
         from bo_sysid.compare.compare import compare
 
-        compare(study, run, progress=progress)
+        compare(study, run, progress=progress, trust_code=args.trust_code)
 
     from bo_sysid.report.comparison import write_comparison_figures
     from bo_sysid.report.text import run_text

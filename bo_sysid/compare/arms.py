@@ -103,12 +103,12 @@ def arms_of(study: Study) -> tuple[Arm, ...]:
     return tuple(found.values())
 
 
-def problems_of(study: Study, *, trust_code: bool = True) -> tuple[Posed, ...]:
+def problems_of(study: Study, *, trust_code: bool) -> tuple[Posed, ...]:
     """Return the problems of a comparison: the study itself, then those that it names.
 
     Args:
         study: with the key `compare`.
-        trust_code: allow the studies that it names to name Python files in turn.
+        trust_code: allow the studies that it names to name Python files, which run.
 
     Raises:
         StudyError: a study is missing or wrong, or two have one name.

@@ -55,7 +55,9 @@ class Comparison:
     skipped: Mapping[str, str]
 
 
-def compare(study: Study, run: Run | None = None, *, progress: Report = silent) -> Comparison:
+def compare(
+    study: Study, run: Run | None = None, *, progress: Report = silent, trust_code: bool = False
+) -> Comparison:
     """Compare the arms of a study on its problems, with paired seeds.
 
     Args:
@@ -63,6 +65,7 @@ def compare(study: Study, run: Run | None = None, *, progress: Report = silent) 
         run: folder that keeps every finished run and the tables; a comparison that was interrupted
             goes on. A temporary one by default.
         progress: told after every table and every run.
+        trust_code: run the Python files that the studies under `compare.problems` name.
 
     Raises:
         UserError: a study, its model or its recordings are wrong, or a run failed.
@@ -71,9 +74,9 @@ def compare(study: Study, run: Run | None = None, *, progress: Report = silent) 
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "run"
             with Run.open(folder, study.resolved(relative_to=folder), "compare") as own:
-                return compare(study, own, progress=progress)
+                return compare(study, own, progress=progress, trust_code=trust_code)
     arms = arms_of(study)
-    problems, skipped = _available(problems_of(study))
+    problems, skipped = _available(problems_of(study, trust_code=trust_code))
     _require_unchanged(run, problems)
     records = Plan(study, run, arms, problems, progress).carried_out()
     found = _gathered(study, arms, records, skipped)
@@ -118,18 +121,20 @@ def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
     run.write_json(PROBLEMS, {**there, **now})
 
 
-def so_far(study: Study, folder: Path) -> Comparison:
+def so_far(study: Study, folder: Path, *, trust_code: bool = False) -> Comparison:
     """Return what the finished runs of a comparison say, also while others are going on.
 
     Args:
         study: that the folder is a comparison of.
         folder: of the run; nothing is written to it.
+        trust_code: allow the studies under `compare.problems` to name Python files.
 
     Raises:
         RunError: no run has finished yet.
+        StudyError: a study names Python files that are not trusted.
     """
     arms = arms_of(study)
-    problems, skipped = _available(problems_of(study))
+    problems, skipped = _available(problems_of(study, trust_code=trust_code))
     keys = {record_name(key): key for key in keys_of(study, arms, problems)}
     records = {k: read_json(folder, name) for name, k in keys.items() if (folder / name).is_file()}
     if not records:
