@@ -256,6 +256,24 @@ def test_record_makes_recordings_and_a_study_on_them(folder: Path, say: Say) -> 
     assert (folder / "made" / "train-1.parquet").read_bytes() == before
 
 
+def test_record_of_a_study_called_study_keeps_both_and_goes_on(folder: Path, say: Say) -> None:
+    plant = "plant={parameters: {mass: 0.613}, record: {train: 1, holdout: 1, seconds: 0.5}}"
+    (folder / "study.yaml").write_text(STUDY)
+    for _ in range(2):
+        code, out, err = say("record", "study.yaml", "--set", plant, "--out", "made")
+        assert (code, err.count("Traceback")) == (0, 0)
+    assert "bo-sysid identify made/study_recorded.yaml" in out
+    kept = {n: yaml.safe_load((folder / "made" / n).read_text())["recordings"]["train"]
+            for n in ("study.yaml", "study_recorded.yaml")}  # fmt: skip
+    assert kept == {"study.yaml": ["../log.csv"], "study_recorded.yaml": ["train-*.parquet"]}
+    code, out, _ = say("check", "made/study_recorded.yaml")
+    assert code == 0
+    code, _, err = say("record", "study.yaml", "--set", plant, "--out", ".")
+    assert code == 2
+    assert "use another --out" in err
+    assert (folder / "study.yaml").read_text() == STUDY
+
+
 QUICK = """
 import sys, time
 from bo_sysid.cli import main
