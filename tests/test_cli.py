@@ -13,6 +13,7 @@ import yaml
 
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
+from bo_sysid.errors import UserError
 from bo_sysid.runs import Run
 
 MODEL = """
@@ -210,6 +211,31 @@ def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> N
     code, _, err = say("check", "arm.yaml", "--strict")
     assert code == 2
     assert "gap" in err
+
+
+STRICT = {"check", "identify", "diagnose", "learn", "compare"}
+
+
+@pytest.mark.parametrize("verb", sorted(STRICT | {"record", "excite"}))
+def test_strict_is_an_option_of_verbs_that_read_recordings(verb: str, say: Say) -> None:
+    assert ("--strict" in say(verb, "--help")[1]) == (verb in STRICT)
+
+
+@pytest.mark.parametrize(
+    ("verb", "called"), [("check", "checks.check.check"), ("excite", "excite.excite.excite")]
+)
+def test_threads_are_those_of_the_option(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch, verb: str, called: str
+) -> None:
+    from bo_sysid.execution import threads
+
+    def count(*_: object, **__: object) -> None:
+        raise UserError(f"{threads()} threads")
+
+    monkeypatch.setenv("BO_SYSID_THREADS", "2")
+    monkeypatch.setattr(f"bo_sysid.{called}", count)
+    assert say(verb, "arm.yaml", "--threads", "3")[2] == "bo-sysid: 3 threads\n"
+    assert say(verb, "arm.yaml")[2] == "bo-sysid: 2 threads\n"
 
 
 def test_options_change_the_study(folder: Path, say: Say) -> None:

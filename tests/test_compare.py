@@ -236,6 +236,26 @@ def test_code_of_another_problem_runs_only_when_trusted(
     assert ran.exists()
 
 
+def test_strict_refuses_a_log_with_a_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{k * 0.02:.2f},{np.sin(0.1 * k):.5f},{np.cos(k)}" for k in range(100)]
+    log = "\n".join(["time,qpos.hinge,ctrl.torque", *rows[:40], *rows[60:]]) + "\n"
+    (tmp_path / "log.csv").write_text(log)
+    study = small(
+        name="logged",
+        recordings={"train": ["log.csv"], "noise": {"qpos": 0.001}},
+        compare={"arms": ["random"], "seeds": 1},
+    )
+    del study["plant"]
+    (tmp_path / "logged.yaml").write_text(yaml.safe_dump(study))
+    command = ["compare", str(tmp_path / "logged.yaml"), "--threads", "1"]
+    assert main([*command, "--out", str(tmp_path / "run")]) == 0
+    for run in ("run", "other"):  # also where it goes on
+        assert main([*command, "--out", str(tmp_path / run), "--strict"]) == 2
+        assert re.search(r"log.csv: refused because of --strict.*gap", capsys.readouterr().err)
+
+
 def test_a_dataset_that_is_not_to_be_had_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

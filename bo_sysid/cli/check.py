@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study
 
 if TYPE_CHECKING:
     from bo_sysid.checks.check import Checked
@@ -22,6 +22,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "parameters. Nothing is fitted; a folder is written only with --out.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.add_argument(
         "--render", action="store_true", help="also say whether MuJoCo can render on this machine"
@@ -34,9 +35,11 @@ def run(args: argparse.Namespace) -> None:
     study = load_study(args)
 
     from bo_sysid.checks.check import check
+    from bo_sysid.execution import use_threads
     from bo_sysid.report.check_text import checked_text
 
-    found = check(study, strict=args.strict)
+    with use_threads(args.threads):
+        found = check(study, strict=args.strict)
     print(checked_text(found))
     if args.render:
         print(f"\n{rendering(study, args.out)}")

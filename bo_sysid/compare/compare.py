@@ -26,6 +26,7 @@ from bo_sysid.execution import Report, silent
 from bo_sysid.recording import load_dataset
 from bo_sysid.runs import Run, read_json
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_train
 
 PROBLEMS = "problems.json"
 
@@ -56,7 +57,12 @@ class Comparison:
 
 
 def compare(
-    study: Study, run: Run | None = None, *, progress: Report = silent, trust_code: bool = False
+    study: Study,
+    run: Run | None = None,
+    *,
+    progress: Report = silent,
+    trust_code: bool = False,
+    strict: bool = False,
 ) -> Comparison:
     """Compare the arms of a study on its problems, with paired seeds.
 
@@ -66,6 +72,7 @@ def compare(
             goes on. A temporary one by default.
         progress: told after every table and every run.
         trust_code: run the Python files that the studies under `compare.problems` name.
+        strict: refuse messy recordings.
 
     Raises:
         UserError: a study, its model or its recordings are wrong, or a run failed.
@@ -74,10 +81,12 @@ def compare(
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "run"
             with Run.open(folder, study.resolved(relative_to=folder), "compare") as own:
-                return compare(study, own, progress=progress, trust_code=trust_code)
+                return compare(study, own, progress=progress, trust_code=trust_code, strict=strict)
     arms = arms_of(study)
     problems, skipped = _available(problems_of(study, trust_code=trust_code))
     _require_unchanged(run, problems)
+    if strict:
+        _require_clean(problems)
     records = Plan(study, run, arms, problems, progress).carried_out()
     found = _gathered(study, arms, records, skipped)
     _write(run, study, arms, found)
@@ -119,6 +128,17 @@ def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
             "--out, or remove the folder"
         )
     run.write_json(PROBLEMS, {**there, **now})
+
+
+def _require_clean(problems: tuple[Posed, ...]) -> None:
+    """Refuse messy recordings.
+
+    Raises:
+        RecordingError: the message names the recording and what is wrong with it.
+    """
+    for problem in problems:
+        if not problem.fresh:
+            load_train(problem.study, strict=True)
 
 
 def so_far(study: Study, folder: Path, *, trust_code: bool = False) -> Comparison:

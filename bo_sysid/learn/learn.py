@@ -50,7 +50,9 @@ class Learning:
     notes: tuple[str, ...]
 
 
-def learn(study: Study, run: Run | None = None, *, progress: Report = silent) -> Learning:
+def learn(
+    study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
+) -> Learning:
     """Learn a policy with few real trajectories.
 
     Args:
@@ -59,6 +61,7 @@ def learn(study: Study, run: Run | None = None, *, progress: Report = silent) ->
         run: folder that keeps every phase; a run that was interrupted goes on to the result that
             it would have had. A temporary one by default.
         progress: told after every phase.
+        strict: refuse messy recordings of a person's machine.
 
     Raises:
         UserError: the study, its model, its task or a recording is wrong.
@@ -69,16 +72,16 @@ def learn(study: Study, run: Run | None = None, *, progress: Report = silent) ->
         # simulations have threads of their own; those of linear algebra would change roundings,
         # and with them what an interrupted run goes on to
         with limit_threads(1):
-            return _learned(study, run, progress)
+            return _learned(study, run, progress, strict)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
         with Run.open(folder, study.resolved(relative_to=folder), "learn") as own:
-            return learn(study, own, progress=progress)
+            return learn(study, own, progress=progress, strict=strict)
 
 
-def _learned(study: Study, run: Run, progress: Report) -> Learning:
+def _learned(study: Study, run: Run, progress: Report, strict: bool) -> Learning:
     scene = Scene.of(study)
-    source = open_source(scene, run)
+    source = open_source(scene, run, strict=strict)
     tell = Teller(progress, study.learn.trajectories)
     done: list[Iteration] = []
     while not done or not done[-1].verdict.stop:
