@@ -259,17 +259,23 @@ def test_strict_refuses_a_log_with_a_gap(
 def test_a_dataset_that_is_not_to_be_had_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def missing(name: str) -> None:
-        raise RecordingError(f"dataset {name} is not here")
-
-    monkeypatch.setattr("bo_sysid.compare.compare.load_dataset", missing)
-    real = {**small(), "name": "real", "recordings": {"dataset": "emps"}}
+    monkeypatch.delenv("BO_SYSID_DATA", raising=False)
+    real = {**small(), "name": "real", "recordings": {"dataset": "quanser_qube"}}
     del real["plant"]
     (tmp_path / "real.yaml").write_text(yaml.safe_dump(real))
     settings = {"arms": ["greedy"], "seeds": 1, "problems": ["real.yaml"]}
-    found = compare(Study.from_dict(small(compare=settings), tmp_path))
-    assert found.skipped == {"real": "dataset emps is not here"}
+    study = Study.from_dict(small(compare=settings), tmp_path)
+    place = tmp_path / "run"
+    with Run.open(place, study.resolved(relative_to=place), "compare") as run:
+        found = compare(study, run)
+    assert list(found.skipped) == ["real"]
+    assert re.search(r"quanser_qube: .*\$BO_SYSID_DATA is not set", found.skipped["real"])
     assert set(found.paths["problem"]) == {"small"}
+    again = so_far(study, place)
+    assert again.skipped == found.skipped
+    pd.testing.assert_frame_equal(again.costs, found.costs)
+    with pytest.raises(RecordingError, match="BO_SYSID_DATA is not set"):
+        compare(Study.from_dict({**real, "compare": {"arms": ["greedy"]}}, tmp_path))
 
 
 def test_runs_that_fail_are_told_and_the_others_kept(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from bo_sysid.runs import Run, read_json
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_train
 
-PROBLEMS = "problems.json"
+PROBLEMS, SUMMARY = "problems.json", "comparison.json"
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str
         dataset = problem.study.recordings.dataset
         try:
             if dataset is not None and not problem.fresh:
-                load_dataset(dataset)
+                _ = load_dataset(dataset).train  # opens the files
             kept.append(problem)
         except RecordingError as missing:
             skipped[problem.name] = str(missing)
@@ -153,13 +153,13 @@ def so_far(study: Study, folder: Path, *, trust_code: bool = False) -> Compariso
         RunError: no run has finished yet.
         StudyError: a study names Python files that are not trusted.
     """
-    arms = arms_of(study)
-    problems, skipped = _available(problems_of(study, trust_code=trust_code))
+    arms, problems = arms_of(study), problems_of(study, trust_code=trust_code)
     keys = {record_name(key): key for key in keys_of(study, arms, problems)}
     records = {k: read_json(folder, name) for name, k in keys.items() if (folder / name).is_file()}
     if not records:
         raise RunError(f"{folder}: no run of the comparison has finished yet")
-    return _gathered(study, arms, records, skipped)
+    left_out = read_json(folder, SUMMARY)["skipped"] if (folder / SUMMARY).is_file() else {}
+    return _gathered(study, arms, records, left_out)
 
 
 def _gathered(
@@ -188,7 +188,7 @@ def _write(run: Run, study: Study, arms: tuple[Arm, ...], found: Comparison) -> 
             run.write_frame(f"{name}.parquet", frame)
     runs = found.paths[["problem", "arm", "seed"]].drop_duplicates()
     run.write_json(
-        "comparison.json",
+        SUMMARY,
         {
             "name": study.name,
             "loop": study.compare.loop,
