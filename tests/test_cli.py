@@ -13,7 +13,7 @@ import yaml
 
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
-from bo_sysid.errors import UserError
+from bo_sysid.errors import UserError, is_input_error
 from bo_sysid.runs import Run
 
 MODEL = """
@@ -157,8 +157,9 @@ def test_a_file_that_cannot_be_read_gives_one_message(folder: Path, say: Say) ->
 @pytest.mark.parametrize(
     ("error", "code", "expected"),
     [
-        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: Permission denied\n"),
-        (OSError(28, "No space left on device"), 2, "bo-sysid: No space left on device\n"),
+        (FileNotFoundError(2, "No such file", "x.csv"), 2, "x.csv: No such file\n"),
+        (OSError(28, "No space left on device"), 1, "bo-sysid: No space left on device\n"),
+        (PermissionError(13, "Permission denied", "new"), 1, "new: Permission denied\n"),
         (KeyboardInterrupt(), 130, "bo-sysid: interrupted; the same command goes on"),
         (ZeroDivisionError("division by zero"), 1, "Traceback"),
     ],
@@ -178,7 +179,17 @@ def test_errors_have_exit_codes(
     found, _, err = say("check", "arm.yaml")
     assert found == code
     assert expected in err
-    assert ("Traceback" in err) == (code == 1)
+    assert ("Traceback" in err) == isinstance(error, ZeroDivisionError)
+
+
+def test_a_log_that_must_not_be_read_is_wrong_input_a_folder_to_write_to_is_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "log.csv")
+    assert is_input_error(PermissionError(13, "Permission denied", str(folder / "log.csv")))
+    assert not is_input_error(PermissionError(13, "Permission denied", str(folder / "runs")))
+    assert not is_input_error(PermissionError(13, "Permission denied", str(folder / "arm.yaml")))
+    assert not is_input_error(PermissionError(13, "Permission denied"))
 
 
 def test_check_tells_what_fits_what(folder: Path, say: Say) -> None:

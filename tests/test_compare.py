@@ -292,3 +292,18 @@ def test_runs_that_fail_are_told_and_the_others_kept(tmp_path: Path) -> None:
         compare(study, run)
     assert json.loads((place / "run.json").read_text())["status"] == "failed"
     assert len(list(place.glob("tables/*/*.npz"))) == 1
+
+
+def divide(_: TableJob) -> Table:
+    raise ZeroDivisionError("division by zero")
+
+
+def test_a_defect_in_a_job_is_not_laid_to_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("bo_sysid.compare.plan.tabulate", divide)
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(small()))
+    assert main(["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]) == 1
+    told = capsys.readouterr().err
+    assert "2 of 2 runs failed" in told
+    assert "ZeroDivisionError: division by zero" in told
