@@ -18,11 +18,13 @@ from learning import pendulum
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
-from bo_sysid.compare.arms import Posed, arms_of, problems_of
+from bo_sysid.compare.arms import Arm, Posed, arms_of, problems_of
 from bo_sysid.compare.compare import Comparison, compare, so_far
+from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, search
+from bo_sysid.policy.trainer import Iteration, Trainer
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -182,9 +184,30 @@ def test_outer_loops_are_compared_by_real_trajectories(tmp_path: Path) -> None:
     ]
     first = found.paths[found.paths["arm"].str.startswith("argmin")]
     assert first["trajectories"].tolist() == [1, 2]
-    assert first["steps"].tolist() == [800, 1600]
+    assert first["steps"].tolist() == [800, 800]  # the same model again: nothing is trained
     assert (found.paths["regret"] >= 0).all()
     assert found.costs["trajectories"].tolist() == [1, 1]
+
+
+def test_steps_are_those_that_were_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches = []
+
+    def counted(trainer: Trainer) -> Iteration:
+        batches.append(trainer.settings.batch)
+        return iterate(trainer)
+
+    iterate = Trainer.iterate
+    monkeypatch.setattr(Trainer, "iterate", counted)
+    policy = {"batch": 400, "steps": 1200, "hidden": [8], "draft": 400}
+    study = pendulum(policy=policy, learn={"trajectories": 3, "episodes": 2})
+    arm = Arm("one", "argmin-entropy", "argmax", "timeout", 1)
+    job = LearnJob(study, str(tmp_path), arm, 0, str(tmp_path / "run"))
+    steps = run_learn(job)["steps"]
+    # one model thrice: its draft is taken over as it is, then gone on from
+    assert steps == [400, 400, 1200]
+    assert steps[-1] == sum(batches)
 
 
 def test_what_is_wrong_is_told(tmp_path: Path) -> None:

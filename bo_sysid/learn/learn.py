@@ -32,7 +32,8 @@ class Learning:
         name: of the study.
         policy: the last policy; None where none was learned yet.
         chosen: the parameter values that it was learned on.
-        iterations: one row an iteration: trajectories, entropy, deviation, model_return and
+        iterations: one row an iteration: trajectories, entropy, deviation, training_steps (control
+            steps simulated to learn its policy, without those taken over), model_return and
             plant_return with their standard errors.
         trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
         reason: why the loop ended; empty where it waits.
@@ -136,6 +137,7 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
                 "entropy": f["entropy"],
                 "deviation": f["floor"]["deviation"],
                 "floor": i.found.floor.expected,
+                "training_steps": f.get("training_steps"),
                 "model_return": f["model_return"]["mean"],
                 "model_error": f["model_return"]["error"],
                 "plant_return": f["plant_return"]["mean"] if f["plant_return"] else None,
