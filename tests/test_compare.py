@@ -20,6 +20,7 @@ from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
 from bo_sysid.compare.arms import Arm, Posed, arms_of, problems_of
 from bo_sysid.compare.compare import Comparison, compare, so_far
+from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.errors import RecordingError, RunError, StudyError
@@ -102,6 +103,26 @@ def test_arms_share_plant_and_initial_design_and_seeds_do_not(
     for mass, damping in truths.values():
         assert 0.65 <= mass <= 1.35
         assert 0.045 <= damping <= 0.255
+
+
+@pytest.mark.parametrize(("seed", "settles"), [(0, False), (2, True)])
+def test_a_blind_arm_settles_by_the_studys_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, settles: bool
+) -> None:
+    stop = {"entropy": 0.3, "last": 5}
+    study = small(search={"budget": 25, "stop": stop})
+    data = Posed("small", Study.from_dict(study, tmp_path)).seeded(seed)
+    table = tabulate(TableJob(data, str(tmp_path), seed))
+    arm = Arm("random", "random", "argmax", "timeout", 1)
+    job = SearchJob(data, str(tmp_path), arm, seed, seed, table)
+    blind = run_search(job)
+    monkeypatch.setattr("bo_sysid.compare.inner.BLIND", ())  # looks after every evaluation
+    seeing = run_search(job)
+    assert blind["row"] == seeing["row"]
+    looks = [k for k, entropy in enumerate(blind["entropy"]) if entropy is not None]
+    settled = [k + 1 for k in looks if k >= 10 and np.ptp(seeing["entropy"][k - 5 : k + 1]) < 0.3]
+    assert blind["settled"] == (settled[0] if settles else None)
+    assert bool(settled) is settles
 
 
 def test_costs_follow_from_the_paths(compared: tuple[Path, Comparison]) -> None:
