@@ -125,6 +125,19 @@ def test_a_blind_arm_settles_by_the_studys_rule(
     assert bool(settled) is settles
 
 
+def test_a_drawn_plant_has_one_of_the_categories(tmp_path: Path) -> None:
+    mass, damping = small()["parameters"]
+    kind = {**damping, "low": 0.0, "high": 0.2, "steps": 3, "ordered": False}
+    posed = Posed("small", Study.from_dict(small(parameters=[mass, kind]), tmp_path))
+    drawn = [posed.seeded(seed)["plant"]["parameters"] for seed in range(60)]
+    counts = pd.Series([round(d["damping"], 12) for d in drawn]).value_counts()
+    assert set(counts.index) == {0.0, 0.1, 0.2}
+    assert counts.min() >= 10
+    # the others stay what they were
+    same = Posed("small", Study.from_dict(small(), tmp_path)).seeded(4)["plant"]["parameters"]
+    assert drawn[4]["mass"] == same["mass"]
+
+
 def test_costs_follow_from_the_paths(compared: tuple[Path, Comparison]) -> None:
     place, found = compared
     runs = found.paths.set_index(["arm", "seed"])
