@@ -8,12 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
 from bo_sysid.errors import UserError, is_input_error
+from bo_sysid.recording import Recording
+from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 
 MODEL = """
@@ -213,6 +216,24 @@ def test_check_renders_the_model_or_says_what_to_install(folder: Path, say: Say)
     drawn = (folder / "c" / "render.png").is_file()
     assert ("works with MUJOCO_GL=" in out) == drawn
     assert ("apt-get install libegl1" in out) != drawn
+
+
+def test_check_keeps_every_picture_in_its_folder(folder: Path, say: Say) -> None:
+    time = 0.01 * np.arange(80)
+    arrays = {"qpos": {"hinge": np.sin(time)}, "ctrl": {"motor": np.cos(9 * time)}}
+    log = Recording.from_arrays(time, name=str(folder / "ESCAPED"), **arrays)
+    write_recording(log, folder / "sneaky.parquet")
+    for place in ("a", "b"):
+        (folder / place).mkdir()
+        (folder / place / "log.csv").write_text(LOG)
+    logs = "recordings.train=[sneaky.parquet, a/log.csv, b/log.csv]"
+    code, _, _ = say("check", "arm.yaml", "--set", logs, "--out", "c")
+    assert code == 0
+    assert not list(folder.glob("*.png"))
+    drawn = {p.name for p in (folder / "c").glob("*.png")}
+    assert {"log.png", "log-2.png"} < drawn
+    (other,) = drawn - {"log.png", "log-2.png"}
+    assert other.endswith("-ESCAPED.png")
 
 
 def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> None:
