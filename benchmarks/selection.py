@@ -183,7 +183,7 @@ def averaged(found: Comparison) -> dict[str, Any]:
 
 def without(found: Comparison, quick: bool, cases: Cases) -> dict[str, Any]:
     """Return the reliability of max P from one Gaussian process, on the same histories."""
-    problems = {p.name: p for p in problems_of(study_of("inner", quick))}
+    problems = {p.name: p for p in problems_of(study_of("inner", quick), trust_code=False)}
     own = found.paths[(found.paths["arm"] == SEED_RULE) & found.paths["right"].notna()]
     rows: list[dict[str, Any]] = []
     for (name, seed), path in own.groupby(["problem", "seed"], sort=False):

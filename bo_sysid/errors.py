@@ -5,6 +5,7 @@ message and exit code 2. Anything else is a defect of this package and keeps its
 """
 
 import difflib
+import os
 from collections.abc import Iterable
 
 
@@ -30,6 +31,22 @@ class ModelError(UserError):
 
 class RunError(UserError):
     """A run folder is damaged, belongs to another study, or was written by another version."""
+
+
+class JobError(BoSysidError):
+    """A job failed for no fault of its input: a defect, a process that was lost, a full disk."""
+
+
+def is_input_error(error: OSError) -> bool:
+    """Return whether an input is not there or cannot be read.
+
+    A disk that is full or a folder that cannot be written to is no fault of the input.
+    """
+    if isinstance(error, PermissionError):
+        path = error.filename
+        return path is not None and os.path.exists(path) and not os.access(path, os.R_OK)
+    wrong = FileNotFoundError | FileExistsError | IsADirectoryError | NotADirectoryError
+    return isinstance(error, wrong)
 
 
 def nearest(name: str, valid: Iterable[str], most: int = 3) -> str:

@@ -8,11 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
+from bo_sysid.errors import UserError, is_input_error
+from bo_sysid.recording import Recording
+from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 
 MODEL = """
@@ -156,8 +160,9 @@ def test_a_file_that_cannot_be_read_gives_one_message(folder: Path, say: Say) ->
 @pytest.mark.parametrize(
     ("error", "code", "expected"),
     [
-        (PermissionError(13, "Permission denied", "x.csv"), 2, "x.csv: Permission denied\n"),
-        (OSError(28, "No space left on device"), 2, "bo-sysid: No space left on device\n"),
+        (FileNotFoundError(2, "No such file", "x.csv"), 2, "x.csv: No such file\n"),
+        (OSError(28, "No space left on device"), 1, "bo-sysid: No space left on device\n"),
+        (PermissionError(13, "Permission denied", "new"), 1, "new: Permission denied\n"),
         (KeyboardInterrupt(), 130, "bo-sysid: interrupted; the same command goes on"),
         (ZeroDivisionError("division by zero"), 1, "Traceback"),
     ],
@@ -177,7 +182,17 @@ def test_errors_have_exit_codes(
     found, _, err = say("check", "arm.yaml")
     assert found == code
     assert expected in err
-    assert ("Traceback" in err) == (code == 1)
+    assert ("Traceback" in err) == isinstance(error, ZeroDivisionError)
+
+
+def test_a_log_that_must_not_be_read_is_wrong_input_a_folder_to_write_to_is_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, mode: Path(path).name != "log.csv")
+    assert is_input_error(PermissionError(13, "Permission denied", str(folder / "log.csv")))
+    assert not is_input_error(PermissionError(13, "Permission denied", str(folder / "runs")))
+    assert not is_input_error(PermissionError(13, "Permission denied", str(folder / "arm.yaml")))
+    assert not is_input_error(PermissionError(13, "Permission denied"))
 
 
 def test_check_tells_what_fits_what(folder: Path, say: Say) -> None:
@@ -203,6 +218,24 @@ def test_check_renders_the_model_or_says_what_to_install(folder: Path, say: Say)
     assert ("apt-get install libegl1" in out) != drawn
 
 
+def test_check_keeps_every_picture_in_its_folder(folder: Path, say: Say) -> None:
+    time = 0.01 * np.arange(80)
+    arrays = {"qpos": {"hinge": np.sin(time)}, "ctrl": {"motor": np.cos(9 * time)}}
+    log = Recording.from_arrays(time, name=str(folder / "ESCAPED"), **arrays)
+    write_recording(log, folder / "sneaky.parquet")
+    for place in ("a", "b"):
+        (folder / place).mkdir()
+        (folder / place / "log.csv").write_text(LOG)
+    logs = "recordings.train=[sneaky.parquet, a/log.csv, b/log.csv]"
+    code, _, _ = say("check", "arm.yaml", "--set", logs, "--out", "c")
+    assert code == 0
+    assert not list(folder.glob("*.png"))
+    drawn = {p.name for p in (folder / "c").glob("*.png")}
+    assert {"log.png", "log-2.png"} < drawn
+    (other,) = drawn - {"log.png", "log-2.png"}
+    assert other.endswith("-ESCAPED.png")
+
+
 def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> None:
     rows = LOG.splitlines()
     (folder / "log.csv").write_text("\n".join(rows[:20] + rows[30:]) + "\n")
@@ -210,6 +243,31 @@ def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> N
     code, _, err = say("check", "arm.yaml", "--strict")
     assert code == 2
     assert "gap" in err
+
+
+STRICT = {"check", "identify", "diagnose", "learn", "compare"}
+
+
+@pytest.mark.parametrize("verb", sorted(STRICT | {"record", "excite"}))
+def test_strict_is_an_option_of_verbs_that_read_recordings(verb: str, say: Say) -> None:
+    assert ("--strict" in say(verb, "--help")[1]) == (verb in STRICT)
+
+
+@pytest.mark.parametrize(
+    ("verb", "called"), [("check", "checks.check.check"), ("excite", "excite.excite.excite")]
+)
+def test_threads_are_those_of_the_option(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch, verb: str, called: str
+) -> None:
+    from bo_sysid.execution import threads
+
+    def count(*_: object, **__: object) -> None:
+        raise UserError(f"{threads()} threads")
+
+    monkeypatch.setenv("BO_SYSID_THREADS", "2")
+    monkeypatch.setattr(f"bo_sysid.{called}", count)
+    assert say(verb, "arm.yaml", "--threads", "3")[2] == "bo-sysid: 3 threads\n"
+    assert say(verb, "arm.yaml")[2] == "bo-sysid: 2 threads\n"
 
 
 def test_options_change_the_study(folder: Path, say: Say) -> None:
@@ -254,6 +312,24 @@ def test_record_makes_recordings_and_a_study_on_them(folder: Path, say: Say) -> 
     before = (folder / "made" / "train-1.parquet").read_bytes()
     assert say("record", "arm.yaml", "--set", plant, "--out", "made")[0] == 0
     assert (folder / "made" / "train-1.parquet").read_bytes() == before
+
+
+def test_record_of_a_study_called_study_keeps_both_and_goes_on(folder: Path, say: Say) -> None:
+    plant = "plant={parameters: {mass: 0.613}, record: {train: 1, holdout: 1, seconds: 0.5}}"
+    (folder / "study.yaml").write_text(STUDY)
+    for _ in range(2):
+        code, out, err = say("record", "study.yaml", "--set", plant, "--out", "made")
+        assert (code, err.count("Traceback")) == (0, 0)
+    assert "bo-sysid identify made/study_recorded.yaml" in out
+    kept = {n: yaml.safe_load((folder / "made" / n).read_text())["recordings"]["train"]
+            for n in ("study.yaml", "study_recorded.yaml")}  # fmt: skip
+    assert kept == {"study.yaml": ["../log.csv"], "study_recorded.yaml": ["train-*.parquet"]}
+    code, out, _ = say("check", "made/study_recorded.yaml")
+    assert code == 0
+    code, _, err = say("record", "study.yaml", "--set", plant, "--out", ".")
+    assert code == 2
+    assert "use another --out" in err
+    assert (folder / "study.yaml").read_text() == STUDY
 
 
 QUICK = """

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,11 +18,14 @@ from learning import pendulum
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
-from bo_sysid.compare.arms import Posed, arms_of, problems_of
-from bo_sysid.compare.compare import Comparison, compare
+from bo_sysid.compare.arms import Arm, Posed, arms_of, problems_of
+from bo_sysid.compare.compare import Comparison, compare, so_far
+from bo_sysid.compare.inner import SearchJob, run_search
+from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, search
+from bo_sysid.policy.trainer import Iteration, Trainer
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -99,6 +103,39 @@ def test_arms_share_plant_and_initial_design_and_seeds_do_not(
     for mass, damping in truths.values():
         assert 0.65 <= mass <= 1.35
         assert 0.045 <= damping <= 0.255
+
+
+@pytest.mark.parametrize(("seed", "settles"), [(0, False), (2, True)])
+def test_a_blind_arm_settles_by_the_studys_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, settles: bool
+) -> None:
+    stop = {"entropy": 0.3, "last": 5}
+    study = small(search={"budget": 25, "stop": stop})
+    data = Posed("small", Study.from_dict(study, tmp_path)).seeded(seed)
+    table = tabulate(TableJob(data, str(tmp_path), seed))
+    arm = Arm("random", "random", "argmax", "timeout", 1)
+    job = SearchJob(data, str(tmp_path), arm, seed, seed, table)
+    blind = run_search(job)
+    monkeypatch.setattr("bo_sysid.compare.inner.BLIND", ())  # looks after every evaluation
+    seeing = run_search(job)
+    assert blind["row"] == seeing["row"]
+    looks = [k for k, entropy in enumerate(blind["entropy"]) if entropy is not None]
+    settled = [k + 1 for k in looks if k >= 10 and np.ptp(seeing["entropy"][k - 5 : k + 1]) < 0.3]
+    assert blind["settled"] == (settled[0] if settles else None)
+    assert bool(settled) is settles
+
+
+def test_a_drawn_plant_has_one_of_the_categories(tmp_path: Path) -> None:
+    mass, damping = small()["parameters"]
+    kind = {**damping, "low": 0.0, "high": 0.2, "steps": 3, "ordered": False}
+    posed = Posed("small", Study.from_dict(small(parameters=[mass, kind]), tmp_path))
+    drawn = [posed.seeded(seed)["plant"]["parameters"] for seed in range(60)]
+    counts = pd.Series([round(d["damping"], 12) for d in drawn]).value_counts()
+    assert set(counts.index) == {0.0, 0.1, 0.2}
+    assert counts.min() >= 10
+    # the others stay what they were
+    same = Posed("small", Study.from_dict(small(), tmp_path)).seeded(4)["plant"]["parameters"]
+    assert drawn[4]["mass"] == same["mass"]
 
 
 def test_costs_follow_from_the_paths(compared: tuple[Path, Comparison]) -> None:
@@ -181,9 +218,30 @@ def test_outer_loops_are_compared_by_real_trajectories(tmp_path: Path) -> None:
     ]
     first = found.paths[found.paths["arm"].str.startswith("argmin")]
     assert first["trajectories"].tolist() == [1, 2]
-    assert first["steps"].tolist() == [800, 1600]
+    assert first["steps"].tolist() == [800, 800]  # the same model again: nothing is trained
     assert (found.paths["regret"] >= 0).all()
     assert found.costs["trajectories"].tolist() == [1, 1]
+
+
+def test_steps_are_those_that_were_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches = []
+
+    def counted(trainer: Trainer) -> Iteration:
+        batches.append(trainer.settings.batch)
+        return iterate(trainer)
+
+    iterate = Trainer.iterate
+    monkeypatch.setattr(Trainer, "iterate", counted)
+    policy = {"batch": 400, "steps": 1200, "hidden": [8], "draft": 400}
+    study = pendulum(policy=policy, learn={"trajectories": 3, "episodes": 2})
+    arm = Arm("one", "argmin-entropy", "argmax", "timeout", 1)
+    job = LearnJob(study, str(tmp_path), arm, 0, str(tmp_path / "run"))
+    steps = run_learn(job)["steps"]
+    # one model thrice: its draft is taken over as it is, then gone on from
+    assert steps == [400, 400, 1200]
+    assert steps[-1] == sum(batches)
 
 
 def test_what_is_wrong_is_told(tmp_path: Path) -> None:
@@ -196,9 +254,9 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
         arms_of(posed(arms=["greedy", "greedy"]))
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(small()))
     with pytest.raises(StudyError, match=r"compare.problems.0: no file 'oter.yaml'.*'other.yaml'"):
-        problems_of(posed(arms=["greedy"], problems="oter.yaml"))
+        problems_of(posed(arms=["greedy"], problems="oter.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.problems.0: other.yaml is called 'small', as a"):
-        problems_of(posed(arms=["greedy"], problems="other.yaml"))
+        problems_of(posed(arms=["greedy"], problems="other.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.lop: unknown key; did you mean 'loop'"):
         posed(arms=["greedy"], lop="outer")
 
@@ -213,20 +271,68 @@ def test_an_unknown_acquisition_has_its_nearest_name(
     assert not (tmp_path / "run").exists()
 
 
+def test_code_of_another_problem_runs_only_when_trusted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran = tmp_path / "ran"
+    (tmp_path / "law.py").write_text(
+        f"open({str(ran)!r}, 'w').close()\ndef law(u):\n    return u\n"
+    )
+    other = {**small(actuators={"torque": {"law": "law.py:law"}}), "name": "other"}
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(other))
+    settings = {"arms": ["random"], "seeds": 1, "problems": ["other.yaml"]}
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(small(compare=settings)))
+    command = ["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]
+    assert main([*command, "--threads", "1"]) == 2
+    told = capsys.readouterr().err
+    assert re.search(r"other.yaml.*\(law.py\), which runs only with --trust-code", told)
+    assert not ran.exists()
+    with pytest.raises(StudyError, match="--trust-code"):
+        so_far(Study.load(tmp_path / "small.yaml"), tmp_path / "run")
+    main([*command, "--threads", "1", "--trust-code"])
+    assert ran.exists()
+
+
+def test_strict_refuses_a_log_with_a_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{k * 0.02:.2f},{np.sin(0.1 * k):.5f},{np.cos(k)}" for k in range(100)]
+    log = "\n".join(["time,qpos.hinge,ctrl.torque", *rows[:40], *rows[60:]]) + "\n"
+    (tmp_path / "log.csv").write_text(log)
+    study = small(
+        name="logged",
+        recordings={"train": ["log.csv"], "noise": {"qpos": 0.001}},
+        compare={"arms": ["random"], "seeds": 1},
+    )
+    del study["plant"]
+    (tmp_path / "logged.yaml").write_text(yaml.safe_dump(study))
+    command = ["compare", str(tmp_path / "logged.yaml"), "--threads", "1"]
+    assert main([*command, "--out", str(tmp_path / "run")]) == 0
+    for run in ("run", "other"):  # also where it goes on
+        assert main([*command, "--out", str(tmp_path / run), "--strict"]) == 2
+        assert re.search(r"log.csv: refused because of --strict.*gap", capsys.readouterr().err)
+
+
 def test_a_dataset_that_is_not_to_be_had_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def missing(name: str) -> None:
-        raise RecordingError(f"dataset {name} is not here")
-
-    monkeypatch.setattr("bo_sysid.compare.compare.load_dataset", missing)
-    real = {**small(), "name": "real", "recordings": {"dataset": "emps"}}
+    monkeypatch.delenv("BO_SYSID_DATA", raising=False)
+    real = {**small(), "name": "real", "recordings": {"dataset": "quanser_qube"}}
     del real["plant"]
     (tmp_path / "real.yaml").write_text(yaml.safe_dump(real))
     settings = {"arms": ["greedy"], "seeds": 1, "problems": ["real.yaml"]}
-    found = compare(Study.from_dict(small(compare=settings), tmp_path))
-    assert found.skipped == {"real": "dataset emps is not here"}
+    study = Study.from_dict(small(compare=settings), tmp_path)
+    place = tmp_path / "run"
+    with Run.open(place, study.resolved(relative_to=place), "compare") as run:
+        found = compare(study, run)
+    assert list(found.skipped) == ["real"]
+    assert re.search(r"quanser_qube: .*\$BO_SYSID_DATA is not set", found.skipped["real"])
     assert set(found.paths["problem"]) == {"small"}
+    again = so_far(study, place)
+    assert again.skipped == found.skipped
+    pd.testing.assert_frame_equal(again.costs, found.costs)
+    with pytest.raises(RecordingError, match="BO_SYSID_DATA is not set"):
+        compare(Study.from_dict({**real, "compare": {"arms": ["greedy"]}}, tmp_path))
 
 
 def test_runs_that_fail_are_told_and_the_others_kept(tmp_path: Path) -> None:
@@ -243,3 +349,18 @@ def test_runs_that_fail_are_told_and_the_others_kept(tmp_path: Path) -> None:
         compare(study, run)
     assert json.loads((place / "run.json").read_text())["status"] == "failed"
     assert len(list(place.glob("tables/*/*.npz"))) == 1
+
+
+def divide(_: TableJob) -> Table:
+    raise ZeroDivisionError("division by zero")
+
+
+def test_a_defect_in_a_job_is_not_laid_to_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("bo_sysid.compare.plan.tabulate", divide)
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(small()))
+    assert main(["compare", str(tmp_path / "small.yaml"), "--out", str(tmp_path / "run")]) == 1
+    told = capsys.readouterr().err
+    assert "2 of 2 runs failed" in told
+    assert "ZeroDivisionError: division by zero" in told

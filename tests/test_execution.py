@@ -36,6 +36,10 @@ def wrong_study(_: object) -> None:
     raise StudyError("the study is wrong")
 
 
+def read(path: str) -> str:
+    return Path(path).read_text()
+
+
 def unsendable(_: object) -> object:
     return lambda: None
 
@@ -65,14 +69,18 @@ def test_a_failing_job_is_reported_and_the_others_go_on() -> None:
     assert outcomes["a"].result == 4
     assert outcomes["c"].result == 9
     assert "ValueError: negative" in str(outcomes["b"].error)
+    assert not outcomes["b"].wrong_input
     (outcome,) = LocalEngine(1).run(wrong_study, {"a": None})
-    assert outcome.error == "the study is wrong"
+    assert (outcome.error, outcome.wrong_input) == ("the study is wrong", True)
+    (outcome,) = LocalEngine(1).run(read, {"a": "nothing.csv"})
+    assert (outcome.error, outcome.wrong_input) == ("nothing.csv: No such file or directory", True)
 
 
 def test_a_process_that_dies_takes_only_its_job_along() -> None:
     outcomes = {o.key: o for o in LocalEngine(2).run(die_at_three, {str(k): k for k in range(7)})}
     assert [outcomes[str(k)].result for k in range(7)] == [0, 1, 2, None, 4, 5, 6]
     assert outcomes["3"].error == "its process ended with code -9"
+    assert not outcomes["3"].wrong_input
 
 
 def test_a_result_that_cannot_be_sent_is_an_error() -> None:

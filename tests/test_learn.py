@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -238,6 +240,27 @@ def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path)
     assert place.exists()
     place.unlink()
     assert "waiting for recording 1" in learned(tmp_path, study).waiting
+
+
+def with_a_gap(path: Path) -> None:
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(rows[:100] + rows[140:]) + "\n")
+
+
+def test_strict_refuses_a_machines_recordings_with_a_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(machine_study(tmp_path)))
+    strict = ["learn", str(tmp_path / "mine.yaml"), "--out", str(tmp_path / "run"), "--strict"]
+    assert main(strict) == 0
+    trajectory = tmp_path / "run" / "recordings" / "trajectory-01.csv"
+    shutil.copyfile(tmp_path / "first.csv", trajectory)
+    with_a_gap(trajectory)
+    assert main(strict) == 2
+    assert re.search(r"trajectory-01.csv: refused because of --strict", capsys.readouterr().err)
+    with_a_gap(tmp_path / "first.csv")
+    assert main([*strict[:-2], str(tmp_path / "other"), "--strict"]) == 2
+    assert re.search(r"first.csv: refused because of --strict", capsys.readouterr().err)
 
 
 def test_first_recordings_must_not_change(tmp_path: Path) -> None:

@@ -124,6 +124,21 @@ def test_a_folder_that_is_no_run_is_left_alone(tmp_path: Path) -> None:
     assert names(tmp_path) == {"thesis.tex"}
 
 
+def test_a_study_of_the_user_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text("name: mine  # with remarks\n")
+    with pytest.raises(RunError, match=r"no run.json\) and not empty \(it holds study.yaml\); use"):
+        opened(tmp_path)
+    assert (tmp_path / "study.yaml").read_text() == "name: mine  # with remarks\n"
+    assert names(tmp_path) == {"study.yaml"}
+
+
+def test_a_run_that_was_killed_before_its_record_goes_on(tmp_path: Path) -> None:
+    opened(tmp_path / "run").close("finished")
+    (tmp_path / "run" / "run.json").unlink()
+    opened(tmp_path / "run").close("finished")
+    assert read_record(tmp_path / "run")["status"] == "finished"
+
+
 @pytest.mark.parametrize(
     ("content", "expected"),
     [

@@ -29,7 +29,7 @@ from bo_sysid.cli import (
     reveal,
     schema,
 )
-from bo_sysid.errors import UserError
+from bo_sysid.errors import BoSysidError, UserError, is_input_error
 
 VERBS = (
     init,
@@ -66,7 +66,8 @@ def make_parser() -> argparse.ArgumentParser:
         prog="bo-sysid",
         description="Find where a MuJoCo simulation and a real machine disagree, and repair the "
         "model.",
-        epilog="Exit code: 0 done, 2 the study, model or recording is wrong, 1 anything else.",
+        epilog="Exit code: 0 done, 2 the study, model or recording is wrong, 130 interrupted "
+        "(Ctrl-C), 1 anything else.",
     )
     parser.add_argument("--version", action="version", version=f"bo-sysid {__version__}")
     verbs = parser.add_subparsers(metavar="VERB", required=True)
@@ -83,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted; 1 anything
-        else, with a traceback.
+        else, with a traceback where it is a defect.
     """
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="replace")  # type: ignore[union-attr] # names may hold any letter
@@ -95,12 +96,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(end.code or DONE)
     except UserError as error:
         return _say(str(error), WRONG_INPUT)
+    except BoSysidError as error:  # a job failed
+        return _say(str(error), DEFECT)
     except BrokenPipeError:  # whoever read the output has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except OSError as error:  # a missing file, no permission, a full disk
         where = f"{error.filename}: " if error.filename else ""
-        return _say(f"{where}{error.strerror or error}", WRONG_INPUT)
+        code = WRONG_INPUT if is_input_error(error) else DEFECT
+        return _say(f"{where}{error.strerror or error}", code)
     except KeyboardInterrupt:
         return _say("interrupted; the same command goes on where it was", INTERRUPTED)
     except Exception:

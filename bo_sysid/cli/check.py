@@ -1,15 +1,20 @@
 """`bo-sysid check`: what is wrong with a log, before anything is fitted."""
 
 import argparse
+import itertools
+import re
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study
 
 if TYPE_CHECKING:
     from bo_sysid.checks.check import Checked
     from bo_sysid.study import Study
+
+_LONGEST = 80  # letters of a recording's name in that of its picture
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
@@ -22,6 +27,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "parameters. Nothing is fitted; a folder is written only with --out.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.add_argument(
         "--render", action="store_true", help="also say whether MuJoCo can render on this machine"
@@ -34,9 +40,11 @@ def run(args: argparse.Namespace) -> None:
     study = load_study(args)
 
     from bo_sysid.checks.check import check
+    from bo_sysid.execution import use_threads
     from bo_sysid.report.check_text import checked_text
 
-    found = check(study, strict=args.strict)
+    with use_threads(args.threads):
+        found = check(study, strict=args.strict)
     print(checked_text(found))
     if args.render:
         print(f"\n{rendering(study, args.out)}")
@@ -71,9 +79,10 @@ def write(found: "Checked", folder: Path) -> None:
     from bo_sysid.report.check_figures import recording_figure
     from bo_sysid.report.check_text import checked_text
     from bo_sysid.report.figures import save
+    from bo_sysid.runs import atomic
 
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "check.txt").write_text(checked_text(found) + "\n", encoding="utf-8")
+    with atomic(folder / "check.txt") as place:
+        place.write_text(checked_text(found) + "\n", encoding="utf-8")
     tables = {
         "motion": found.motion,
         "delays": found.wiring.delays,
@@ -82,9 +91,29 @@ def write(found: "Checked", folder: Path) -> None:
         "step": found.step,
     }
     for name, table in tables.items():
-        table.to_csv(folder / f"{name}.csv", index=False)
+        with atomic(folder / f"{name}.csv") as place:
+            table.to_csv(place, index=False)
     if found.proposal:
-        (folder / "recordings.yaml").write_text(found.proposal + "\n", encoding="utf-8")
+        with atomic(folder / "recordings.yaml") as place:
+            place.write_text(found.proposal + "\n", encoding="utf-8")
     flagged = {n for f in found.flags if f.level != "note" for n in f.channels}
-    for recording in found.recordings:
-        save(recording_figure(recording, flagged), folder / f"{recording.name}.png")
+    titles = _titles([recording.name for recording in found.recordings])
+    for recording, title in zip(found.recordings, titles, strict=True):
+        with atomic(folder / f"{title}.png") as place:
+            save(recording_figure(recording, flagged), place)
+
+
+def _titles(names: Sequence[str]) -> list[str]:
+    """Return a name for the picture of each recording, which leads nowhere else.
+
+    What a file says of its own name is not to be trusted; two logs may have one name.
+    """
+    taken = {"render"}  # the picture of --render
+    titles = []
+    for name in names:
+        plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:_LONGEST] or "recording"
+        numbered = (f"{plain}-{k}" for k in itertools.count(2))
+        title = next(t for t in itertools.chain([plain], numbered) if t.lower() not in taken)
+        taken.add(title.lower())
+        titles.append(title)
+    return titles

@@ -29,14 +29,18 @@ def add_study(parser: argparse.ArgumentParser) -> None:
         "--threads", type=int, metavar="N", help="number of threads; all cores otherwise"
     )
     parser.add_argument(
-        "--strict",
-        action="store_true",
-        help="refuse recordings with gaps, jitter or duplicate stamps",
-    )
-    parser.add_argument(
         "--trust-code",
         action="store_true",
         help="run the Python files that the study names",
+    )
+
+
+def add_strict(parser: argparse.ArgumentParser) -> None:
+    """Add the argument of a verb that reads recordings."""
+    parser.add_argument(
+        "--strict",
+        action="store_true",
+        help="refuse recordings with gaps, jitter or duplicate stamps",
     )
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
 
 
@@ -17,6 +17,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "comparison goes on with the same command.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.set_defaults(run=run)
 
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> None:
     with open_run(args, study, "compare") as run, shown("compare") as progress:
         from bo_sysid.compare.compare import compare
 
-        compare(study, run, progress=progress)
+        compare(study, run, progress=progress, trust_code=args.trust_code, strict=args.strict)
 
     from bo_sysid.report.comparison import write_comparison_figures
     from bo_sysid.report.text import run_text

@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
 from bo_sysid.cli.report import page_of
 
@@ -22,6 +22,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "used.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.set_defaults(run=run)
 

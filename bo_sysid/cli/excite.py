@@ -31,12 +31,12 @@ def run(args: argparse.Namespace) -> None:
     study = load_study(args)
 
     from bo_sysid.excite.excite import excite
-    from bo_sysid.execution import Progress
+    from bo_sysid.execution import Progress, use_threads
     from bo_sysid.report.check_figures import recording_figure
     from bo_sysid.report.figures import save
     from bo_sysid.report.text import table
 
-    with shown("excite") as progress:
+    with use_threads(args.threads), shown("excite") as progress:
         found = excite(
             study,
             seconds=args.seconds,

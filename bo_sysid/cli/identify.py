@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "sure one can be. An interrupted run goes on with the same command.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.set_defaults(run=run)
 

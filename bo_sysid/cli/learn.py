@@ -2,7 +2,7 @@
 
 import argparse
 
-from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
+from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
 
 
@@ -17,6 +17,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "An interrupted run goes on with the same command.",
     )
     add_study(parser)
+    add_strict(parser)
     add_out(parser)
     parser.set_defaults(run=run)
 
@@ -27,7 +28,7 @@ def run(args: argparse.Namespace) -> None:
     with open_run(args, study, "learn") as run, shown("learn") as progress:
         from bo_sysid.learn.learn import learn
 
-        learn(study, run, progress=progress)
+        learn(study, run, progress=progress, strict=args.strict)
 
     from bo_sysid.report.learning import write_learning_figures
     from bo_sysid.report.text import run_text

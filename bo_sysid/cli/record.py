@@ -40,7 +40,8 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
     Args:
         run: the run folder.
         study: its `plant` says what is recorded.
-        name: of the study file that is written beside the recordings.
+        name: of the study file that is written beside the recordings; a run folder has a file
+            `study.yaml` of its own, so that ``study`` becomes `study_recorded.yaml`.
         progress: told after every recording.
 
     Returns:
@@ -87,4 +88,5 @@ def record_into(run: "Run", study: "Study", name: str, progress: "Report") -> Pa
         "holdout": ["holdout-*.parquet"],
         "noise": noise,
     }
-    return run.write_text(f"{name}.yaml", yaml.safe_dump(recorded, sort_keys=False))
+    file = "study_recorded.yaml" if name.lower() == "study" else f"{name}.yaml"
+    return run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))

@@ -10,6 +10,7 @@ import numpy as np
 
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 
@@ -57,7 +58,8 @@ class Posed:
         """Return the resolved study of one seed.
 
         Args:
-            seed: draws the plant's parameters, uniform in the inner 70 % of their bounds.
+            seed: draws the plant's parameters, uniform in the inner 70 % of their bounds; one
+                without an order takes a value of its grid.
             truth: "stated" leaves them as the study states them.
         """
         data = self.study.resolved()
@@ -70,10 +72,17 @@ class Posed:
 def _drawn(study: Study, model: Model, plant: Mapping[str, Any], seed: int) -> dict[str, Any]:
     parameters = study.parameter_set(model)
     share = np.random.default_rng((_DRAW, seed)).uniform(*_INSIDE, size=len(parameters))
-    values = {
-        p.name: float(p.low + u * (p.high - p.low)) for p, u in zip(parameters, share, strict=True)
-    }
+    values = {p.name: _value(p, u) for p, u in zip(parameters, share, strict=True)}
     return {**plant, "parameters": {**plant.get("parameters", {}), **values}}
+
+
+def _value(parameter: Parameter, share: float) -> float:
+    """Return the value at a share of the bounds; of categories each is as probable."""
+    if parameter.ordered:
+        return float(parameter.low + share * (parameter.high - parameter.low))
+    low, high = _INSIDE
+    row = int((share - low) / (high - low) * parameter.steps)
+    return float(parameter.grid[min(row, parameter.steps - 1)])
 
 
 def arms_of(study: Study) -> tuple[Arm, ...]:
@@ -103,12 +112,12 @@ def arms_of(study: Study) -> tuple[Arm, ...]:
     return tuple(found.values())
 
 
-def problems_of(study: Study, *, trust_code: bool = True) -> tuple[Posed, ...]:
+def problems_of(study: Study, *, trust_code: bool) -> tuple[Posed, ...]:
     """Return the problems of a comparison: the study itself, then those that it names.
 
     Args:
         study: with the key `compare`.
-        trust_code: allow the studies that it names to name Python files in turn.
+        trust_code: allow the studies that it names to name Python files, which run.
 
     Raises:
         StudyError: a study is missing or wrong, or two have one name.

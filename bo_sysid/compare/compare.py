@@ -26,8 +26,9 @@ from bo_sysid.execution import Report, silent
 from bo_sysid.recording import load_dataset
 from bo_sysid.runs import Run, read_json
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_train
 
-PROBLEMS = "problems.json"
+PROBLEMS, SUMMARY = "problems.json", "comparison.json"
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,14 @@ class Comparison:
     skipped: Mapping[str, str]
 
 
-def compare(study: Study, run: Run | None = None, *, progress: Report = silent) -> Comparison:
+def compare(
+    study: Study,
+    run: Run | None = None,
+    *,
+    progress: Report = silent,
+    trust_code: bool = False,
+    strict: bool = False,
+) -> Comparison:
     """Compare the arms of a study on its problems, with paired seeds.
 
     Args:
@@ -63,6 +71,8 @@ def compare(study: Study, run: Run | None = None, *, progress: Report = silent) 
         run: folder that keeps every finished run and the tables; a comparison that was interrupted
             goes on. A temporary one by default.
         progress: told after every table and every run.
+        trust_code: run the Python files that the studies under `compare.problems` name.
+        strict: refuse messy recordings.
 
     Raises:
         UserError: a study, its model or its recordings are wrong, or a run failed.
@@ -71,10 +81,12 @@ def compare(study: Study, run: Run | None = None, *, progress: Report = silent) 
         with tempfile.TemporaryDirectory() as place:
             folder = Path(place) / "run"
             with Run.open(folder, study.resolved(relative_to=folder), "compare") as own:
-                return compare(study, own, progress=progress)
+                return compare(study, own, progress=progress, trust_code=trust_code, strict=strict)
     arms = arms_of(study)
-    problems, skipped = _available(problems_of(study))
+    problems, skipped = _available(problems_of(study, trust_code=trust_code))
     _require_unchanged(run, problems)
+    if strict:
+        _require_clean(problems)
     records = Plan(study, run, arms, problems, progress).carried_out()
     found = _gathered(study, arms, records, skipped)
     _write(run, study, arms, found)
@@ -92,7 +104,7 @@ def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str
         dataset = problem.study.recordings.dataset
         try:
             if dataset is not None and not problem.fresh:
-                load_dataset(dataset)
+                _ = load_dataset(dataset).train  # opens the files
             kept.append(problem)
         except RecordingError as missing:
             skipped[problem.name] = str(missing)
@@ -118,23 +130,36 @@ def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
     run.write_json(PROBLEMS, {**there, **now})
 
 
-def so_far(study: Study, folder: Path) -> Comparison:
+def _require_clean(problems: tuple[Posed, ...]) -> None:
+    """Refuse messy recordings.
+
+    Raises:
+        RecordingError: the message names the recording and what is wrong with it.
+    """
+    for problem in problems:
+        if not problem.fresh:
+            load_train(problem.study, strict=True)
+
+
+def so_far(study: Study, folder: Path, *, trust_code: bool = False) -> Comparison:
     """Return what the finished runs of a comparison say, also while others are going on.
 
     Args:
         study: that the folder is a comparison of.
         folder: of the run; nothing is written to it.
+        trust_code: allow the studies under `compare.problems` to name Python files.
 
     Raises:
         RunError: no run has finished yet.
+        StudyError: a study names Python files that are not trusted.
     """
-    arms = arms_of(study)
-    problems, skipped = _available(problems_of(study))
+    arms, problems = arms_of(study), problems_of(study, trust_code=trust_code)
     keys = {record_name(key): key for key in keys_of(study, arms, problems)}
     records = {k: read_json(folder, name) for name, k in keys.items() if (folder / name).is_file()}
     if not records:
         raise RunError(f"{folder}: no run of the comparison has finished yet")
-    return _gathered(study, arms, records, skipped)
+    left_out = read_json(folder, SUMMARY)["skipped"] if (folder / SUMMARY).is_file() else {}
+    return _gathered(study, arms, records, left_out)
 
 
 def _gathered(
@@ -163,7 +188,7 @@ def _write(run: Run, study: Study, arms: tuple[Arm, ...], found: Comparison) -> 
             run.write_frame(f"{name}.parquet", frame)
     runs = found.paths[["problem", "arm", "seed"]].drop_duplicates()
     run.write_json(
-        "comparison.json",
+        SUMMARY,
         {
             "name": study.name,
             "loop": study.compare.loop,

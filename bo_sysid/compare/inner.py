@@ -59,18 +59,20 @@ def run_search(job: SearchJob) -> dict[str, Any]:
         One value an evaluation: row, deviation, steps and seconds so far, entropy, max_p, and
         right (whether the row of the largest P is an arg-min of Δ on B); these three None where
         the belief was not computed or Δ is not known on B. And at the end: stopped; settled, after
-        how many evaluations the study's rule on the entropy would have stopped; lowest and median
-        Δ on B; truth, low95 and high95 of each parameter.
+        how many evaluations the study's rule on the entropy would have stopped, had it been asked
+        whenever the belief was computed; lowest and median Δ on B; truth, low95 and high95 of each
+        parameter.
     """
     study = remade(job.study, job.folder)
     acquisition(job.arm.acquisition)  # imports what it needs, which is no time of the search
     scene = _scene(job, study)
     budget = study.search.budget
     watch = _Watch(scene, budget, blind=job.arm.acquisition in BLIND)
+    rules = Rules(job.arm.acquisition, StopRule(budget, entropy=None), job.seed)
     outcome = search(
         scene.candidates,
         watch.evaluate,
-        Rules(job.arm.acquisition, StopRule(budget, entropy=None), job.seed),
+        rules,
         History.empty(len(scene.blocks.weight)),
         believing=watch.believe,
     )
@@ -89,7 +91,7 @@ def run_search(job: SearchJob) -> dict[str, Any]:
         "steps": [steps for steps, _ in watch.costs],
         "seconds": [seconds for _, seconds in watch.costs],
         "stopped": outcome.reason.value,
-        "settled": _settled(watch, study),
+        "settled": _settled(watch, study, outcome.history, rules),
         "lowest": lowest,
         "median": None if deviation is None else float(np.median(deviation)),
         **_intervals(scene, outcome, study, job.seed),
@@ -187,6 +189,13 @@ class _Watch:
         self._believed_at = time.perf_counter()
         return surrogate, belief
 
+    def entropy(self, history: History, rules: Rules) -> float:
+        """Return the entropy after a history, also where nobody looked at it."""
+        seen = self.saw.get(len(history))
+        if seen is None:
+            return _believed(self._scene.candidates, history, rules)[1].entropy
+        return seen.entropy
+
     def told(self, count: int) -> list[_Saw | None]:
         """Return what was seen after each of so many evaluations."""
         return [self.saw.get(n) for n in range(1, count + 1)]
@@ -223,15 +232,34 @@ def _digest(values: Points | np.ndarray) -> bytes:
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).digest()
 
 
-def _settled(watch: _Watch, study: Study) -> int | None:
-    """Return after how many evaluations the entropy was settled; None where it never was."""
+def _settled(watch: _Watch, study: Study, history: History, rules: Rules) -> int | None:
+    """Return after how many evaluations the entropy was settled; None where it never was.
+
+    A blind acquisition is asked where it was looked at; the entropies between, which the rule
+    watches as well, are computed where those that are known do not vary.
+    """
     rule = study.search.stop
     counts = sorted(watch.saw)
-    entropies = [watch.saw[n].entropy for n in counts]
-    for k in range(len(counts)):
-        if entropy_settled(entropies[: k + 1], rule.entropy, rule.last):
-            return counts[k]
+    for count in counts:
+        if count - rule.last < counts[0]:
+            continue
+        window = range(count - rule.last, count + 1)
+        known = [watch.saw[n].entropy for n in window if n in watch.saw]
+        if entropy_settled(known, rule.entropy, len(known) - 1):
+            every = [watch.entropy(_first(history, n), rules) for n in window]
+            if entropy_settled(every, rule.entropy, rule.last):
+                return count
     return None
+
+
+def _first(history: History, count: int) -> History:
+    """Return a history as it was after so many evaluations."""
+    told = history.evaluation
+    return History(
+        history.rows[:count],
+        Evaluation(told.deviation[:count], told.contributions[:count], told.diverged[:count]),
+        history.entropy[:count],
+    )
 
 
 def _intervals(scene: _Scene, outcome: Outcome, study: Study, seed: int) -> dict[str, Any]:

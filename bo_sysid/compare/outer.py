@@ -34,8 +34,9 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     """Learn a policy with few real trajectories.
 
     Returns:
-        One value an iteration: trajectories, plant_return, plant_error, model_return, evaluated
-        and steps so far; and at the end: stopped and seconds (of this call).
+        One value an iteration: trajectories, plant_return, plant_error, model_return, evaluated,
+        and steps, those of all trainings so far; and at the end: stopped and seconds (of this
+        call).
     """
     data = dict(job.study)
     data["search"] = {
@@ -53,7 +54,7 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     told = ("trajectories", "plant_return", "plant_error", "model_return", "evaluated")
     return {
         **{name: table[name].tolist() for name in told},
-        "steps": (study.policy.steps * table["iteration"]).tolist(),
+        "steps": table["training_steps"].cumsum().tolist(),
         "stopped": learned.reason,
         "seconds": time.perf_counter() - began,
     }

@@ -10,8 +10,8 @@ from bo_sysid.compare.gathered import Key
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, tabulate
-from bo_sysid.errors import RunError
-from bo_sysid.execution import Progress, Report, map_jobs, open_engine
+from bo_sysid.errors import JobError, RunError
+from bo_sysid.execution import Outcome, Progress, Report, map_jobs, open_engine
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
@@ -110,25 +110,26 @@ class Plan:
         """Run jobs and keep each result as it comes; what failed is told at the end.
 
         Raises:
-            RunError: a job failed; the others are kept.
+            RunError: what a job was given is wrong; the others are kept.
+            JobError: a job failed otherwise; the others are kept.
         """
         if not jobs:
             return
         execution = self.study.execution
         engine = open_engine(execution.engine, execution.address)
-        failed: dict[str, str] = {}
+        failed: list[Outcome] = []
         for outcome in map_jobs(work, jobs, engine=engine):
             if outcome.error is None:
                 keep(outcome.key, outcome.result)
             else:
-                failed[outcome.key] = outcome.error
+                failed.append(outcome)
             step += 1
             self.progress(Progress(step, of, Path(outcome.key).with_suffix("").as_posix()))
         if failed:
-            name, why = next(iter(failed.items()))
-            raise RunError(
+            first = min(failed, key=lambda outcome: outcome.wrong_input)  # what is worse first
+            raise (RunError if first.wrong_input else JobError)(
                 f"{self.run.folder}: {len(failed)} of {len(jobs)} runs failed, the others are "
-                f"kept; the same command tries these again. {name}: {why}"
+                f"kept; the same command tries these again. {first.key}: {first.error}"
             )
 
     def _seeded(self, problem: Posed, seed: int) -> dict[str, Any]:

@@ -53,10 +53,10 @@ class RayEngine:
 
 def _outcome(ray: Any, key: str, reference: Any) -> Outcome:
     try:
-        result, error = ray.get(reference)
+        found = ray.get(reference)
     except ray.exceptions.RayError as lost:  # every retry lost its process, or nothing came back
         return Outcome(key, error=f"lost on the cluster: {str(lost).splitlines()[0]}")
-    return Outcome(key, result, error)
+    return Outcome(key, *found)
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from bo_sysid.errors import BoSysidError
+from bo_sysid.errors import BoSysidError, UserError, is_input_error
 from bo_sysid.execution.threads import use_threads
 
 
@@ -17,11 +17,13 @@ class Outcome:
         key: the job.
         result: what the function returned; None where it failed.
         error: why it failed; None where it did not.
+        wrong_input: whether it failed because study, model or recordings are wrong.
     """
 
     key: str
     result: Any = None
     error: str | None = None
+    wrong_input: bool = False
 
 
 @runtime_checkable
@@ -33,12 +35,14 @@ class Engine(Protocol):
         ...
 
 
-def answer(function: Callable[[Any], Any], job: Any) -> tuple[Any, str | None]:
-    """Return the result of a job, or why it failed."""
+def answer(function: Callable[[Any], Any], job: Any) -> tuple[Any, str | None, bool]:
+    """Return the result of a job, or why it failed and whether its input is wrong."""
     try:
         with use_threads(1):
-            return function(job), None
+            return function(job), None, False
     except BoSysidError as error:
-        return None, str(error)
-    except Exception:  # the job is reported as failed, the others go on
-        return None, traceback.format_exc()
+        return None, str(error), isinstance(error, UserError)
+    except Exception as error:  # the job is reported as failed, the others go on
+        if isinstance(error, OSError) and is_input_error(error):
+            return None, f"{error.filename}: {error.strerror}", True
+        return None, traceback.format_exc(), False

@@ -88,12 +88,12 @@ class _Worker:
     def take(self) -> tuple[Outcome, bool]:
         """Return the outcome of the job, and whether the process lives on."""
         try:
-            result, error = self.connection.recv()
+            found = self.connection.recv()
         except (EOFError, OSError):
             self.process.join()
             code = self.process.exitcode
             return Outcome(self.key, error=f"its process ended with code {code}"), False
-        return Outcome(self.key, result, error), True
+        return Outcome(self.key, *found), True
 
     def stop(self) -> None:
         self.connection.close()
@@ -112,13 +112,13 @@ def _work(connection: Connection) -> None:
         except (EOFError, OSError):
             return
         except Exception:  # the function cannot be imported here
-            found = None, traceback.format_exc()
+            found = None, traceback.format_exc(), False
         try:
             connection.send(found)
         except BrokenPipeError:
             return
         except Exception:  # the result cannot be sent
-            connection.send((None, traceback.format_exc()))
+            connection.send((None, traceback.format_exc(), False))
 
 
 def _end_with_parent() -> None:

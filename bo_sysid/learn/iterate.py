@@ -261,6 +261,7 @@ def _figures(
         "probability": float(found.probabilities[row]),
         **found.figures(),
         "diagnosis": None if repair is None else list(repair.sentences),
+        "training_steps": policy.about.get("training_steps"),
         "model_return": _plain(value),
         "plant_return": None if plant is None else _plain(plant),
         "stop": verdict.stop,

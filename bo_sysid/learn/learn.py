@@ -32,7 +32,8 @@ class Learning:
         name: of the study.
         policy: the last policy; None where none was learned yet.
         chosen: the parameter values that it was learned on.
-        iterations: one row an iteration: trajectories, entropy, deviation, model_return and
+        iterations: one row an iteration: trajectories, entropy, deviation, training_steps (control
+            steps simulated to learn its policy, without those taken over), model_return and
             plant_return with their standard errors.
         trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
         reason: why the loop ended; empty where it waits.
@@ -50,7 +51,9 @@ class Learning:
     notes: tuple[str, ...]
 
 
-def learn(study: Study, run: Run | None = None, *, progress: Report = silent) -> Learning:
+def learn(
+    study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
+) -> Learning:
     """Learn a policy with few real trajectories.
 
     Args:
@@ -59,6 +62,7 @@ def learn(study: Study, run: Run | None = None, *, progress: Report = silent) ->
         run: folder that keeps every phase; a run that was interrupted goes on to the result that
             it would have had. A temporary one by default.
         progress: told after every phase.
+        strict: refuse messy recordings of a person's machine.
 
     Raises:
         UserError: the study, its model, its task or a recording is wrong.
@@ -69,16 +73,16 @@ def learn(study: Study, run: Run | None = None, *, progress: Report = silent) ->
         # simulations have threads of their own; those of linear algebra would change roundings,
         # and with them what an interrupted run goes on to
         with limit_threads(1):
-            return _learned(study, run, progress)
+            return _learned(study, run, progress, strict)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
         with Run.open(folder, study.resolved(relative_to=folder), "learn") as own:
-            return learn(study, own, progress=progress)
+            return learn(study, own, progress=progress, strict=strict)
 
 
-def _learned(study: Study, run: Run, progress: Report) -> Learning:
+def _learned(study: Study, run: Run, progress: Report, strict: bool) -> Learning:
     scene = Scene.of(study)
-    source = open_source(scene, run)
+    source = open_source(scene, run, strict=strict)
     tell = Teller(progress, study.learn.trajectories)
     done: list[Iteration] = []
     while not done or not done[-1].verdict.stop:
@@ -133,6 +137,7 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
                 "entropy": f["entropy"],
                 "deviation": f["floor"]["deviation"],
                 "floor": i.found.floor.expected,
+                "training_steps": f.get("training_steps"),
                 "model_return": f["model_return"]["mean"],
                 "model_error": f["model_return"]["error"],
                 "plant_return": f["plant_return"]["mean"] if f["plant_return"] else None,

@@ -70,9 +70,9 @@ class Source(Protocol):
         ...
 
 
-def open_source(scene: Scene, run: Run) -> Source:
+def open_source(scene: Scene, run: Run, *, strict: bool = False) -> Source:
     """Return the plant of a study where it has one, else the person's machine."""
-    return PlantSource(scene, run) if scene.study.plant else MachineSource(scene, run)
+    return PlantSource(scene, run) if scene.study.plant else MachineSource(scene, run, strict)
 
 
 class PlantSource:
@@ -168,15 +168,16 @@ class MachineSource:
     Args:
         scene: its study names the first recordings.
         run: folder of policies and recordings.
+        strict: refuse messy recordings.
 
     Raises:
         RunError: the first recordings changed since the run began.
         UserError: there are none, or they cannot be read.
     """
 
-    def __init__(self, scene: Scene, run: Run) -> None:
-        self._scene, self._run = scene, run
-        self._first = _first_recordings(scene)
+    def __init__(self, scene: Scene, run: Run, strict: bool = False) -> None:
+        self._scene, self._run, self._strict = scene, run, strict
+        self._first = _first_recordings(scene, strict)
         self._files: list[Path] = []
         digest = _digest(self._first)
         if run.has("first_recordings.json"):
@@ -202,14 +203,14 @@ class MachineSource:
         found = [path for path in there if path.is_file()]
         if not found:
             return Waiting(hand_over(self._scene, self._run, policy, number - 1, stem))
-        read_files(self._scene.study, found[:1], strict=False)
+        read_files(self._scene.study, found[:1], self._strict)
         self._files.append(found[0])
         return None
 
     @property
     def recordings(self) -> tuple[Recording, ...]:
         """The first recordings and those of policies."""
-        return self._first + read_files(self._scene.study, self._files, strict=False)
+        return self._first + read_files(self._scene.study, self._files, self._strict)
 
     @property
     def training(self) -> Mapping[str, Any]:
@@ -256,9 +257,9 @@ def _file(number: int) -> str:
     return f"trajectories/{number:02d}.parquet"
 
 
-def _first_recordings(scene: Scene) -> tuple[Recording, ...]:
+def _first_recordings(scene: Scene, strict: bool) -> tuple[Recording, ...]:
     try:
-        return load_train(scene.study)
+        return load_train(scene.study, strict=strict)
     except StudyError as error:
         raise StudyError(
             f"{error}. Learning for a machine begins with a recording of it (bo-sysid excite makes "

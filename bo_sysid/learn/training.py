@@ -1,6 +1,7 @@
 """TRPO on a model of the loop; importing this module loads torch."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +38,8 @@ def train_on(
 ) -> LearnedPolicy:
     """Return the policy learned in an environment, with checkpoints in the run folder.
 
+    It says under ``training_steps`` how many control steps it took beyond those taken over.
+
     Args:
         scene: gives the settings.
         environment: of the chosen model.
@@ -50,7 +53,7 @@ def train_on(
     folder = run.path(f"iterations/{number:02d}/training")
     before = _taken_over(run, start, folder) * scene.settings.batch
     task = scene.task.name if isinstance(scene.task, PythonTask) else type(scene.task).__name__
-    return train(
+    trained = train(
         environment,
         scene.settings,
         steps=steps + (before if start.go_on else 0),
@@ -59,7 +62,9 @@ def train_on(
         folder=folder,
         about={"task": task, "model": scene.model.source},
         watch=watch,
-    ).policy
+    )
+    own = int(trained.log["steps"].iloc[-1]) - before
+    return replace(trained.policy, about={**trained.policy.about, "training_steps": own})
 
 
 def _taken_over(run: Run, start: Beginning, folder: Path) -> int:

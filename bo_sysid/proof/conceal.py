@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bo_sysid.errors import RunError, StudyError
+from bo_sysid.errors import JobError, RunError, StudyError
 from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
 from bo_sysid.proof.case import Case, NoCase, draw_case
 from bo_sysid.proof.plan import Draw, plan
@@ -115,6 +115,7 @@ def conceal(
 
     Raises:
         StudyError: the suite is wrong, or a case of it cannot be drawn.
+        JobError: drawing failed for no fault of the suite.
     """
     path, overrides = Path(suite).resolve(), dict(overrides or {})
     load_suite(path, overrides)
@@ -131,7 +132,8 @@ def conceal(
     for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
         if outcome.error is not None:
             why = outcome.error.strip().splitlines()[-1]
-            raise StudyError(f"{path}: {outcome.key} cannot be drawn: {why}")
+            wrong = StudyError if outcome.wrong_input else JobError
+            raise wrong(f"{path}: {outcome.key} cannot be drawn: {why}")
         step += 1
         progress(Progress(step, len(names)))  # nothing about the case: not even its time
     _show(sealed, run.path(CASES), names)
@@ -241,5 +243,5 @@ def _published(
 def _only(outcomes: Iterator[Any]) -> list[str]:
     outcome = next(outcomes)
     if outcome.error is not None:
-        raise StudyError(outcome.error)
+        raise (StudyError if outcome.wrong_input else JobError)(outcome.error)
     return list(outcome.result)

@@ -74,12 +74,13 @@ class Run:
         folder.mkdir(parents=True, exist_ok=True)
         lock = locked(folder)
         try:
-            record = _existing(folder, study, command)
+            text = yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True)
+            record = _existing(folder, study, text, command)
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
             run._record["status"] = "running"
             run._record["sessions"].append({"started": _now(), "versions": versions()})
-            run.write_text(_STUDY, yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True))
+            run.write_text(_STUDY, text)
             run.write_json(_RECORD, run._record)
         except BaseException:
             lock.close()
@@ -224,11 +225,21 @@ def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dic
     }
 
 
-def _existing(folder: Path, study: Mapping[str, Any], command: str) -> dict[str, Any] | None:
-    """Return the record of the run in `folder`, None where the folder is empty."""
-    found = {p.name for p in folder.iterdir() if not p.name.startswith(UNFINISHED)}
-    if not found - {LOCK, _STUDY}:
+def _existing(
+    folder: Path, study: Mapping[str, Any], text: str, command: str
+) -> dict[str, Any] | None:
+    """Return the record of the run in `folder`, None where there is none yet.
+
+    A folder without a record is empty, or holds the very study file that a killed process wrote.
+    """
+    found = {p.name for p in folder.iterdir() if not p.name.startswith(UNFINISHED)} - {LOCK}
+    if not found or (found == {_STUDY} and (folder / _STUDY).read_bytes() == text.encode()):
         return None
+    if _RECORD not in found:
+        raise RunError(
+            f"{folder}: not a run folder (it has no {_RECORD}) and not empty (it holds "
+            f"{min(found)}); use another --out"
+        )
     record = read_record(folder)
     way_out = "use another --out, or remove the folder"
     if record["command"] != command:
