@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Evaluation
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, StudyError
 from bo_sysid.identify import identify
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
@@ -213,20 +213,21 @@ CART = """
     </body>
   </worldbody>
   <actuator><motor name="motor" joint="rail"/></actuator>
+  <sensor><actuatorfrc name="force" actuator="motor"/></sensor>
 </mujoco>
 """
 
 
-def cart_study(folder: Path, **changes: object) -> Study:
+def cart_study(folder: Path, samples: int = 400, **changes: object) -> Study:
     """A cart of 1 kg under random forces, its speed recorded with noise."""
     rng = np.random.default_rng(4)
-    force = rng.choice([-10.0, 10.0], 400)
+    force = rng.choice([-10.0, 10.0], samples)
     speed = np.concatenate([[0.0], np.cumsum(force[:-1]) * 0.01])
     place = np.cumsum(speed) * 0.01
     Recording.from_arrays(
-        np.arange(400) * 0.01,
+        np.arange(samples) * 0.01,
         qpos={"rail": place},
-        qvel={"rail": speed + 0.02 * rng.normal(size=400)},
+        qvel={"rail": speed + 0.02 * rng.normal(size=samples)},
         ctrl={"motor": force},
     ).to_frame().to_parquet(folder / "cart.parquet")
     (folder / "cart.xml").write_text(CART)
@@ -257,3 +258,26 @@ def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path
     assert found.identifiability["of_range"][0] == pytest.approx(row["high95"] - row["low95"])
     assert found.unsure == ()
     assert len(found.evaluations) == found.evaluations["mass"].nunique() == 20
+
+
+def test_what_only_the_holdout_recorded_is_left_out_and_said(tmp_path: Path) -> None:
+    study = cart_study(
+        tmp_path,
+        recordings={"train": ["cart.parquet"], "holdout": ["check.parquet"]},
+        search={"budget": 4},
+    )
+    frame = pd.read_parquet(tmp_path / "cart.parquet")
+    frame.assign(**{"sensor.force": frame["ctrl.motor"]}).to_parquet(tmp_path / "check.parquet")
+    found = identify(study)
+    assert {*found.errors["channel"]} == {"qpos.rail", "qvel.rail"}
+    parts = found.errors.pivot_table("identified", "channel", "recordings")
+    np.testing.assert_allclose(parts["holdout"], parts["train"])  # of the same motion
+    assert "check: sensor.force is not compared: no training recording has it" in found.notes
+
+
+def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 60})
+    with pytest.raises(StudyError, match=r"deviation.horizon: .* 60 .*one window.* 37 or less"):
+        make_problem(study, threads=1)
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 37})
+    assert len(make_problem(study, threads=1).deviation.windows) == 2

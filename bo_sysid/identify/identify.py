@@ -69,7 +69,7 @@ def identify(
         errors=errors,
         traces=shown,
         reason=outcome.reason.sentence,
-        notes=(*held_notes(study), *_notes(problem)),
+        notes=(*held_notes(study), *_notes(problem), *problem.unscaled(holdout)),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)

@@ -63,13 +63,30 @@ class Problem:
         return digest.hexdigest()
 
     def on(self, recordings: Sequence[Recording], horizon: int | None = None) -> Deviation:
-        """Return the deviation on other recordings or over another horizon, on these scales."""
+        """Return the deviation on other recordings or over another horizon, on these scales.
+
+        Channels that have no scale here are not compared, see `unscaled`.
+        """
+        whitening = self.deviation.whitening
         windows = _cut(self.study, self.model, recordings, horizon or self.horizon)
+        windows = windows.among(whitening.channels)
         return Deviation(
             self.deviation.simulator,
             windows,
-            self.deviation.whitening.restricted(windows.channels),
+            whitening.restricted(windows.channels),
             fitted_starts=self.deviation.fitted_starts,
+        )
+
+    def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
+        """Return in words which channels of other recordings are not compared."""
+        model = self.model
+        shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+        shown -= {*self.deviation.whitening.channels}
+        return tuple(
+            f"{r.name}: {name} is not compared: no training recording has it"
+            for r in recordings
+            for name in r.channels
+            if name in shown and name.split(".", 1)[1] not in model.unrecorded
         )
 
 
@@ -103,6 +120,7 @@ def make_problem(
     simulator = make_simulator(study, model, parameters, threads=threads)
     fitted, horizon, notes = _framing(study, model, recordings)
     windows = _cut(study, model, recordings, horizon)
+    _require_two(study, model, recordings, windows)
     whiten = study.deviation.whiten
     noise = study.recordings.noise if whiten == "auto" else whiten
     deviation = Deviation(
@@ -139,6 +157,27 @@ def _framing(
         f"({horizon * interval:.3g} s); deviation: {{starts: fitted, horizon: N}} says otherwise"
     )
     return True, horizon, (note,)
+
+
+def _require_two(
+    study: Study, model: Model, recordings: Sequence[Recording], windows: Windows
+) -> None:
+    """Refuse a single window: what one recording says cannot be told from what others would.
+
+    Raises:
+        StudyError: there are not two windows to draw from.
+    """
+    if len(windows) > 1:
+        return
+    name = next(n for n in model.qpos_channels if n in recordings[0].channels)
+    instants, horizon = len(recordings[0].channels[name].time), windows.observed.shape[1]
+    most = (instants - 1) // 2
+    remedy = f"a horizon of {most} or less gives two" if most else "record for longer"
+    raise study.error(
+        ("deviation", "horizon"),
+        f"the horizon {horizon} cuts the {instants} instants of the recordings into one window; an "
+        f"interval needs two or more: {remedy}",
+    )
 
 
 def make_simulator(
