@@ -281,3 +281,11 @@ def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Pa
         make_problem(study, threads=1)
     study = cart_study(tmp_path, samples=101, deviation={"horizon": 37})
     assert len(make_problem(study, threads=1).deviation.windows) == 2
+
+
+def test_a_horizon_beyond_what_is_set_aside_is_told_before_the_search(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 30})
+    with pytest.raises(StudyError, match=r"deviation.horizon: windows of 30 .*has about 25"):
+        identify(study)
+    fits = cart_study(tmp_path, samples=101, deviation={"horizon": 25}, search={"budget": 3})
+    assert "holdout" in set(identify(fits).errors["recordings"])

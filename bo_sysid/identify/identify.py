@@ -10,9 +10,9 @@ from bo_sysid.arrays import Point, Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import Progress, Report, silent, threads
-from bo_sysid.identify.errors import compared, traces
+from bo_sysid.identify.errors import compared, instants_needed, traces
 from bo_sysid.identify.journal import Journal
-from bo_sysid.identify.problem import Problem, make_problem
+from bo_sysid.identify.problem import Problem, instants_of, make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, believe, search
@@ -21,7 +21,7 @@ from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.check import described
-from bo_sysid.study.inputs import held_notes, load_holdout
+from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
 
 
 def identify(
@@ -48,6 +48,7 @@ def identify(
         UserError: the study, its model or its recordings are wrong.
     """
     problem = make_problem(study, threads=threads(), strict=strict)
+    _require_long_enough(problem)
     journal = Journal(run, problem.fingerprint)
     candidates, cells, outcome = _searched(problem, journal, progress)
     best = candidates.points[outcome.history.rows[outcome.history.evaluation.deviation.argmin()]]
@@ -75,6 +76,28 @@ def identify(
         run.write_frame("traces.parquet", shown)
         run.write_json("identification.json", result.summary())
     return result
+
+
+def _require_long_enough(problem: Problem) -> None:
+    """Refuse windows that the last quarter, set aside where no hold-out is named, cannot hold.
+
+    The quarter is not read: its length follows from that of the rest.
+
+    Raises:
+        StudyError: it is too short.
+    """
+    study, needed = problem.study, instants_needed(problem)
+    if study.recordings.holdout is not None or study.recordings.dataset is not None:
+        return
+    trained = min(instants_of(problem.model, r) for r in problem.recordings)
+    held = int(trained * (1 - TRAINED_SHARE) / TRAINED_SHARE)
+    if needed > held:
+        raise study.error(
+            ("deviation", "horizon"),
+            f"windows of {needed} instants do not fit into the last quarter of the recordings, "
+            f"which is set aside and has about {held}: use a shorter horizon, or name other "
+            "recordings under recordings.holdout",
+        )
 
 
 def _write_answer(

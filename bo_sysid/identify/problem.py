@@ -169,8 +169,7 @@ def _require_two(
     """
     if len(windows) > 1:
         return
-    name = next(n for n in model.qpos_channels if n in recordings[0].channels)
-    instants, horizon = len(recordings[0].channels[name].time), windows.observed.shape[1]
+    instants, horizon = instants_of(model, recordings[0]), windows.observed.shape[1]
     most = (instants - 1) // 2
     remedy = f"a horizon of {most} or less gives two" if most else "record for longer"
     raise study.error(
@@ -178,6 +177,13 @@ def _require_two(
         f"the horizon {horizon} cuts the {instants} instants of the recordings into one window; an "
         f"interval needs two or more: {remedy}",
     )
+
+
+def instants_of(model: Model, recording: Recording) -> int:
+    """Return at how many instants something was recorded that the model shows."""
+    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    times = [c.time for name, c in recording.channels.items() if name in shown]
+    return len(np.unique(np.concatenate(times)))
 
 
 def make_simulator(
