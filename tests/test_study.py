@@ -8,9 +8,11 @@ import pytest
 import yaml
 
 from bo_sysid.errors import StudyError
+from bo_sysid.identify.problem import make_problem
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.study import Study, schema
 from bo_sysid.study.base import Section
+from bo_sysid.study.check import check, require_scales
 from bo_sysid.study.inputs import load_function, load_holdout, load_model, load_train
 from bo_sysid.study.sections import Clock, Column
 
@@ -247,6 +249,28 @@ def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
     study = minimal(folder, parameters=[entry, entry])
     with pytest.raises(StudyError, match=r"parameters\.1: there is another parameter 'joint\[elb"):
         study.parameter_set(load_model(study))
+
+
+@pytest.mark.parametrize(
+    ("section", "scales", "expected"),
+    [
+        ("noise", {"qpoz": 0.5}, r"recordings\.noise\.qpoz: .*did you mean 'qpos'"),
+        ("noise", {"qpos.elbw": 0.5}, r"recordings\.noise\.qpos.elbw: .*did you mean 'qpos.elbow'"),
+        ("whiten", {"qpoz": 1.0}, r"deviation\.whiten\.qpoz: .*did you mean 'qpos'"),
+    ],
+)
+def test_scales_of_what_is_not_measured_are_refused(
+    folder: Path, section: str, scales: dict[str, float], expected: str
+) -> None:
+    keys = {"noise": "recordings__noise", "whiten": "deviation__whiten"}
+    for good in ({"qpos": 0.1}, {"qvel.elbow": 0.1}):
+        study = load(folder, **{keys[section]: good})
+        require_scales(study, load_model(study))
+    study = load(folder, **{keys[section]: scales})
+    with pytest.raises(StudyError, match=expected):
+        check(study)
+    with pytest.raises(StudyError, match=expected):
+        make_problem(study)
 
 
 @pytest.mark.parametrize(

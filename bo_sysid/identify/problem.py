@@ -17,7 +17,7 @@ from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set, nominal, require_known
+from bo_sysid.study.check import candidate_set, nominal, require_known, require_scales
 from bo_sysid.study.inputs import load_function, load_model, load_parts, load_train
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
@@ -112,6 +112,7 @@ def make_problem(
     recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
     for recording in recordings:
         require_known(model, recording)
+    require_scales(study, model)
     parameters = study.parameter_set(model)
     if not parameters:
         raise study.error(

@@ -20,7 +20,7 @@ from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
+from bo_sysid.study.check import candidate_set, require_scales
 from bo_sysid.study.inputs import load_model
 
 _ENVIRONMENTS = 80  # most simulations of a training; more fall out of the processor's cache
@@ -60,6 +60,7 @@ class Scene:
             UserError: there is no task, nothing is uncertain, or something does not fit.
         """
         model = load_model(study)
+        require_scales(study, model)
         task = task or study_task(study, model)
         if task is None or not task.rewarded:
             raise study.error(
