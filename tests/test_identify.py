@@ -199,7 +199,7 @@ def test_the_journal_gives_back_what_was_written(grid: CandidateSet, tmp_path: P
         pd.testing.assert_series_equal(
             frame["x"], pd.Series(grid.points[[3, 77, 120], 0], name="x")
         )
-        with pytest.raises(RunError, match="recordings or the model changed"):
+        with pytest.raises(RunError, match=r"the recordings, the model or a file .* changed"):
             Journal(run, "other")
 
 
@@ -238,7 +238,7 @@ def cart_study(folder: Path, samples: int = 400, **changes: object) -> Study:
         "parameters": [mass],
         "search": {"budget": 20, "stop": {"entropy": 0}, "refine": True},
     }
-    return Study.from_dict({**data, **changes}, folder)
+    return Study.from_dict({**data, **changes}, folder, trust_code=True)
 
 
 def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path) -> None:
@@ -289,3 +289,23 @@ def test_a_horizon_beyond_what_is_set_aside_is_told_before_the_search(tmp_path: 
         identify(study)
     fits = cart_study(tmp_path, samples=101, deviation={"horizon": 25}, search={"budget": 3})
     assert "holdout" in set(identify(fits).errors["recordings"])
+
+
+def test_another_law_or_input_is_another_problem(tmp_path: Path) -> None:
+    """A run would else go on with evaluations of both."""
+    law = {"motor": {"law": "law.py:push", "uses": ["aux.load"]}}
+    (tmp_path / "law.py").touch()
+    study = cart_study(tmp_path, samples=60, actuators=law)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="ctrl.motor")
+
+    def fingerprint(offset: float, load: float, delay: float) -> str:
+        text = f"def push(given):\n    return given.signals['aux.load'] + {offset}\n"
+        (tmp_path / "law.py").write_text(text)
+        moved = log.assign(**{"aux.load": load, "time": log["time"] * (1 + delay)})
+        moved.to_parquet(tmp_path / "cart.parquet")
+        return make_problem(study, threads=1).fingerprint
+
+    first = fingerprint(0.0, 0.0, 0.0)
+    assert fingerprint(0.0, 0.0, 0.0) == first
+    others = [fingerprint(1.0, 0.0, 0.0), fingerprint(0.0, 1.0, 0.0), fingerprint(0.0, 0.0, 0.01)]
+    assert len({first, *others}) == 4

@@ -54,12 +54,27 @@ class Problem:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what Δ depends on beside the study: the recordings and the compiled model."""
-        digest = hashlib.sha256()
+        """Hash of what Δ depends on beside the study: recordings, compiled model, named files."""
         windows = self.deviation.windows
-        for array in (windows.observed, windows.ctrl, windows.start.qpos, windows.start.qvel):
+        start = windows.start
+        arrays = {
+            "observed": windows.observed,
+            "step": windows.step,
+            "fraction": windows.fraction,
+            "ctrl": windows.ctrl,
+            "qpos": start.qpos,
+            "qvel": start.qvel,
+            "act": start.act,
+            **{f"signal {name}": values for name, values in windows.signals.items()},
+        }
+        if start.warmstart is not None:
+            arrays["warmstart"] = start.warmstart
+        digest = hashlib.sha256(self.model.spec().to_xml().encode())
+        for name, array in arrays.items():
+            digest.update(f"{name} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).tobytes())
-        digest.update(self.model.spec().to_xml().encode())
+        for file in (*self.study.code, *self.study.model.beside):
+            digest.update((self.study.folder / file).read_bytes())
         return digest.hexdigest()
 
     def on(self, recordings: Sequence[Recording], horizon: int | None = None) -> Deviation:
