@@ -18,7 +18,7 @@ from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import History, Rules, initial_rows, search
-from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
@@ -289,6 +289,15 @@ def test_a_horizon_beyond_what_is_set_aside_is_told_before_the_search(tmp_path: 
         identify(study)
     fits = cart_study(tmp_path, samples=101, deviation={"horizon": 25}, search={"budget": 3})
     assert "holdout" in set(identify(fits).errors["recordings"])
+
+
+def test_no_column_of_the_tables_has_the_name_of_a_parameter(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, search={"budget": 3})
+    with Run.open(tmp_path / "run", {"name": "s"}, "identify") as run:
+        found = identify(study, run)
+        tables = [run.read_frame("evaluations.parquet"), run.read_frame("belief.parquet")]
+    for table in (*tables, found.belief, found.evaluations):
+        assert set(table.columns) - set(COLUMNS) == {"mass"}
 
 
 def test_another_law_or_input_is_another_problem(tmp_path: Path) -> None:

@@ -251,6 +251,14 @@ def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
         study.parameter_set(load_model(study))
 
 
+@pytest.mark.parametrize("name", ["P", "row", "level", "deviation", "entropy", "mean"])
+def test_a_parameter_has_no_name_of_a_column(folder: Path, name: str) -> None:
+    entry = {"name": name, "address": "joint[elbow].damping", "low": 0, "high": 1}
+    study = minimal(folder, parameters=[entry])
+    with pytest.raises(StudyError, match=rf"parameters\.0\.name: '{name}' is a column .*P_boot"):
+        study.parameter_set(load_model(study))
+
+
 @pytest.mark.parametrize(
     ("section", "scales", "expected"),
     [

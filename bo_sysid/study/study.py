@@ -176,13 +176,20 @@ class Study(Section):
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
-            StudyError: an address is none or matches nothing, or two parameters have one name.
+            StudyError: an address is none or matches nothing, two parameters have one name, or one
+                has the name of a column of the tables.
         """
         from bo_sysid.mjcf import Address
-        from bo_sysid.parameters import Parameter
+        from bo_sysid.parameters import COLUMNS, Parameter
 
         found: dict[str, Parameter] = {}
         for i, entry in enumerate(self.parameters):
+            if entry.name in COLUMNS:
+                raise self.error(
+                    ("parameters", i, "name"),
+                    f"{entry.name!r} is a column of the tables that are written; choose another "
+                    f"name, none of {', '.join(COLUMNS)}",
+                )
             try:
                 matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
             except ModelError as error:
