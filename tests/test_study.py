@@ -7,8 +7,9 @@ import jsonschema
 import pytest
 import yaml
 
-from bo_sysid.errors import StudyError
+from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.identify.problem import make_problem
+from bo_sysid.plants.build import study_task
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.study import Study, schema
 from bo_sysid.study.base import Section
@@ -307,15 +308,22 @@ def test_code_is_loaded_by_name(folder: Path) -> None:
 def test_names_are_checked_against_registries(folder: Path) -> None:
     study = load(folder)
     study.check_names()
-    study.check_names(acquisitions=["random", "argmin-entropy"], plants=["cheetah-run"])
+    study.check_names(acquisitions=["random", "argmin-entropy"])
     with pytest.raises(StudyError, match=r"arms\.0\.acquisition: unknown acquisition 'random'"):
         study.check_names(acquisitions=["argmin-entropy"])
     with pytest.raises(StudyError, match=r"unknown effect 'dry_friction'; did you mean 'friction'"):
         study.check_names(effects=["friction"])
     with pytest.raises(StudyError, match=r"stop: unknown stop rule 'zhu'"):
         study.check_names(stops=["seed"])
-    with pytest.raises(StudyError, match=r"task\.dm_control: unknown plant 'cheetah-run'"):
-        study.check_names(plants=["hopper-hop"])
+
+
+def test_the_suite_names_the_nearest_task(folder: Path) -> None:
+    wrong = {"dm_control": {"domain": "cheetah", "task": "rum"}}
+    study = minimal(folder, model=wrong, task=wrong)
+    with pytest.raises(ModelError, match=r"no task 'rum'; did you mean 'run'"):
+        load_model(study)
+    with pytest.raises(StudyError, match=r"no 'cheetah rum' .*did you mean 'cheetah run'"):
+        study_task(study, load_model(minimal(folder)))
 
 
 def test_columns_and_clocks_have_the_keys_of_the_rules() -> None:

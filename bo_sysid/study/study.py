@@ -245,9 +245,10 @@ class Study(Section):
         stops: Iterable[str] | None = None,
         effects: Iterable[str] | None = None,
         datasets: Iterable[str] | None = None,
-        plants: Iterable[str] | None = None,
     ) -> None:
         """Check names against what is registered; a list that is left out is not checked.
+
+        Tasks of dm_control are checked by the suite itself, where they are loaded.
 
         Args:
             acquisitions: names for `search.acquisition` and the arms of a comparison.
@@ -255,7 +256,6 @@ class Study(Section):
             stops: names for `learn.stop` and the arms.
             effects: effect ids.
             datasets: names of public datasets.
-            plants: ``<domain>-<task>`` of the dm_control suite.
 
         Raises:
             StudyError: a name is not registered; the message has the nearest one.
@@ -266,7 +266,6 @@ class Study(Section):
             "stop rule": stops,
             "effect": effects,
             "dataset": datasets,
-            "plant": plants,
         }
         valid = {kind: set(names) for kind, names in registered.items() if names is not None}
         for kind, key, name in named.names(self):
