@@ -68,6 +68,7 @@ class Scene:
                 "learn needs a task with a reward: task: {dm_control: {domain: …, task: …}}, or "
                 "{file: reach.py, class: Reach}, a dm_control Task",
             )
+        _require_a_step(study, task)
         parameters = study.parameter_set(model)
         if not parameters:
             raise study.error(
@@ -185,6 +186,20 @@ class Scene:
             decay=policy.decay,
             hidden=policy.hidden,
             region=TrustRegion(kl=policy.kl),
+        )
+
+
+def _require_a_step(study: Study, task: Task) -> None:
+    """Refuse episodes of training that are shorter than a control step of the task.
+
+    Raises:
+        StudyError: they are.
+    """
+    seconds, step = study.policy.episode, task.control_timestep
+    if seconds is not None and round(seconds / step) < 1:
+        raise study.error(
+            ("policy", "episode"),
+            f"{seconds:g} s is no control step of the task; it must be at least {step:g} s",
         )
 
 
