@@ -13,6 +13,11 @@ from bo_sysid.errors import StudyError
 
 Apply = Literal["set", "scale", "add"]
 
+COLUMNS = (
+    "level", "row", "deviation", "diverged", "entropy", "contributions", "P", "P_boot", "mean",
+)  # fmt: skip
+"""What tables of evaluations and beliefs say beside the parameters; names that none may have."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -139,5 +144,8 @@ class CandidateSet:
         return len(self.points)
 
     def frame(self) -> pd.DataFrame:
-        """Return the candidates as a DataFrame, one column a parameter, one row a candidate."""
+        """Return the candidates as a DataFrame, one column a parameter, one row a candidate.
+
+        Tables add columns to it: `COLUMNS`.
+        """
         return pd.DataFrame(self.points, columns=[p.name for p in self.parameters])

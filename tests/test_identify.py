@@ -6,16 +6,22 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial import cKDTree
 
+from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Evaluation
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, StudyError
+from bo_sysid.identify import identify
 from bo_sysid.identify.journal import Journal
-from bo_sysid.identify.refine import zoomed
+from bo_sysid.identify.problem import make_problem
+from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import History, Rules, initial_rows, search
-from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
+from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
+from bo_sysid.study import Study
 
 X = Parameter("x", ("joint[a].damping",), 0.0, 1.0, 13)
 Y = Parameter("y", ("joint[b].damping",), 0.0, 2.0, 13)
@@ -123,6 +129,59 @@ def test_zooming_stops_where_the_box_does_not_shrink(grid: CandidateSet) -> None
     assert zoomed(grid, History.empty(8).told(0, bowl(grid)(0)), flat, 0) is None
 
 
+def test_a_box_reaches_to_the_neighbours_in_every_parameter() -> None:
+    uneven = CandidateSet.from_grid([replace(X, steps=101), replace(X, name="y", steps=3)])
+    here = np.flatnonzero(np.isclose(uneven.points, 0.5).all(axis=1))
+    history = History.empty(8).told(int(here[0]), bowl(uneven)(int(here[0])))
+    finer = zoomed(uneven, history, np.eye(len(uneven))[here[0]], 0)
+    assert finer is not None
+    np.testing.assert_allclose(finer[0].bounds, [[0.49, 0.0], [0.51, 1.0]])
+
+
+def test_no_candidate_is_there_twice_after_zooming(grid: CandidateSet) -> None:
+    history = History.empty(8)
+    for row in range(len(grid)):
+        history = history.told(row, bowl(grid)(row))
+    middle = len(grid) // 2
+    finer = zoomed(grid, history, np.eye(len(grid))[middle], 0)
+    assert finer is not None
+    candidates, known = finer
+    apart = cKDTree(candidates.points / candidates.cell).query(
+        candidates.points / candidates.cell, k=2
+    )[0][:, 1]
+    assert len(known) == 9  # the middle and its neighbours
+    assert apart.min() > 0.5
+
+
+def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet) -> None:
+    middle = len(grid) // 2
+    history = History.empty(8)
+    for row in (0, middle, 3):
+        history = history.told(row, bowl(grid)(row))
+    finer = zoomed(grid, history, np.eye(len(grid))[middle], 0)
+    assert finer is not None
+    candidates, known = finer
+    known = known.told(len(known), bowl(candidates)(len(known)))
+    whole, cells = joined([Level(grid, history), Level(candidates, known)])
+    points = whole.candidates.points
+    assert len(np.unique(points, axis=0)) == len(points)
+    assert {*map(tuple, points)} == {*map(tuple, grid.points), *map(tuple, candidates.points)}
+    assert len(whole.history) == 4
+    for row, value in zip(whole.history.rows, whole.history.evaluation.deviation, strict=True):
+        assert bowl(whole.candidates)(int(row)).deviation[0] == value
+    low, high = candidates.bounds
+    within = ((points > low + 1e-9) & (points < high - 1e-9)).all(axis=1)
+    np.testing.assert_allclose(cells[within], np.tile(candidates.cell, (within.sum(), 1)))
+    np.testing.assert_allclose(cells[~within], np.tile(grid.cell, ((~within).sum(), 1)))
+
+
+def test_the_initial_design_keeps_to_the_budget(grid: CandidateSet) -> None:
+    known = History.empty(8).told(7, bowl(grid)(7))
+    outcome = search(grid, bowl(grid), Rules("random", StopRule(2)), known)
+    assert len(outcome.history) == 2
+    assert outcome.reason is StopReason.BUDGET
+
+
 def test_the_journal_gives_back_what_was_written(grid: CandidateSet, tmp_path: Path) -> None:
     history = History.empty(8)
     for row in (3, 77, 120):
@@ -140,5 +199,122 @@ def test_the_journal_gives_back_what_was_written(grid: CandidateSet, tmp_path: P
         pd.testing.assert_series_equal(
             frame["x"], pd.Series(grid.points[[3, 77, 120], 0], name="x")
         )
-        with pytest.raises(RunError, match="recordings or the model changed"):
+        with pytest.raises(RunError, match=r"the recordings, the model or a file .* changed"):
             Journal(run, "other")
+
+
+CART = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0"/>
+  <worldbody>
+    <body>
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom name="cart" type="box" size=".1 .1 .1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="rail"/></actuator>
+  <sensor><actuatorfrc name="force" actuator="motor"/></sensor>
+</mujoco>
+"""
+
+
+def cart_study(folder: Path, samples: int = 400, **changes: object) -> Study:
+    """A cart of 1 kg under random forces, its speed recorded with noise."""
+    rng = np.random.default_rng(4)
+    force = rng.choice([-10.0, 10.0], samples)
+    speed = np.concatenate([[0.0], np.cumsum(force[:-1]) * 0.01])
+    place = np.cumsum(speed) * 0.01
+    Recording.from_arrays(
+        np.arange(samples) * 0.01,
+        qpos={"rail": place},
+        qvel={"rail": speed + 0.02 * rng.normal(size=samples)},
+        ctrl={"motor": force},
+    ).to_frame().to_parquet(folder / "cart.parquet")
+    (folder / "cart.xml").write_text(CART)
+    mass = {"name": "mass", "address": "geom[cart].mass", "low": 0.5, "high": 1.5, "steps": 11}
+    data = {
+        "model": "cart.xml",
+        "recordings": {"train": ["cart.parquet"]},
+        "parameters": [mass],
+        "search": {"budget": 20, "stop": {"entropy": 0}, "refine": True},
+    }
+    return Study.from_dict({**data, **changes}, folder, trust_code=True)
+
+
+def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path) -> None:
+    study = cart_study(tmp_path)
+    found = identify(study)
+    # the arg-min of every bootstrap over a set so fine that it does not matter
+    problem = make_problem(study, threads=1)
+    fine = np.linspace(0.8, 1.2, 401)
+    blocks = problem.deviation.blocks
+    drawn = resample(np.zeros(len(blocks.weight), int), 4000, np.random.default_rng(0))
+    told = problem.deviation(fine[:, None]).contributions @ (drawn * blocks.weight).T
+    low, high = np.quantile(fine[told.argmin(axis=0)], [0.025, 0.975])
+    row = found.parameters.iloc[0]
+    assert row["low95"] == pytest.approx(low, abs=0.02)
+    assert row["high95"] == pytest.approx(high, abs=0.02)
+    assert row["low95"] < 1.0 < row["high95"]
+    assert found.identifiability["of_range"][0] == pytest.approx(row["high95"] - row["low95"])
+    assert found.unsure == ()
+    assert len(found.evaluations) == found.evaluations["mass"].nunique() == 20
+
+
+def test_what_only_the_holdout_recorded_is_left_out_and_said(tmp_path: Path) -> None:
+    study = cart_study(
+        tmp_path,
+        recordings={"train": ["cart.parquet"], "holdout": ["check.parquet"]},
+        search={"budget": 4},
+    )
+    frame = pd.read_parquet(tmp_path / "cart.parquet")
+    frame.assign(**{"sensor.force": frame["ctrl.motor"]}).to_parquet(tmp_path / "check.parquet")
+    found = identify(study)
+    assert {*found.errors["channel"]} == {"qpos.rail", "qvel.rail"}
+    parts = found.errors.pivot_table("identified", "channel", "recordings")
+    np.testing.assert_allclose(parts["holdout"], parts["train"])  # of the same motion
+    assert "check: sensor.force is not compared: no training recording has it" in found.notes
+
+
+def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 60})
+    with pytest.raises(StudyError, match=r"deviation.horizon: .* 60 .*one window.* 37 or less"):
+        make_problem(study, threads=1)
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 37})
+    assert len(make_problem(study, threads=1).deviation.windows) == 2
+
+
+def test_a_horizon_beyond_what_is_set_aside_is_told_before_the_search(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, samples=101, deviation={"horizon": 30})
+    with pytest.raises(StudyError, match=r"deviation.horizon: windows of 30 .*has about 25"):
+        identify(study)
+    fits = cart_study(tmp_path, samples=101, deviation={"horizon": 25}, search={"budget": 3})
+    assert "holdout" in set(identify(fits).errors["recordings"])
+
+
+def test_no_column_of_the_tables_has_the_name_of_a_parameter(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, search={"budget": 3})
+    with Run.open(tmp_path / "run", {"name": "s"}, "identify") as run:
+        found = identify(study, run)
+        tables = [run.read_frame("evaluations.parquet"), run.read_frame("belief.parquet")]
+    for table in (*tables, found.belief, found.evaluations):
+        assert set(table.columns) - set(COLUMNS) == {"mass"}
+
+
+def test_another_law_or_input_is_another_problem(tmp_path: Path) -> None:
+    """A run would else go on with evaluations of both."""
+    law = {"motor": {"law": "law.py:push", "uses": ["aux.load"]}}
+    (tmp_path / "law.py").touch()
+    study = cart_study(tmp_path, samples=60, actuators=law)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="ctrl.motor")
+
+    def fingerprint(offset: float, load: float, delay: float) -> str:
+        text = f"def push(given):\n    return given.signals['aux.load'] + {offset}\n"
+        (tmp_path / "law.py").write_text(text)
+        moved = log.assign(**{"aux.load": load, "time": log["time"] * (1 + delay)})
+        moved.to_parquet(tmp_path / "cart.parquet")
+        return make_problem(study, threads=1).fingerprint
+
+    first = fingerprint(0.0, 0.0, 0.0)
+    assert fingerprint(0.0, 0.0, 0.0) == first
+    others = [fingerprint(1.0, 0.0, 0.0), fingerprint(0.0, 1.0, 0.0), fingerprint(0.0, 0.0, 0.01)]
+    assert len({first, *others}) == 4

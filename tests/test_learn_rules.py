@@ -211,6 +211,19 @@ def test_the_expected_floor_is_that_of_a_plant_without_effects(
         assert 0.8 < floor.ratio < 1.1
 
 
+def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:
+    step = 0.02
+    policy = {"batch": 2, "steps": 2, "hidden": [8], "episode": step}
+    scene = Scene.of(Study.from_dict(pendulum(policy=policy)))
+    assert scene.environments == 1
+    training = scene.training(scene.candidates.points[0], None, threads=1)
+    assert training.episode_steps == 1
+    for seconds in (0.5 * step, 0.001):
+        study = Study.from_dict(pendulum(policy={**policy, "episode": seconds}))
+        with pytest.raises(StudyError, match=r"policy\.episode: .*at least 0\.02 s"):
+            Scene.of(study)
+
+
 def test_training_may_have_shorter_episodes_and_held_actions() -> None:
     suite = {"dm_control": {"domain": "pendulum", "task": "swingup"}, "repeat": 4}
     policy = {"batch": 400, "steps": 800, "episode": 2.0, "discount": 0.9, "decay": 0.8}

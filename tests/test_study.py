@@ -7,10 +7,13 @@ import jsonschema
 import pytest
 import yaml
 
-from bo_sysid.errors import StudyError
+from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.identify.problem import make_problem
+from bo_sysid.plants.build import study_task
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.study import Study, schema
 from bo_sysid.study.base import Section
+from bo_sysid.study.check import check, require_scales
 from bo_sysid.study.inputs import load_function, load_holdout, load_model, load_train
 from bo_sysid.study.sections import Clock, Column
 
@@ -265,6 +268,36 @@ def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
         study.parameter_set(load_model(study))
 
 
+@pytest.mark.parametrize("name", ["P", "row", "level", "deviation", "entropy", "mean"])
+def test_a_parameter_has_no_name_of_a_column(folder: Path, name: str) -> None:
+    entry = {"name": name, "address": "joint[elbow].damping", "low": 0, "high": 1}
+    study = minimal(folder, parameters=[entry])
+    with pytest.raises(StudyError, match=rf"parameters\.0\.name: '{name}' is a column .*P_boot"):
+        study.parameter_set(load_model(study))
+
+
+@pytest.mark.parametrize(
+    ("section", "scales", "expected"),
+    [
+        ("noise", {"qpoz": 0.5}, r"recordings\.noise\.qpoz: .*did you mean 'qpos'"),
+        ("noise", {"qpos.elbw": 0.5}, r"recordings\.noise\.qpos.elbw: .*did you mean 'qpos.elbow'"),
+        ("whiten", {"qpoz": 1.0}, r"deviation\.whiten\.qpoz: .*did you mean 'qpos'"),
+    ],
+)
+def test_scales_of_what_is_not_measured_are_refused(
+    folder: Path, section: str, scales: dict[str, float], expected: str
+) -> None:
+    keys = {"noise": "recordings__noise", "whiten": "deviation__whiten"}
+    for good in ({"qpos": 0.1}, {"qvel.elbow": 0.1}):
+        study = load(folder, **{keys[section]: good})
+        require_scales(study, load_model(study))
+    study = load(folder, **{keys[section]: scales})
+    with pytest.raises(StudyError, match=expected):
+        check(study)
+    with pytest.raises(StudyError, match=expected):
+        make_problem(study)
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -291,15 +324,22 @@ def test_code_is_loaded_by_name(folder: Path) -> None:
 def test_names_are_checked_against_registries(folder: Path) -> None:
     study = load(folder)
     study.check_names()
-    study.check_names(acquisitions=["random", "argmin-entropy"], plants=["cheetah-run"])
+    study.check_names(acquisitions=["random", "argmin-entropy"])
     with pytest.raises(StudyError, match=r"arms\.0\.acquisition: unknown acquisition 'random'"):
         study.check_names(acquisitions=["argmin-entropy"])
     with pytest.raises(StudyError, match=r"unknown effect 'dry_friction'; did you mean 'friction'"):
         study.check_names(effects=["friction"])
     with pytest.raises(StudyError, match=r"stop: unknown stop rule 'zhu'"):
         study.check_names(stops=["seed"])
-    with pytest.raises(StudyError, match=r"task\.dm_control: unknown plant 'cheetah-run'"):
-        study.check_names(plants=["hopper-hop"])
+
+
+def test_the_suite_names_the_nearest_task(folder: Path) -> None:
+    wrong = {"dm_control": {"domain": "cheetah", "task": "rum"}}
+    study = minimal(folder, model=wrong, task=wrong)
+    with pytest.raises(ModelError, match=r"no task 'rum'; did you mean 'run'"):
+        load_model(study)
+    with pytest.raises(StudyError, match=r"no 'cheetah rum' .*did you mean 'cheetah run'"):
+        study_task(study, load_model(minimal(folder)))
 
 
 def test_columns_and_clocks_have_the_keys_of_the_rules() -> None:

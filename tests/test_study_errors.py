@@ -54,6 +54,10 @@ def message(folder: Path, text: str, **overrides: object) -> str:
             "search: {budget: 0}",
             "arm.yaml, line 4: search.budget: must be greater than or equal to 1, not 0",
         ),
+        (
+            "policy: {batch: 1}",
+            "arm.yaml, line 4: policy.batch: must be greater than or equal to 2, not 1",
+        ),
         ("search: 3", "arm.yaml, line 4: search: must be a mapping (key: value), not 3"),
         ("version: 2", "arm.yaml, line 4: version: must be 1, not 2"),
         ("name: 12", "arm.yaml, line 4: name: must be text (numbers and yes/no need quotes), not"),

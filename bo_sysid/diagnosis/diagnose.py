@@ -29,6 +29,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
+from bo_sysid.study.check import require_scales
 from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train
 
 _STAGES = 6
@@ -187,6 +188,7 @@ def _pictures(run: Run, result: Diagnosis) -> None:
 def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
     """Return what a diagnosis is made from: scales, noise, candidates."""
     model = load_model(study)
+    require_scales(study, model)
     for file in study.diagnosis.effect_files:
         load_effects(study.file(file, ("diagnosis", "effect_files")))
     return make_evidence(

@@ -39,13 +39,24 @@ def compared(
     return pd.concat(tables, ignore_index=True)
 
 
+def instants_needed(problem: Problem) -> int:
+    """Return how many instants after its first a recording must have to be compared."""
+    past = past_of(problem.horizon) if problem.deviation.fitted_starts else 0
+    return problem.horizon + past
+
+
+def past_of(horizon: int) -> int:
+    """Return how many instants a forecast's start uses."""
+    return max(horizon // PAST, 2)
+
+
 def _by_kind(problem: Problem, recordings: Sequence[Recording], point: Point) -> pd.Series:
     deviation = problem.on(recordings)
     if not deviation.fitted_starts:
         kinds = {"prediction": prediction_error(deviation, point)}
     else:
         horizon = problem.horizon
-        past = max(horizon // PAST, 2)
+        past = past_of(horizon)
         longer = problem.on(recordings, horizon + past)
         kinds = {
             "fit": fit_error(deviation, point),

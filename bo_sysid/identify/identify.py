@@ -6,22 +6,22 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from bo_sysid.arrays import Point, Probabilities
+from bo_sysid.arrays import Point, Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import Progress, Report, silent, threads
-from bo_sysid.identify.errors import compared, traces
+from bo_sysid.identify.errors import compared, instants_needed, traces
 from bo_sysid.identify.journal import Journal
-from bo_sysid.identify.problem import Problem, make_problem
-from bo_sysid.identify.refine import zoomed
+from bo_sysid.identify.problem import Problem, instants_of, make_problem
+from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, search
+from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, believe, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.check import described
-from bo_sysid.study.inputs import held_notes, load_holdout
+from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
 
 
 def identify(
@@ -48,11 +48,12 @@ def identify(
         UserError: the study, its model or its recordings are wrong.
     """
     problem = make_problem(study, threads=threads(), strict=strict)
+    _require_long_enough(problem)
     journal = Journal(run, problem.fingerprint)
-    candidates, outcome = _searched(problem, journal, progress)
+    candidates, cells, outcome = _searched(problem, journal, progress)
     best = candidates.points[outcome.history.rows[outcome.history.evaluation.deviation.argmin()]]
     bootstrap = _bootstrap(problem, candidates, outcome)
-    parameters = _parameters(problem, candidates, best, bootstrap)
+    parameters = _parameters(problem, candidates.points, cells, best, bootstrap)
     if run is not None:
         _write_answer(run, problem, best, candidates, outcome.belief.probabilities, bootstrap)
     holdout = load_holdout(study, strict=strict)  # read once, after the answer is written
@@ -65,16 +66,38 @@ def identify(
         candidates=candidates,
         probabilities=outcome.belief.probabilities,
         bootstrap=bootstrap,
-        evaluations=journal.frame.drop(columns="contributions"),
+        evaluations=_evaluations(problem, journal),
         errors=errors,
         traces=shown,
         reason=outcome.reason.sentence,
-        notes=(*held_notes(study), *_notes(problem)),
+        notes=(*held_notes(study), *_notes(problem), *problem.unscaled(holdout)),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)
         run.write_json("identification.json", result.summary())
     return result
+
+
+def _require_long_enough(problem: Problem) -> None:
+    """Refuse windows that the last quarter, set aside where no hold-out is named, cannot hold.
+
+    The quarter is not read: its length follows from that of the rest.
+
+    Raises:
+        StudyError: it is too short.
+    """
+    study, needed = problem.study, instants_needed(problem)
+    if study.recordings.holdout is not None or study.recordings.dataset is not None:
+        return
+    trained = min(instants_of(problem.model, r) for r in problem.recordings)
+    held = int(trained * (1 - TRAINED_SHARE) / TRAINED_SHARE)
+    if needed > held:
+        raise study.error(
+            ("deviation", "horizon"),
+            f"windows of {needed} instants do not fit into the last quarter of the recordings, "
+            f"which is set aside and has about {held}: use a shorter horizon, or name other "
+            "recordings under recordings.holdout",
+        )
 
 
 def _write_answer(
@@ -91,30 +114,47 @@ def _write_answer(
     run.write_frame("belief.parquet", belief)
 
 
-def _searched(problem: Problem, journal: Journal, progress: Report) -> tuple[CandidateSet, Outcome]:
-    """Search B and, where the study says so, finer sets around the mass of P."""
-    settings = problem.study.search
-    candidates, spent = problem.candidates, 0
-    history = journal.history(0, len(problem.deviation.blocks.weight))
-    for level in count():
-        rules = Rules(
-            settings.acquisition,
-            StopRule(settings.budget - spent, settings.stop.entropy, settings.stop.last),
-            settings.seed + level,
-        )
-        tell = _Teller(journal, progress, level, candidates, spent, settings.budget)
+def _searched(
+    problem: Problem, journal: Journal, progress: Report
+) -> tuple[CandidateSet, Points, Outcome]:
+    """Search B and, where the study says so, finer sets around the mass of P.
+
+    Returns:
+        All candidates, `N x d` sides of the box that each stands for, and what is known of all.
+    """
+    settings, blocks = problem.study.search, len(problem.deviation.blocks.weight)
+    candidates, history, spent = problem.candidates, journal.history(0, blocks), 0
+    levels: list[Level] = []
+    for number in count():
+        rules = _rules(problem.study, number, spent)
+        tell = _Teller(journal, progress, number, candidates, spent, settings.budget)
         outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
+        levels.append(Level(candidates, outcome.history))
         finer = None
         if settings.refine:
             mass = outcome.belief.probabilities
-            finer = zoomed(candidates, outcome.history, mass, settings.seed + level)
+            finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
         if finer is None or spent + len(outcome.history) >= settings.budget:
             break
         spent += len(outcome.history) - len(finer[1])
         candidates, known = finer
-        stored = journal.history(level + 1, len(problem.deviation.blocks.weight))
+        stored = journal.history(number + 1, blocks)
         history = stored if len(stored) else known
-    return candidates, outcome
+    if len(levels) == 1:
+        return candidates, np.tile(candidates.cell, (len(candidates), 1)), outcome
+    whole, cells = joined(levels)
+    surrogate, belief = believe(whole.candidates, whole.history, _rules(problem.study, 0, 0))
+    outcome = Outcome(whole.history, surrogate, belief, outcome.reason)
+    return whole.candidates, cells, outcome
+
+
+def _rules(study: Study, level: int, spent: int) -> Rules:
+    settings = study.search
+    return Rules(
+        settings.acquisition,
+        StopRule(settings.budget - spent, settings.stop.entropy, settings.stop.last),
+        settings.seed + level,
+    )
 
 
 def evaluation(problem: Problem, candidates: CandidateSet) -> Evaluate:
@@ -154,22 +194,29 @@ def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> 
 
 
 def _parameters(
-    problem: Problem, candidates: CandidateSet, best: Point, bootstrap: Probabilities
+    problem: Problem, points: Points, cells: Points, best: Point, bootstrap: Probabilities
 ) -> pd.DataFrame:
     """Return one row a parameter: its value, its interval and whether it lies on a bound.
 
     A candidate stands for its cell: the interval reaches half a cell further.
     """
-    cell = candidates.cell / 2
-    low95, high95 = credible_interval(candidates.points, bootstrap, 0.95)
+    low95 = credible_interval(points - cells / 2, bootstrap, 0.95)[0]
+    high95 = credible_interval(points + cells / 2, bootstrap, 0.95)[1]
     bounds = problem.candidates.bounds
     frame = described(problem.model, problem.parameters)
     return frame[["name", "unit", "addresses", "apply", "nominal"]].assign(
         value=best,
-        low95=np.maximum(low95 - cell, bounds[0]),
-        high95=np.minimum(high95 + cell, bounds[1]),
+        low95=np.maximum(low95, bounds[0]),
+        high95=np.minimum(high95, bounds[1]),
         at_bound=np.isclose(best, bounds[0]) | np.isclose(best, bounds[1]),
     )
+
+
+def _evaluations(problem: Problem, journal: Journal) -> pd.DataFrame:
+    """Return one row an evaluation; what a finer set took along was evaluated before."""
+    names = [p.name for p in problem.parameters]
+    frame = journal.frame.drop(columns="contributions")
+    return frame.drop_duplicates(names, ignore_index=True)
 
 
 def _notes(problem: Problem) -> tuple[str, ...]:

@@ -18,10 +18,10 @@ class Journal:
 
     Args:
         run: the run folder; None keeps the history in memory only.
-        fingerprint: hash of the recordings and the model.
+        fingerprint: hash of the recordings, the model and the files that the study names.
 
     Raises:
-        RunError: the folder holds evaluations on other recordings or another model.
+        RunError: the folder holds evaluations on other recordings, another model or other files.
     """
 
     def __init__(self, run: Run | None, fingerprint: str) -> None:
@@ -31,8 +31,8 @@ class Journal:
             return
         if run.has(PROBLEM) and run.read_json(PROBLEM)["fingerprint"] != fingerprint:
             raise RunError(
-                f"{run.folder}: the recordings or the model changed since this run began; use "
-                "another --out, or remove the folder"
+                f"{run.folder}: the recordings, the model or a file that the study names changed "
+                "since this run began; use another --out, or remove the folder"
             )
         run.write_json(PROBLEM, {"fingerprint": fingerprint})
         if run.has(EVALUATIONS):

@@ -14,7 +14,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_signals
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set, nominal, require_known
+from bo_sysid.study.check import candidate_set, nominal, require_known, require_scales
 from bo_sysid.study.inputs import load_model, load_train
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
@@ -51,22 +51,54 @@ class Problem:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what Δ depends on beside the study: the recordings and the compiled model."""
-        digest = hashlib.sha256()
+        """Hash of what Δ depends on beside the study: recordings, compiled model, named files."""
         windows = self.deviation.windows
-        for array in (windows.observed, windows.ctrl, windows.start.qpos, windows.start.qvel):
+        start = windows.start
+        arrays = {
+            "observed": windows.observed,
+            "step": windows.step,
+            "fraction": windows.fraction,
+            "ctrl": windows.ctrl,
+            "qpos": start.qpos,
+            "qvel": start.qvel,
+            "act": start.act,
+            **{f"signal {name}": values for name, values in windows.signals.items()},
+        }
+        if start.warmstart is not None:
+            arrays["warmstart"] = start.warmstart
+        digest = hashlib.sha256(self.model.spec().to_xml().encode())
+        for name, array in arrays.items():
+            digest.update(f"{name} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).tobytes())
-        digest.update(self.model.spec().to_xml().encode())
+        for file in (*self.study.code, *self.study.model.beside):
+            digest.update((self.study.folder / file).read_bytes())
         return digest.hexdigest()
 
     def on(self, recordings: Sequence[Recording], horizon: int | None = None) -> Deviation:
-        """Return the deviation on other recordings or over another horizon, on these scales."""
+        """Return the deviation on other recordings or over another horizon, on these scales.
+
+        Channels that have no scale here are not compared, see `unscaled`.
+        """
+        whitening = self.deviation.whitening
         windows = _cut(self.study, self.model, recordings, horizon or self.horizon)
+        windows = windows.among(whitening.channels)
         return Deviation(
             self.deviation.simulator,
             windows,
-            self.deviation.whitening.restricted(windows.channels),
+            whitening.restricted(windows.channels),
             fitted_starts=self.deviation.fitted_starts,
+        )
+
+    def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
+        """Return in words which channels of other recordings are not compared."""
+        model = self.model
+        shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+        shown -= {*self.deviation.whitening.channels}
+        return tuple(
+            f"{r.name}: {name} is not compared: no training recording has it"
+            for r in recordings
+            for name in r.channels
+            if name in shown and name.split(".", 1)[1] not in model.unrecorded
         )
 
 
@@ -92,6 +124,7 @@ def make_problem(
     recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
     for recording in recordings:
         require_known(model, recording)
+    require_scales(study, model)
     parameters = study.parameter_set(model)
     if not parameters:
         raise study.error(
@@ -100,6 +133,7 @@ def make_problem(
     simulator = make_simulator(study, model, parameters, threads=threads)
     fitted, horizon, notes = _framing(study, model, recordings)
     windows = _cut(study, model, recordings, horizon)
+    _require_two(study, model, recordings, windows)
     whiten = study.deviation.whiten
     noise = study.recordings.noise if whiten == "auto" else whiten
     deviation = Deviation(
@@ -136,6 +170,33 @@ def _framing(
         f"({horizon * interval:.3g} s); deviation: {{starts: fitted, horizon: N}} says otherwise"
     )
     return True, horizon, (note,)
+
+
+def _require_two(
+    study: Study, model: Model, recordings: Sequence[Recording], windows: Windows
+) -> None:
+    """Refuse a single window: what one recording says cannot be told from what others would.
+
+    Raises:
+        StudyError: there are not two windows to draw from.
+    """
+    if len(windows) > 1:
+        return
+    instants, horizon = instants_of(model, recordings[0]), windows.observed.shape[1]
+    most = (instants - 1) // 2
+    remedy = f"a horizon of {most} or less gives two" if most else "record for longer"
+    raise study.error(
+        ("deviation", "horizon"),
+        f"the horizon {horizon} cuts the {instants} instants of the recordings into one window; an "
+        f"interval needs two or more: {remedy}",
+    )
+
+
+def instants_of(model: Model, recording: Recording) -> int:
+    """Return at how many instants something was recorded that the model shows."""
+    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    times = [c.time for name, c in recording.channels.items() if name in shown]
+    return len(np.unique(np.concatenate(times)))
 
 
 def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:

@@ -1,17 +1,78 @@
-"""Zooming: a new discrete set B around the mass of P, where the stated one is too coarse."""
+"""Zooming: a new discrete set B around the mass of P, where the stated one is too coarse.
 
-from dataclasses import replace
+P shrinks to a point as the search goes on, P_boot does not: it is as wide as the recordings leave
+it. So the last set alone says where the minimum lies, and all sets together how sure one can be.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
 
-from bo_sysid.arrays import Probabilities
+from bo_sysid.arrays import Points, Probabilities
+from bo_sysid.belief.rows import RowIndex
 from bo_sysid.deviation import Evaluation
 from bo_sysid.identify.search import History
 from bo_sysid.parameters import CandidateSet, Parameter
 
 MASS = 0.999  # of P that the new box must hold
 WORTHWHILE = 0.8  # a box that keeps more than this share of every side is no zoom
+_SAME = 1e-6  # of a cell: nearer candidates are one
+
+
+@dataclass(frozen=True)
+class Level:
+    """One set that was searched.
+
+    Attributes:
+        candidates: the set.
+        history: what was evaluated of it.
+    """
+
+    candidates: CandidateSet
+    history: History
+
+
+def joined(levels: Sequence[Level]) -> tuple[Level, Points]:
+    """Return the candidates and evaluations of all levels as one, and what each stands for.
+
+    Args:
+        levels: the stated set first, each other one inside the one before.
+
+    Returns:
+        The joined level, in the bounds of the stated set, each candidate once; and `N x d` sides
+        of the box that each candidate stands for: those of the finest set that has it inside.
+    """
+    first, everything = levels[0].candidates, [level.candidates.points for level in levels]
+    points = np.concatenate(everything)
+    points = points[np.sort(np.unique(RowIndex.of(points).find(points)))]
+    whole = CandidateSet(first.parameters, points)
+    cells = np.tile(first.cell, (len(points), 1))
+    for level in levels[1:]:
+        cells[_inside(points, level.candidates, first)] = level.candidates.cell
+    index = RowIndex.of(points)
+    rows = np.concatenate(
+        [index.find(level.candidates.points[level.history.rows]) for level in levels]
+    )
+    rows, once = np.unique(rows, return_index=True)
+    told = [level.history.evaluation for level in levels]
+    evaluation = Evaluation(
+        np.concatenate([e.deviation for e in told])[once],
+        np.concatenate([e.contributions for e in told])[once],
+        np.concatenate([e.diverged for e in told])[once],
+    )
+    return Level(whole, History(rows, evaluation, np.full(len(rows), np.nan))), cells
+
+
+def _inside(points: Points, finer: CandidateSet, stated: CandidateSet) -> Bool[np.ndarray, " N"]:
+    """Return which points have finer ones on every side; a bound of the stated set has none."""
+    (low, high), (least, most) = finer.bounds, stated.bounds
+    slack = _SAME * finer.cell
+    above = (points > low + slack) | (low == least)
+    below = (points < high - slack) | (high == most)
+    return np.asarray((above & below).all(axis=1))
 
 
 def zoomed(
@@ -20,8 +81,8 @@ def zoomed(
     """Return a finer candidate set in the box that holds the mass of P.
 
     The box is that of the most probable candidates that together hold 99.9 % of P, widened by one
-    spacing of the present set. Evaluated candidates inside it are taken along as rows of the new
-    set, with their deviations.
+    cell of the present set, so that their neighbours are in it. Evaluated candidates inside it are
+    taken along as rows of the new set, with their deviations.
 
     Returns:
         The new set and what is known of it; None where the box would not shrink.
@@ -36,12 +97,17 @@ def zoomed(
     )
     fresh = _same_kind(candidates, parameters, seed)
     points = candidates.points[history.rows]
-    inside = ((points >= low) & (points <= high)).all(axis=1)
+    slack = _SAME * candidates.cell
+    inside = ((points >= low - slack) & (points <= high + slack)).all(axis=1)
     old = history.evaluation
     known = Evaluation(old.deviation[inside], old.contributions[inside], old.diverged[inside])
-    joined = CandidateSet(parameters, np.concatenate([points[inside], fresh.points]), fresh.spacing)
     count = int(inside.sum())
-    return joined, History(np.arange(count), known, np.full(count, np.nan))
+    new = fresh.points
+    if count:  # a grid in the box may hit what was evaluated, but for rounding
+        apart = cKDTree(points[inside] / fresh.cell).query(new / fresh.cell)[0]
+        new = new[apart > _SAME]
+    together = CandidateSet(parameters, np.concatenate([points[inside], new]), fresh.spacing)
+    return together, History(np.arange(count), known, np.full(count, np.nan))
 
 
 def _box(
@@ -50,10 +116,8 @@ def _box(
     order = np.argsort(-probabilities, kind="stable")
     count = int(np.searchsorted(np.cumsum(probabilities[order]), MASS)) + 1
     held = candidates.points[order[:count]]
-    sides = candidates.bounds[1] - candidates.bounds[0]
-    spacing = sides / (len(candidates) ** (1 / len(sides)) - 1 + 1e-9)
-    low = np.maximum(held.min(axis=0) - spacing, candidates.bounds[0])
-    high = np.minimum(held.max(axis=0) + spacing, candidates.bounds[1])
+    low = np.maximum(held.min(axis=0) - candidates.cell, candidates.bounds[0])
+    high = np.minimum(held.max(axis=0) + candidates.cell, candidates.bounds[1])
     whole = list(candidates.categories)  # categories have no neighbourhood to zoom into
     low[whole], high[whole] = candidates.bounds[:, whole]
     return low, high

@@ -23,12 +23,12 @@ class Identification:
         best: `d` parameter values with the smallest Δ among those evaluated.
         parameters: one row a parameter: name, unit, nominal, value, low95, high95 (from P_boot),
             at_bound.
-        candidates: the discrete set B at the end of the search.
+        candidates: the discrete set B; with `search.refine` every set that was searched, as one.
         probabilities: `N` P(β): where the minimum of Δ on these recordings lies.
         bootstrap: `N` P_boot(β): what these recordings say about the machine.
         evaluations: one row an evaluation: level, row, parameters, deviation, diverged, entropy.
-        errors: root mean square prediction errors: recordings (train, holdout), kind (one-step,
-            fit, forecast), channel, nominal, identified, in the channel's unit.
+        errors: root mean square prediction errors: recordings (train, holdout), kind
+            (prediction, fit, forecast), channel, nominal, identified, in the channel's unit.
         traces: recorded, nominal and identified over time, for the first recording set aside.
         reason: why the search stopped.
         notes: what was done to the data.
@@ -61,7 +61,7 @@ class Identification:
         names = [str(n) for n in self.parameters["name"]]
         points, likely = self.candidates.points, self.bootstrap > 0
         width = (self.parameters["high95"] - self.parameters["low95"]).to_numpy(float)
-        of_range = width / np.maximum(np.ptp(points, axis=0), 1e-300)
+        of_range = width / np.ptp(self.candidates.bounds, axis=0)
         covariance = np.atleast_2d(
             np.cov(points[likely].T, aweights=self.bootstrap[likely], bias=True)
         )

@@ -116,7 +116,9 @@ def search(
         believing: makes the belief; `believe` by default.
     """
     believing = believing or believe
-    for row in np.setdiff1d(initial_rows(candidates, rules), history.rows).tolist():
+    design = initial_rows(candidates, rules)
+    room = max(rules.stop.budget - len(history), 0)
+    for row in np.sort(design[~np.isin(design, history.rows)][:room]).tolist():
         history = history.told(row, evaluate(row))
         on_step(history)
     while True:

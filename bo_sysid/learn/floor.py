@@ -117,10 +117,7 @@ def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: in
 
 def _resolution_part(problem: Problem, best: Point) -> float:
     """Return the sum over parameters of half a step's Δ, the worst that B can leave."""
-    low, high = problem.candidates.bounds
-    step = problem.candidates.spacing
-    if step is None:
-        step = (high - low) * len(problem.candidates) ** (-1 / len(low))
+    high, step = problem.candidates.bounds[1], problem.candidates.cell
     points = [best]
     for k in range(len(best)):
         inward = -step[k] if best[k] + step[k] > high[k] + 1e-12 else step[k]

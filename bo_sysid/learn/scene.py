@@ -19,7 +19,7 @@ from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
+from bo_sysid.study.check import candidate_set, require_scales
 from bo_sysid.study.inputs import load_model
 
 _ENVIRONMENTS = 80  # most simulations of a training; more fall out of the processor's cache
@@ -59,6 +59,7 @@ class Scene:
             UserError: there is no task, nothing is uncertain, or something does not fit.
         """
         model = load_model(study)
+        require_scales(study, model)
         task = task or study_task(study, model)
         if task is None or not task.rewarded:
             raise study.error(
@@ -70,6 +71,7 @@ class Scene:
             raise study.error(
                 ("task",), "learn needs a task that ends: a class says its time_limit in s"
             )
+        _require_a_step(study, task)
         parameters = study.parameter_set(model)
         if not parameters:
             raise study.error(
@@ -187,6 +189,20 @@ class Scene:
             decay=policy.decay,
             hidden=policy.hidden,
             region=TrustRegion(kl=policy.kl),
+        )
+
+
+def _require_a_step(study: Study, task: Task) -> None:
+    """Refuse episodes of training that are shorter than a control step of the task.
+
+    Raises:
+        StudyError: they are.
+    """
+    seconds, step = study.policy.episode, task.control_timestep
+    if seconds is not None and round(seconds / step) < 1:
+        raise study.error(
+            ("policy", "episode"),
+            f"{seconds:g} s is no control step of the task; it must be at least {step:g} s",
         )
 
 

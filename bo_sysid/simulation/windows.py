@@ -1,6 +1,6 @@
 """Windows: pieces of recordings with a start, the controls of every step, and what was observed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -81,6 +81,12 @@ class Windows:
             step=self.step[:, :instants],
             fraction=self.fraction[:, :instants],
         )
+
+    def among(self, channels: Collection[str]) -> "Windows":
+        """Return the windows with those of their observed channels that are among `channels`."""
+        kept = [k for k, name in enumerate(self.channels) if name in channels]
+        names = tuple(self.channels[k] for k in kept)
+        return replace(self, channels=names, observed=self.observed[..., kept])
 
     def with_start(self, start: State) -> "Windows":
         """Return the same windows from other starts."""

@@ -70,6 +70,7 @@ Real = Annotated[float, BeforeValidator(_no_bool)]
 Positive = Annotated[float, Field(gt=0), BeforeValidator(_no_bool)]
 NotNegative = Annotated[float, Field(ge=0), BeforeValidator(_no_bool)]
 Count = Annotated[int, Field(ge=1), BeforeValidator(_no_bool)]
+Several = Annotated[int, Field(ge=2), BeforeValidator(_no_bool)]
 Seed = Annotated[int, Field(ge=0), BeforeValidator(_no_bool)]
 Name = Annotated[str, Field(min_length=1)]
 

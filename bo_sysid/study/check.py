@@ -16,6 +16,9 @@ from bo_sysid.recording.noise import noise_sigma
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.study import Study
 
+MEASURED = ("qpos", "qvel", "sensor")
+"""Kinds of channels that predictions are compared with."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -59,6 +62,7 @@ def check(study: Study, *, strict: bool = False) -> Check:
     _ = study.holdout_files  # named wrongly, it is told now; nothing in it is read
     for recording in recordings:
         require_known(model, recording)
+    require_scales(study, model)
     for name in study.actuators:
         if name not in model.actuators:
             near = nearest(name, model.actuators)
@@ -94,6 +98,26 @@ def require_known(model: Model, recording: Recording) -> None:
                 f"{recording.name}: channel {name!r} is not in the model {model.source}; "
                 f"{nearest(name, known[kind]) or f'it has no {kind} at all'}"
             )
+
+
+def require_scales(study: Study, model: Model) -> None:
+    """Refuse noise or a scale for what is neither a kind of channel nor a channel of the model.
+
+    Raises:
+        StudyError: the message names the nearest kind or channel.
+    """
+    known = _known(model)
+    valid = [name for kind in MEASURED for name in (kind, *known[kind])]
+    given = {("recordings", "noise"): study.recordings.noise}
+    if study.deviation.whiten != "auto":
+        given["deviation", "whiten"] = study.deviation.whiten
+    for key, scales in given.items():
+        for name in scales:
+            if name not in valid:
+                raise study.error(
+                    (*key, name),
+                    f"the model measures no such kind or channel; {nearest(name, valid)}",
+                )
 
 
 def candidate_set(study: Study, parameters: Sequence[Parameter]) -> CandidateSet:

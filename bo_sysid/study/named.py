@@ -28,10 +28,6 @@ def names(study: "Study") -> Iterator[tuple[str, KeyPath, str]]:
         yield "effect", ("plant", "effects", i, "effect"), effect.effect
     if study.recordings.dataset is not None:
         yield "dataset", ("recordings", "dataset"), study.recordings.dataset
-    for section in ("model", "task"):
-        suite = getattr(getattr(study, section), "dm_control", None)
-        if suite is not None:
-            yield "plant", (section, "dm_control"), f"{suite.domain}-{suite.task}"
 
 
 def code(study: "Study") -> Iterator[tuple[str, KeyPath]]:

@@ -14,6 +14,7 @@ from bo_sysid.study.base import (
     Positive,
     Real,
     Section,
+    Several,
 )
 from bo_sysid.study.sections import DmControl
 
@@ -80,8 +81,8 @@ class Policy(Section):
 
     algorithm: Literal["trpo"] = "trpo"
     """Learning algorithm."""
-    batch: Count = 20_000
-    """Simulated control steps per iteration."""
+    batch: Several = 20_000
+    """Simulated control steps per iteration, at least 2."""
     steps: Count = 1_000_000
     """Simulated control steps that a policy is learned with, rounded up to whole batches."""
     draft: Count | None = None
@@ -91,8 +92,9 @@ class Policy(Section):
     start: Literal["fresh", "warm"] = "fresh"
     """fresh: every policy begins anew; warm: it goes on from the one before, on the new model."""
     episode: Positive | None = None
-    """Length of the episodes of training in s, where shorter ones give more starts to learn from;
-    their ends are bootstrapped like any time limit. The task's where left out."""
+    """Length of the episodes of training in s, at least one control step, where shorter ones give
+    more starts to learn from; their ends are bootstrapped like any time limit. The task's where
+    left out."""
     kl: Positive = 0.02
     """Bound of the KL divergence of an update, averaged over action dimensions."""
     discount: Annotated[float, Field(gt=0, le=1)] = 0.99

@@ -203,7 +203,7 @@ class Stop(Section):
     """When the search stops before its budget is used."""
 
     entropy: NotNegative = 0.01
-    """Stop when the entropy of P fell by less than this (in nats) …"""
+    """Stop when the entropy of P changed by less than this (in nats) …"""
     last: Count = 5
     """… over so many evaluations."""
 

@@ -176,13 +176,20 @@ class Study(Section):
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
-            StudyError: an address is none or matches nothing, or two parameters have one name.
+            StudyError: an address is none or matches nothing, two parameters have one name, or one
+                has the name of a column of the tables.
         """
         from bo_sysid.mjcf import Address
-        from bo_sysid.parameters import Parameter
+        from bo_sysid.parameters import COLUMNS, Parameter
 
         found: dict[str, Parameter] = {}
         for i, entry in enumerate(self.parameters):
+            if entry.name in COLUMNS:
+                raise self.error(
+                    ("parameters", i, "name"),
+                    f"{entry.name!r} is a column of the tables that are written; choose another "
+                    f"name, none of {', '.join(COLUMNS)}",
+                )
             try:
                 matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
             except ModelError as error:
@@ -238,9 +245,10 @@ class Study(Section):
         stops: Iterable[str] | None = None,
         effects: Iterable[str] | None = None,
         datasets: Iterable[str] | None = None,
-        plants: Iterable[str] | None = None,
     ) -> None:
         """Check names against what is registered; a list that is left out is not checked.
+
+        Tasks of dm_control are checked by the suite itself, where they are loaded.
 
         Args:
             acquisitions: names for `search.acquisition` and the arms of a comparison.
@@ -248,7 +256,6 @@ class Study(Section):
             stops: names for `learn.stop` and the arms.
             effects: effect ids.
             datasets: names of public datasets.
-            plants: ``<domain>-<task>`` of the dm_control suite.
 
         Raises:
             StudyError: a name is not registered; the message has the nearest one.
@@ -259,7 +266,6 @@ class Study(Section):
             "stop rule": stops,
             "effect": effects,
             "dataset": datasets,
-            "plant": plants,
         }
         valid = {kind: set(names) for kind, names in registered.items() if names is not None}
         for kind, key, name in named.names(self):
