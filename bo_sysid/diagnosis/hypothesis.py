@@ -231,4 +231,6 @@ def edits_and_parts(
 
         return edit
 
-    return [edit_of(i, c, x) for i, (c, x) in enumerate(hypothesis.terms)], parts
+    # a joint that is added closes the loops of servos with the gains that others have changed
+    ordered = sorted(hypothesis.terms, key=lambda term: term[0].effect.hidden)
+    return [edit_of(i, c, x) for i, (c, x) in enumerate(ordered)], parts

@@ -47,20 +47,38 @@ def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     return (_MOTOR_SIDE, _LINK_SIDE)
 
 
-def _loop(site: Site, machine: Machine) -> tuple[float, float]:
-    """Return gain and damping of the servos of a joint, in [N m/rad] and [N m s/rad]."""
-    drives = [machine.actuators[a] for a in machine.joints[site.name].actuators]
-    kp, kd = (-sum(a.bias[k] * a.gear**2 for a in drives) for k in (1, 2))
+def _servo(site: Site, machine: Machine) -> bool:
+    """Whether an actuator of a joint closes a loop around it."""
+    drives = (machine.actuators[a] for a in machine.joints[site.name].actuators)
+    return any(a.bias[1] or a.bias[2] for a in drives)
+
+
+def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, float]:
+    """Return gain and damping of the servos of a joint, in [N m/rad] and [N m s/rad].
+
+    They are those of the spec, in which other effects and parameters have changed them.
+    """
+    kp = kd = 0.0
+    for name in machine.joints[site.name].actuators:
+        nominal, now = machine.actuators[name], spec.actuator(name)
+        if now.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+            continue
+        # a positive number is a damping ratio, which compiling made the nominal damping from
+        damping = now.biasprm[2] if now.biasprm[2] <= 0 else nominal.bias[2]
+        kp -= float(now.biasprm[1]) * nominal.gear**2
+        kd -= float(damping) * nominal.gear**2
     return kp, kd
 
 
-def _closed(hidden: Hidden, site: Site, machine: Machine) -> Part | tuple[Part, ...]:
+def _closed(
+    spec: mujoco.MjSpec, hidden: Hidden, site: Site, machine: Machine
+) -> Part | tuple[Part, ...]:
     """Return an added joint, with what a servo whose encoder sits on the link does more.
 
     In MJCF its loop is closed by the motor's position q; the encoder shows q + δ, so that the
     motor's torque differs by -kp δ - kd δ'.
     """
-    kp, kd = _loop(site, machine)
+    kp, kd = _loop(spec, site, machine)
     if not (hidden.shown and (kp or kd)):
         return hidden
 
@@ -80,7 +98,7 @@ def _second_joint(
     joint's damping acts on the link, as that of a fixed tendon along both.
     """
     joint, scale = spec.joint(site.name), machine.joints[site.name]
-    kp, kd = _loop(site, machine)
+    kp, kd = _loop(spec, site, machine)
     dt = spec.option.timestep
     explicit = spec.option.integrator in _EXPLICIT
     floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
@@ -107,7 +125,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
         return None
-    if any(_loop(site, machine)):  # no search reached a gap in a loop that is closed at the link
+    if _servo(site, machine):  # no search reached a gap in a loop that is closed at the link
         sides = (_MOTOR_SIDE,)
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
@@ -160,7 +178,7 @@ def backlash(
         open_ + soft * _MOST * machine.joints[site.name].force,
     )
     if spec.joint(hidden.joint) is not None:  # the model has it: what stands beside it is wanted
-        return _closed(hidden, site, machine)
+        return _closed(spec, hidden, site, machine)
     play, dt = _second_joint(spec, site, machine, "play", float(x[2])), spec.option.timestep
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
@@ -170,7 +188,7 @@ def backlash(
     stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
     play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
     play.solref_limit = [-stiff, -2.0 * _RATIO * np.sqrt(stiff)]
-    return _closed(hidden, site, machine)
+    return _closed(spec, hidden, site, machine)
 
 
 def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
@@ -229,7 +247,7 @@ def joint_compliance(
         f"{site.name}_flex", site.name, float(x[3]), lambda torque: -compliance * torque
     )
     if spec.joint(hidden.joint) is not None:
-        return _closed(hidden, site, machine)
+        return _closed(spec, hidden, site, machine)
     flex = _second_joint(spec, site, machine, "flex", float(x[2]))
     slow = (2.0 * spec.option.timestep) ** 2 * _inverse_inertia(spec, flex)
     if compliance > 0.5 * slow:
@@ -245,4 +263,4 @@ def joint_compliance(
             solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
-    return _closed(hidden, site, machine)
+    return _closed(spec, hidden, site, machine)
