@@ -28,7 +28,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     )
     add_study(parser)
     add_strict(parser)
-    add_out(parser)
+    add_out(parser, "none is written otherwise")
     parser.add_argument(
         "--render", action="store_true", help="also say whether MuJoCo can render on this machine"
     )

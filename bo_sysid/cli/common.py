@@ -44,13 +44,12 @@ def add_strict(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_out(parser: argparse.ArgumentParser) -> None:
+def add_out(
+    parser: argparse.ArgumentParser, otherwise: str = "runs/<study>-<verb> otherwise"
+) -> None:
     """Add the argument of a verb that writes a run folder."""
     parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="RUN",
-        help="the run folder; runs/<study>-<verb> otherwise",
+        "--out", type=Path, metavar="RUN", help=f"folder of the results; {otherwise}"
     )
 
 

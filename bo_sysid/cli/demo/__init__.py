@@ -7,7 +7,6 @@ from pathlib import Path
 from bo_sysid.cli.common import RUNS, Verbs
 from bo_sysid.cli.diagnose import diagnose_into, print_run
 from bo_sysid.cli.progress import shown
-from bo_sysid.cli.record import record_into
 
 FILES = ("arm.yaml", "arm.xml")
 
@@ -29,6 +28,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Record the arm, diagnose it, and print what was found and what was true."""
     from bo_sysid.execution import use_threads
+    from bo_sysid.plants.recorded import record_into
     from bo_sysid.runs import Run, atomic
     from bo_sysid.study import Study
 

@@ -1,0 +1,62 @@
+"""Recordings of the plant that a study describes, with a study on them."""
+
+from pathlib import Path
+
+import yaml
+
+from bo_sysid.execution import Progress, Report, silent
+from bo_sysid.plants.build import build_plant, record
+from bo_sysid.plants.limits import limit_edits
+from bo_sysid.plants.python_task import PythonTask
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
+
+
+def record_into(run: Run, study: Study, name: str, progress: Report = silent) -> Path:
+    """Write recordings of the study's plant into a run folder.
+
+    Args:
+        run: the run folder.
+        study: its `plant` says what is recorded.
+        name: of the study file that is written beside the recordings; a run folder has a file
+            `study.yaml` of its own, so that ``study`` becomes `study_recorded.yaml`.
+        progress: told after every recording.
+
+    Returns:
+        The path of the study on these recordings.
+
+    Raises:
+        StudyError: the study has no plant.
+        UserError: the plant cannot be built or fails.
+    """
+    if study.plant is None:
+        raise study.error(("plant",), "record needs this key: it says what the machine is like")
+    wanted = study.plant.record
+    names = [f"train-{k}" for k in range(wanted.train)]
+    names += [f"holdout-{k}" for k in range(wanted.holdout)]
+    plant, model = build_plant(study), load_model(study)
+    if isinstance(plant.task, PythonTask):
+        progress(Progress(0, len(names), plant.task.notice))
+    for number, title in enumerate(names):
+        (recording,) = record(
+            plant,
+            model,
+            1,
+            duration=wanted.seconds,
+            excitation=wanted.excitation,
+            seed=study.search.seed + number,
+            warmstart=wanted.warmstart,
+            limits=limit_edits(study, model),
+        )
+        write_recording(recording, run.path(f"{title}.parquet"))
+        progress(Progress(number + 1, len(names), title))
+    recorded = study.resolved(relative_to=run.folder)
+    recorded["recordings"] = {
+        "train": ["train-*.parquet"],
+        "holdout": ["holdout-*.parquet"],
+        "noise": recorded["recordings"].get("noise", {}),
+    }
+    file = "study_recorded.yaml" if name.lower() == "study" else f"{name}.yaml"
+    return run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))
