@@ -28,7 +28,7 @@ from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
-from bo_sysid.diagnosis.tables import doubts, missing_force
+from bo_sysid.diagnosis.tables import doubts, explained, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller
@@ -298,6 +298,24 @@ def test_missing_forces_are_those_of_the_model_with_its_controllers(friction) ->
     ]
     expected, found = (missing_force(e, explain(friction)) for e in told)
     assert_allclose(found["nominal"], expected["nominal"], rtol=1e-6, atol=1e-9)
+
+
+def test_forces_that_impacts_hide_are_as_unknown_as_before() -> None:
+    """One response as any other, one that is huge and alike for both joints, one that diverges."""
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(3, 40, 2))
+    truth = np.array([0.5, -1.0])
+    A[1] = 1e8 * A[1, :, :1]
+    A[2] = np.inf
+    y = np.array([A[0] @ truth, A[1] @ truth, np.ones(40)])
+    force, sigma = explained(A, y)
+    exact = np.linalg.inv(A[0].T @ A[0] + np.eye(2) / 9)
+    assert_allclose(force[0], exact @ A[0].T @ y[0])
+    assert_allclose(sigma[0], np.sqrt(np.diag(exact)))
+    assert_allclose(force[1].sum(), truth.sum(), rtol=1e-6)  # all that the second tells
+    assert_allclose(sigma[1], 3.0 / np.sqrt(2), rtol=1e-6)
+    assert_allclose(force[2], 0.0)
+    assert_allclose(sigma[2], 3.0)
 
 
 def test_a_study_that_looks_for_no_effect_has_no_candidates() -> None:

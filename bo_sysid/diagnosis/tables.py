@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
+from bo_sysid.diagnosis.starts import DIVERGING
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -136,11 +137,25 @@ def _forces(
     A = np.concatenate(
         [response_to_forces(linear, n, j.force * one) for n, j in joints.items()], -1
     )
-    N = np.einsum("wri,wrj->wij", A, A) + np.eye(len(joints)) / _PRIOR**2
-    covariance = np.linalg.inv(N)
     scale = np.array([j.force for j in joints.values()])
-    force = np.einsum("wij,wrj,wr->wi", covariance, A, y) * scale
-    return linear, force, np.sqrt(np.einsum("wii->wi", covariance)) * scale
+    force, sigma = explained(A, y)
+    return linear, force * scale, sigma * scale
+
+
+def explained(
+    A: Float[np.ndarray, "W R j"], y: Float[np.ndarray, "W R"]
+) -> tuple[Float[np.ndarray, "W j"], Float[np.ndarray, "W j"]]:
+    """Return the least-squares forces f of A f = y beside their prior, and their deviations.
+
+    [A; 1/s] f = [y; 0] without normal equations, which impacts make singular. A window whose
+    response diverges says nothing: there the prior is left.
+    """
+    A = np.where((np.abs(A) < DIVERGING).all(axis=(1, 2), keepdims=True), A, 0.0)
+    count = A.shape[-1]
+    prior = np.broadcast_to(np.eye(count) / _PRIOR, (len(A), count, count))
+    inverse = np.linalg.pinv(np.concatenate([A, prior], axis=1), rcond=1e-12)
+    force = (inverse[..., : A.shape[1]] @ y[..., None])[..., 0]
+    return force, np.sqrt((inverse**2).sum(axis=2))
 
 
 def parameters_sentence(parameters: pd.DataFrame, most: int = 8) -> str:
