@@ -169,6 +169,18 @@ def test_the_probability_of_nothing_is_what_the_alternatives_leave():
     assert mark(truth(), told)["probability"] == pytest.approx(0.7)
 
 
+def test_the_probability_of_a_class_is_that_of_all_its_sets():
+    """The class counts as right; two of its sets at .49 are no guess at .49."""
+    other = [entry("link_inertia", "upper", "body")]
+    told = answer(
+        finding("dry_friction", "elbow", p=0.49, others=[other]),
+        alternatives=[(other, 0.48), ([entry("payload", "x", "body")], 0.01)],
+    )
+    marks = mark(truth(DRY), told)
+    assert marks["class_size"] == 2
+    assert marks["probability"] == pytest.approx(0.97)
+
+
 def test_magnitudes_and_intervals():
     pair = truth(DRY, concealed("armature", "shoulder", value=-0.2))
     told = answer(

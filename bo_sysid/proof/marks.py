@@ -113,10 +113,15 @@ def class_size(findings: Sequence[Mapping[str, Any]]) -> int:
 
 
 def stated(told: Mapping[str, Any]) -> float:
-    """Return the probability that an answer gives to the set it names, nothing included."""
+    """Return the probability that an answer gives to the set it names, nothing included.
+
+    With it goes that of the sets which it offers as equivalent: one of them counts as right, too.
+    """
     own = [float(f["probability"]) for f in told["findings"] if f.get("probability") is not None]
     if own:
-        return min(own)
+        equal = {named(other) for f in told["findings"] for other in f.get("equivalents", ())}
+        among = (a for a in told.get("alternatives", ()) if named(a["findings"]) in equal)
+        return min(min(own) + sum(float(a["probability"]) for a in among), 1.0)
     return max(0.0, 1.0 - sum(float(a["probability"]) for a in told.get("alternatives", ())))
 
 
