@@ -89,10 +89,7 @@ def matching(folder: Path, pattern: str) -> list[Path]:
             f"{pattern!r} is no pattern: ** stands for folders and must be alone between slashes, "
             "as in 'data/**/*.csv'"
         )
-    try:
-        return sorted(root.glob(pattern[len(anchor) :]))
-    except (ValueError, IndexError, NotImplementedError) as error:
-        raise StudyError(f"{pattern!r} is no pattern of files: {error}") from None
+    return sorted(root.glob(str(Path(pattern).relative_to(anchor))))
 
 
 def override(source: Source, overrides: Mapping[str, Any]) -> Source:
