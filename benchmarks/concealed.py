@@ -7,12 +7,12 @@ longer be a proof. Other revealed runs of the same suite are scored with it, and
 itself. `--quick` takes twenty cases.
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import yaml
 from common import Cases, benchmark
 
 from bo_sysid.cli.progress import Lines
@@ -45,14 +45,18 @@ def figures(scores: Scores) -> dict[str, object]:
     }
 
 
-def runs_of_one_suite(folder: Path) -> list[Path]:
-    """Return the revealed runs with the suite of a run, each of them with cases of its own."""
+def revealed_runs(name: str) -> list[Path]:
+    """Return the revealed runs of a suite, each with cases of its own.
+
+    Runs whose number of cases or machines was set (`conceal --set`) are strata of the same suite.
+    """
 
     def suite(run: Path) -> str:
-        return str(json.loads((run / COMMITMENTS).read_text())["suite_sha256"])
+        record = yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))
+        return str(record["suite"]["name"])
 
     concealed = sorted(f.parent for f in RUNS.glob(f"*/{COMMITMENTS}"))
-    return [r for r in concealed if (r / CASE_TABLE).is_file() and suite(r) == suite(folder)]
+    return [r for r in concealed if (r / CASE_TABLE).is_file() and suite(r) == name]
 
 
 def pooled(folders: Sequence[Path]) -> Scores:
@@ -75,12 +79,12 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
     print(f"commitments {commitments}", flush=True)
     with concealed_run(folder) as opened:
         prove(opened, progress=Lines("answer"))
-    return told(folder)
+    return told(suite.stem)
 
 
-def told(folder: Path) -> dict[str, object]:
+def told(name: str) -> dict[str, object]:
     """Return the figures of all revealed runs of a suite, and the rates of each."""
-    folders = runs_of_one_suite(folder)
+    folders = revealed_runs(name)
     return {
         "commitments": {f.name: file_digest(f / COMMITMENTS) for f in folders},
         **figures(pooled(folders)),
