@@ -220,17 +220,18 @@ def edits_and_parts(
         written: edit for a model file, where plain MJCF may say more than is simulated here.
     """
     parts: list[Part] = []
+    made: dict[int, tuple[Part, ...]] = {}
 
     def edit_of(number: int, c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
-        made = c.effect.write if written else c.effect.parts
+        make = c.effect.write if written else c.effect.parts
 
         def edit(spec: mujoco.MjSpec) -> None:
-            if number == 0:
-                parts.clear()  # a model with settotalmass may be edited twice
-            parts.extend(_made(made, c, spec, x, machine))
+            made[number] = _made(make, c, spec, x, machine)  # again, where a model is edited twice
+            parts[:] = [part for k in sorted(made) for part in made[k]]
 
         return edit
 
-    # a joint that is added closes the loops of servos with the gains that others have changed
-    ordered = sorted(hypothesis.terms, key=lambda term: term[0].effect.hidden)
-    return [edit_of(i, c, x) for i, (c, x) in enumerate(ordered)], parts
+    terms = [(c.effect.hidden, edit_of(i, c, x)) for i, (c, x) in enumerate(hypothesis.terms)]
+    # a joint that is added closes the loops of servos with the gains that others have changed;
+    # the parts keep the order of the members
+    return [edit for _, edit in sorted(terms, key=lambda term: term[0])], parts
