@@ -1,20 +1,28 @@
 """Signatures against brute force: the simulator run with and without the effect."""
 
 from dataclasses import replace
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import candidate, posed, record
+from diagnosis_helpers import SIGMA, candidate, posed, record
 
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates
 from bo_sysid.diagnosis.linear import linearise, project
+from bo_sysid.diagnosis.problem import pose
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.diagnosis.signatures import signatures
 from bo_sysid.diagnosis.windowing import prepare
-from bo_sysid.effects import Reading
+from bo_sysid.effects import CATALOGUE, Reading, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
-from bo_sysid.simulation import Trajectory
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, Trajectory
+
+SERVOS = (
+    Path(__file__).parents[1] / "studies" / "concealed" / "machines" / "two_link_arm_servos.xml"
+)
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +119,48 @@ def test_signatures_hold_at_a_hypothesis_that_is_not_nominal(prepared) -> None:
     exact = project(linear.Q, exact).ravel() / x[0]
     signature = signatures(linear, [damping])[..., 0].ravel()
     assert signature @ exact / np.linalg.norm(signature) / np.linalg.norm(exact) > 0.99
+
+
+def test_signature_beside_a_soft_gear_in_a_servos_loop_is_that_of_the_effect() -> None:
+    """The loop is closed at the link, so that the gear brings a force of its own."""
+    model = Model.from_file(SERVOS)
+    recording = _commanded(model)
+    machine = survey(model.compile(), [recording])
+    sigma = dict.fromkeys(("qpos.shoulder", "qpos.elbow"), SIGMA)
+    problem = pose(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
+    flex = next(
+        c
+        for c in candidates([CATALOGUE["joint_compliance"]], machine)
+        if c.site.name == "elbow" and not c.secant and c.full(c.point)[3] == 1.0
+    )
+    soft = Hypothesis((flex,), (flex.point,))
+    ready = prepare(problem, soft)
+    c = candidate(machine, "encoder_offset", "shoulder")
+    signature = signatures(ready.linear, [c])[..., 0].astype(float)
+    x = 0.3 * c.point
+    problem = replace(ready.problem, correction=None)
+    before = problem.residual(soft, ready.start)
+    after = problem.residual(Hypothesis((flex, c), (flex.point, x)), ready.start)
+    exact = project(ready.linear.Q, before - after) / x[0]
+    assert np.linalg.norm(signature - exact) < 0.2 * np.linalg.norm(exact)
+
+
+def _commanded(model: Model) -> Recording:
+    """Return a recording of servos that are told to move."""
+    compiled = model.compile()
+    data, time = mujoco.MjData(compiled), np.arange(0, 4, compiled.opt.timestep)
+    goal = 0.5 * np.sin(np.outer(time, [4.0, 7.0]))
+    qpos = np.empty_like(goal)
+    for k, data.ctrl[:] in enumerate(goal):
+        qpos[k] = data.qpos
+        mujoco.mj_step(compiled, data)
+    qpos += SIGMA * np.random.default_rng(0).normal(size=qpos.shape)
+    names = [compiled.actuator(i).name for i in range(compiled.nu)]
+    return Recording.from_arrays(
+        time,
+        qpos=dict(zip(("shoulder", "elbow"), qpos.T, strict=True)),
+        ctrl=dict(zip(names, goal.T, strict=True)),
+    )
 
 
 def test_a_late_sensor_shows_what_was_before_the_window(prepared) -> None:
