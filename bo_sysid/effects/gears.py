@@ -56,12 +56,13 @@ def _servo(site: Site, machine: Machine) -> bool:
 def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, float]:
     """Return gain and damping of the servos of a joint, in [N m/rad] and [N m s/rad].
 
-    They are those of the spec, in which other effects and parameters have changed them.
+    They are those of the spec, in which other effects and parameters have changed them. What slows
+    a motor that closes no loop acts at the motor.
     """
     kp = kd = 0.0
     for name in machine.joints[site.name].actuators:
         nominal, now = machine.actuators[name], spec.actuator(name)
-        if now.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+        if not (nominal.bias[1] or nominal.bias[2]):
             continue
         # a positive number is a damping ratio, which compiling made the nominal damping from
         damping = now.biasprm[2] if now.biasprm[2] <= 0 else nominal.bias[2]
@@ -78,9 +79,9 @@ def _closed(
     In MJCF its loop is closed by the motor's position q; the encoder shows q + δ, so that the
     motor's torque differs by -kp δ - kd δ'.
     """
-    kp, kd = _loop(spec, site, machine)
-    if not (hidden.shown and (kp or kd)):
+    if not (hidden.shown and _servo(site, machine)):
         return hidden
+    kp, kd = _loop(spec, site, machine)
 
     def law(motion: Motion) -> Signal:
         return -kp * motion.qpos[hidden.joint] - kd * motion.qvel[hidden.joint]
