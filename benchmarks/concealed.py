@@ -4,7 +4,7 @@ Cases are drawn with a seed from the operating system, diagnosed, and revealed; 
 `bo-sysid conceal` and `bo-sysid reveal`, which this runs one after the other. The run is kept under
 `runs/`: begun anew only after it has been removed, since a second look at the same cases would no
 longer be a proof. Other revealed runs of the same suite are scored with it, and each of them by
-itself. `--quick` takes twenty cases.
+itself; `--stored` does that alone. `--quick` takes twenty cases.
 """
 
 from collections.abc import Sequence
@@ -72,6 +72,8 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
     """Conceal, answer, reveal."""
     suite = SUITES / ("twenty.yaml" if quick else "proof.yaml")
     folder = RUNS / f"{suite.stem}-conceal"
+    if cases.stored:
+        return told(suite.stem)
     if not (folder / COMMITMENTS).is_file():
         with Run.open(folder, suite_record(suite, {}), "conceal") as opened:
             conceal(opened, suite, progress=Lines("conceal"))
@@ -93,4 +95,4 @@ def told(name: str) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    benchmark("concealed", run)
+    benchmark("concealed", run, partial=True)
