@@ -87,6 +87,8 @@ def run(quick: bool, cases: Cases) -> dict[str, object]:
 def told(name: str) -> dict[str, object]:
     """Return the figures of all revealed runs of a suite, and the rates of each."""
     folders = revealed_runs(name)
+    if not folders:
+        raise SystemExit(f"{RUNS} has no revealed run of the suite {name!r}: bo-sysid reveal RUN")
     return {
         "commitments": {f.name: file_digest(f / COMMITMENTS) for f in folders},
         **figures(pooled(folders)),

@@ -47,10 +47,10 @@ def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
     return (_MOTOR_SIDE, _LINK_SIDE)
 
 
-def _servo(site: Site, machine: Machine) -> bool:
-    """Whether an actuator of a joint closes a loop around it."""
-    drives = (machine.actuators[a] for a in machine.joints[site.name].actuators)
-    return any(a.bias[1] or a.bias[2] for a in drives)
+def _servos(site: Site, machine: Machine) -> tuple[str, ...]:
+    """Return the actuators of a joint that close a loop around it."""
+    names = machine.joints[site.name].actuators
+    return tuple(n for n in names if any(machine.actuators[n].bias[1:3]))
 
 
 def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, float]:
@@ -60,10 +60,8 @@ def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, flo
     a motor that closes no loop acts at the motor.
     """
     kp = kd = 0.0
-    for name in machine.joints[site.name].actuators:
+    for name in _servos(site, machine):
         nominal, now = machine.actuators[name], spec.actuator(name)
-        if not (nominal.bias[1] or nominal.bias[2]):
-            continue
         # a positive number is a damping ratio, which compiling made the nominal damping from
         damping = now.biasprm[2] if now.biasprm[2] <= 0 else nominal.bias[2]
         kp -= float(now.biasprm[1]) * nominal.gear**2
@@ -79,7 +77,7 @@ def _closed(
     In MJCF its loop is closed by the motor's position q; the encoder shows q + δ, so that the
     motor's torque differs by -kp δ - kd δ'.
     """
-    if not (hidden.shown and _servo(site, machine)):
+    if not (hidden.shown and _servos(site, machine)):
         return hidden
     kp, kd = _loop(spec, site, machine)
 
@@ -126,7 +124,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
         return None
-    if _servo(site, machine):  # no search reached a gap in a loop that is closed at the link
+    if _servos(site, machine):  # no search reached a gap in a loop that is closed at the link
         sides = (_MOTOR_SIDE,)
     joint = machine.joints[site.name]
     most = joint.travel / joint.force
