@@ -68,6 +68,21 @@ def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
     assert decided(nominal, weak).best is nominal
 
 
+@pytest.mark.parametrize(("alone", "needed"), [(12.0, True), (1.1, False)])
+def test_a_small_part_of_the_whole_is_needed_where_nothing_comes_near_without_it(
+    machine, alone: float, needed: bool
+) -> None:
+    # half a sigma by its slope, of fifty that the nominal model leaves
+    late, mass = (
+        candidate(machine, "dry_friction", "elbow"),
+        candidate(machine, "payload", "forearm"),
+    )
+    both = replace(fit((late, mass), 1.0), unique=(5.0, 0.5))
+    nominal, single = fit((), 50.0), fit((late,), alone)
+    assert admissible(both, nominal, [nominal, single, both]) == needed
+    assert not admissible(both, nominal, [nominal, both])  # not tried without it
+
+
 def test_far_off_an_effect_is_as_large_as_the_best_fit_without_it_leaves(machine) -> None:
     nominal = fit((), 5.0)  # 4 sigma beyond the fit, where the linear model sees 2
     strong = fit((candidate(machine, "dry_friction", "elbow"),), 3.0, unique=2.0)

@@ -1,6 +1,6 @@
 """What is done with a search: go on to its end, carry sets to longer windows, leave out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from operator import itemgetter
 
@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify
-from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, ranked, sizes, weak
+from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, ranked, required, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
@@ -61,8 +61,8 @@ def add_joints(search: Search, leader: Fit) -> None:
             if clashes([*base.members, c]):
                 continue
             h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, c.point[: c.size]))
-            start = first_start(problem, h, base.start)
-            r = settle(problem, search.frame, h, start, 1)[1]
+            start, r = first_start(problem, h, base.start)
+            r = settle(problem, search.frame, h, start, 1, r=r)[1]
             left[c.key] = min(
                 left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=itemgetter(0)
             )
@@ -110,7 +110,8 @@ def eliminate(search: Search, steps: int = 14) -> None:
 
     Where contact bends the response, that is known of a set only once it was fitted without each
     of its members, from its own magnitudes, from its starts and anew from the smoother's: a smaller
-    set that stayed on the far side of an impact makes anything that leads across look needed.
+    set that stayed on the far side of an impact makes anything that leads across look needed. So
+    are members fitted that stay for what leaving them out costs alone.
     """
     touching = can_touch(search.prepared.problem.machine.model)
     done: set[tuple[object, object]] = set()
@@ -121,12 +122,12 @@ def eliminate(search: Search, steps: int = 14) -> None:
             if small:
                 simplify(search, f, FINAL)
                 fit_some(search, f, _without_weak(search, f, small))
-            elif touching:
-                nearer = _fitted_without_each(search, f, done)
-            elif f.rms > LOOSE:
-                for k, rest in _parts(f):
+            else:
+                out = range(len(f.members)) if touching else _by_cost(search, f)
+                nearer = _fitted_without(search, f, out, done)
+                for k in range(len(f.members)) if f.rms > LOOSE and not touching else ():
                     if f.groups[k] is None:
-                        fit_some(search, f, rest)
+                        fit_some(search, f, _all_but(f, k))
             if nearer or len(search.fits) > before:
                 break
             if not small:
@@ -135,11 +136,19 @@ def eliminate(search: Search, steps: int = 14) -> None:
             return
 
 
-def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]]) -> bool:
-    """Fit a set without each of its members from where it is; whether that came nearer."""
+def _by_cost(search: Search, f: Fit) -> list[int]:
+    """Return the members that stay for what leaving them out costs alone."""
+    found, need = sizes(f, search.fits.values()), required(f, search.nominal)
+    return [k for k, u in enumerate(found) if u < need and f.groups[k] is None]
+
+
+def _fitted_without(
+    search: Search, f: Fit, out: Iterable[int], done: set[tuple[object, object]]
+) -> bool:
+    """Fit a set without each of some members from where it is; whether that came nearer."""
     nearer, smooth = False, search.prepared.problem.windows.start
-    for _, rest in _parts(f):
-        members, x = subset(f, rest)
+    for k in out:
+        members, x = subset(f, _all_but(f, k))
         key = set_key(members)
         if (f.key, key) in done:
             continue
@@ -153,10 +162,8 @@ def _fitted_without_each(search: Search, f: Fit, done: set[tuple[object, object]
     return nearer
 
 
-def _parts(f: Fit) -> list[tuple[int, list[int]]]:
-    """Return each member's index and those of all others."""
-    every = range(len(f.members))
-    return [(k, [i for i in every if i != k]) for k in every]
+def _all_but(f: Fit, k: int) -> list[int]:
+    return [i for i in range(len(f.members)) if i != k]
 
 
 def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:

@@ -113,8 +113,8 @@ def refit(
     problem, effort = frame.problem, effort or Effort()
     space = _Space.of(problem, members)
     theta = space.vector(x, guess or frame.hypothesis)
-    first = first_start(problem, space.hypothesis(theta), start or frame.start)
-    begin, r = settle(problem, frame, space.hypothesis(theta), first, 2)
+    first, r = first_start(problem, space.hypothesis(theta), start or frame.start)
+    begin, r = settle(problem, frame, space.hypothesis(theta), first, 2, r=r)
     point = _Point(theta, begin, r, project(frame.Q, r))
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
     if len(theta):

@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import Scored
 from bo_sysid.diagnosis.units import alone, subset, units_of, with_group
+from bo_sysid.mjcf.touching import can_touch
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
 _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
@@ -99,8 +100,12 @@ def _exchange(search: Search, screen: Screen, base: Fit, unit: tuple[int, ...]) 
 
 
 def substitute(search: Search, base: Fit) -> None:
-    """Fit what could stand in the place of a member and explain as much."""
-    screen = search.screened(base)
+    """Fit what could stand in the place of a member and explain as much.
+
+    In contact also what was fitted before and leaves more than the set: it may have come from
+    starts on the far side of an impact.
+    """
+    screen, touching = search.screened(base), can_touch(search.prepared.problem.machine.model)
     near = _ALIKE * max(1.0, base.rms**2)
     rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
     for k, member in enumerate(base.members):
@@ -117,7 +122,8 @@ def substitute(search: Search, base: Fit) -> None:
             if s.gain > _FEWER * own and search.candidates[s.members[0]].size < member.size
         ]
         for sets in (alike, fewer):
-            _run(search, sets, _SUBSTITUTES, base, rest, effort=replace(FINAL, rival=base.rms))
+            effort = replace(FINAL, rival=base.rms)
+            _run(search, sets, _SUBSTITUTES, base, rest, effort=effort, anew=touching)
 
 
 def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:
@@ -135,8 +141,12 @@ def _run(
     kept: Sequence[int] | None = None,
     need: float = 0.0,
     effort: Effort | None = None,
+    anew: bool = False,
 ) -> None:
-    """Fit the best of the scored sets, on top of the kept members of a fit."""
+    """Fit the best of the scored sets, on top of the kept members of a fit.
+
+    With `anew` also those that were fitted before, and leave more than that fit.
+    """
     seen: set[frozenset[tuple[str, str]]] = set()
     dof = search.prepared.problem.dof
     held: tuple[Sequence[Candidate], Sequence[np.ndarray]] = ((), ())
@@ -153,11 +163,15 @@ def _run(
         if subsets.clashes([*held[0], *members]):
             continue
         x = np.split(s.x, np.cumsum([c.size for c in members])[:-1])
+        whole = (*held[0], *members)
+        known = search.fits.get(set_key(whole))
+        again = anew and known is not None and base is not None and known.rms > base.rms
         search.fit(
-            (*held[0], *members),
+            whole,
             (*held[1], *x),
             start=base.start if base is not None else None,
             guess=base.hypothesis if base is not None else None,
+            again=again,
             effort=effort,
         )
 

@@ -67,7 +67,15 @@ def criterion(fit: Fit, kappa: float, prior: Prior) -> float:
 
 def required(fit: Fit, nominal: Fit) -> float:
     """Return the unique size in sigma that every member of a fit must reach."""
-    return max(MARGIN, SHARE * sqrt(fit.excess), PART * sqrt(nominal.excess))
+    return max(_least(fit), _part(nominal))
+
+
+def _least(fit: Fit) -> float:
+    return max(MARGIN, SHARE * sqrt(fit.excess))
+
+
+def _part(nominal: Fit) -> float:
+    return PART * sqrt(nominal.excess)
 
 
 def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
@@ -103,13 +111,15 @@ def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
 
 
 def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
-    """Return the members that are smaller than what stays unexplained.
+    """Return the members that are smaller than what stays unexplained, or a part of the nominal's.
 
+    The part may be what leaving out costs, if the slope is less.
     Where at least two members of a group, and half of them, are large enough, the others stay as
     long as the recordings show that they are there: what all joints have is not small by chance.
     """
-    need, found = required(fit, nominal), sizes(fit, fits)
-    large = [u >= need for u in found]
+    found, least, part = sizes(fit, fits), _least(fit), _part(nominal)
+    cost = costs(fit, fits)
+    large = [u >= least and max(u, c) >= part for u, c in zip(found, cost, strict=True)]
     held = Counter(g for g, ok in zip(fit.groups, large, strict=True) if ok)
     standing = {
         g for g, n in Counter(fit.groups).items() if g is not None and held[g] >= max(2.0, 0.5 * n)
@@ -117,6 +127,20 @@ def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
     excused = [fit.rms <= ROUGH and g in standing for g in fit.groups]
     sure = significance(fit)
     return [k for k, ok in enumerate(large) if not ok and not (excused[k] and sure[k] > _THERE)]
+
+
+def costs(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
+    """Return what leaving out each member costs in sigma, 0 where no set without it was fitted.
+
+    A small part of what the nominal model leaves may be no more than the shape of a large effect
+    that is a little off: there this is little as well. Beside a long delay or a wide gap the slope
+    of a mass is little, and yet without it nothing comes near.
+    """
+    others, found = tuple(fits), []
+    for member in fit.members:
+        left = min((f.rms for f in others if _without(f, fit, member, True)), default=0.0)
+        found.append(sqrt(max(left**2 - fit.rms**2, 0.0)))
+    return tuple(found)
 
 
 def significance(fit: Fit) -> list[float]:

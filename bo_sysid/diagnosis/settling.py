@@ -21,6 +21,7 @@ def settle(
     start: State,
     steps: int = 2,
     shares: Sequence[float] = (1.0,),
+    r: Float[np.ndarray, "W R"] | None = None,
 ) -> tuple[State, Float[np.ndarray, "W R"]]:
     """Move the starts to where the residual is least, window by window.
 
@@ -31,8 +32,9 @@ def settle(
         start: first starts.
         steps: most steps.
         shares: of a step, tried in this order where the one before does not help a window.
+        r: residual at the first starts; simulated where left out.
     """
-    r = problem.residual(hypothesis, start)
+    r = problem.residual(hypothesis, start) if r is None else r
     for _ in range(steps):
         toward, done = r, np.zeros(len(r), bool)
         for share in shares:
@@ -46,8 +48,10 @@ def settle(
     return start, r
 
 
-def first_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
-    """Return for each window the better of the given start and the smoother's.
+def first_start(
+    problem: Problem, hypothesis: Hypothesis, start: State
+) -> tuple[State, Float[np.ndarray, "W R"]]:
+    """Return for each window the better of the given start and the smoother's, and what it leaves.
 
     Starts fitted to another hypothesis took over part of what that one lacked. Joints that the
     hypothesis adds are tried in all places where they may begin.
@@ -56,7 +60,7 @@ def first_start(problem: Problem, hypothesis: Hypothesis, start: State) -> State
     r = problem.residual(hypothesis, start)
     for other in (smooth, *problem.starts(hypothesis, smooth)):
         start, r, _ = better_of(start, r, other, problem.residual(hypothesis, other))
-    return start
+    return start, r
 
 
 def moved_along(

@@ -96,7 +96,7 @@ def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
     for start in first:
         linear, r = linearise(problem, at, start), problem.residual(at, start)
         for _ in range(_ROUNDS):
-            moved, rn = settle(problem, linear, at, start, 1, _SHARES)
+            moved, rn = settle(problem, linear, at, start, 1, _SHARES, r=r)
             if (rn**2).sum() > (1 - _WORTH_A_ROUND) * (r**2).sum():
                 break
             start, r = moved, rn
