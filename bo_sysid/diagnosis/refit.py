@@ -15,15 +15,17 @@ from bo_sysid.diagnosis.fit import Fit, assess
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.starts import caught_up
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _NUMERICS = (-0.5, 2.0)
-_SHRINK = 0.35
+_STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothing to speak of
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
+_FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT = 1e9
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
@@ -172,10 +174,10 @@ def _descend(
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
         step = _bounded_step(SP, point.y, point, space)
-        tried = _line_search(frame, space, point, J, step, 4 if exact or not iteration else 2)
+        tried = _line_search(frame, space, point, J, step)
         if tried is None and exact:
             step = _bounded_step(SP, point.y, point, space, _DAMPED)
-            tried = _line_search(frame, space, point, J, step, 4)
+            tried = _line_search(frame, space, point, J, step)
         if tried is None:
             hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
             if exact or hopeless or point.rss / dof > 1e4:
@@ -186,8 +188,8 @@ def _descend(
         if moved.any():
             J = _broyden(SP, moved, project(frame.Q, point.r - tried.r))
         exact, point = False, tried
-        tolerance = effort.gain * max(point.rss / dof, 1.0)
-        if gain < tolerance + (0.0 if effort.final else 1e-3 * point.rss):
+        share = _FAR_WORTH if point.rss / dof > ROUGH**2 else 0.0 if effort.final else 1e-3
+        if gain < effort.gain * max(point.rss / dof, 1.0) + share * point.rss:
             break
         behind = point.rss / dof > 3 * effort.rival**2 + 1 and gain < 0.25 * point.rss
         if iteration >= 1 and behind:
@@ -238,15 +240,15 @@ def _bounded_step(
 
 
 def _line_search(
-    frame: Linear, space: _Space, point: _Point, J: np.ndarray, step: np.ndarray, tries: int
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, step: np.ndarray
 ) -> _Point | None:
     """Return the first point along a step that leaves less, None where none does.
 
     Starts move along; where that does not help on the whole, window by window: a joint that sticks
     does not follow its start.
     """
-    problem, share = frame.problem, 1.0
-    for _ in range(tries):
+    problem = frame.problem
+    for share in _STEPS:
         theta = np.clip(point.theta + share * step, space.low, space.high)
         hypothesis = space.hypothesis(theta)
         left = point.r - J @ (theta - point.theta)
@@ -259,7 +261,6 @@ def _line_search(
             start, r, _ = moved_along(problem, frame, hypothesis, start, r, r)
         if (r**2).sum() < point.rss:
             return _Point(theta, start, r, project(frame.Q, r))
-        share *= _SHRINK
     return None
 
 

@@ -24,6 +24,7 @@ from bo_sysid.simulation import State
 
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 _HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
+_ALIKE = 0.1  # share by which two sets may differ in what they leave, and respond alike to starts
 _AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this share
 
 
@@ -47,6 +48,7 @@ class Search:
     frame: Linear
     fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
     _screen: Screen | None = None
+    _framed: float = np.inf  # rms of the fit at which the frame was taken
 
     @classmethod
     def on(
@@ -138,8 +140,11 @@ class Search:
         """Fit on with the model linearised at the fit itself, where it is far from the data.
 
         The response to the starts changes with the set there, and a set that is not fitted to its
-        end makes those that contain it look needed.
+        end makes those that contain it look needed. It is much the same for sets that leave as much
+        as the one at which the model was linearised.
         """
+        if abs(fit.rms / self._framed - 1) < _ALIKE:
+            return fit
         for _ in range(_AFRESH):
             far = fit.rms > ROUGH and (not fit.members or fit.rms < _HOPEFUL * self.least)
             if not far or not fit.hypothesis.free:
@@ -171,6 +176,7 @@ class Search:
         """Linearise the model at a fit, and return what every candidate would do there."""
         if base.members or self.begun:
             self.frame = linearise(self.prepared.problem, base.hypothesis, base.start)
+            self._framed = base.rms
         self._screen = Screen.at(base, self.frame, self.candidates)
         return self._screen
 
