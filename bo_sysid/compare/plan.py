@@ -10,7 +10,7 @@ from bo_sysid.compare.gathered import Key
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, tabulate
-from bo_sysid.errors import JobError, RunError
+from bo_sysid.errors import RunError
 from bo_sysid.execution import Outcome, Progress, Report, map_jobs, open_engine
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
@@ -127,9 +127,10 @@ class Plan:
             self.progress(Progress(step, of, Path(outcome.key).with_suffix("").as_posix()))
         if failed:
             first = min(failed, key=lambda outcome: outcome.wrong_input)  # what is worse first
-            raise (RunError if first.wrong_input else JobError)(
+            raise first.failure(
+                RunError,
                 f"{self.run.folder}: {len(failed)} of {len(jobs)} runs failed, the others are "
-                f"kept; the same command tries these again. {first.key}: {first.error}"
+                f"kept; the same command tries these again. {first.key}: {first.error}",
             )
 
     def _seeded(self, problem: Posed, seed: int) -> dict[str, Any]:

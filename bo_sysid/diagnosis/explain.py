@@ -108,8 +108,8 @@ def explain(located: Located) -> Outcome:
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
     alone, found = _law_alone(located, error)
-    if unknown.law is None:
-        fit, repaired = _fitted(located, fit, error)
+    if unknown.law is None:  # where nothing is missing, the repaired model is the refitted one
+        fit, repaired = _fitted(located, fit, error) if fit.members else (fit, refitted)
     else:
         law = alone
         if fit.members:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from bo_sysid.errors import BoSysidError, UserError, is_input_error
+from bo_sysid.errors import BoSysidError, JobError, UserError, is_input_error
 from bo_sysid.execution.threads import use_threads
 
 
@@ -24,6 +24,10 @@ class Outcome:
     result: Any = None
     error: str | None = None
     wrong_input: bool = False
+
+    def failure(self, wrong: type[UserError], said: str) -> BoSysidError:
+        """Return what a job that failed raises: `wrong` where its input is, else a `JobError`."""
+        return (wrong if self.wrong_input else JobError)(said)
 
 
 @runtime_checkable

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bo_sysid.errors import JobError, RunError, StudyError
+from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
 from bo_sysid.proof.case import Case, NoCase, draw_case
 from bo_sysid.proof.plan import Draw, plan
@@ -132,8 +132,7 @@ def conceal(
     for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
         if outcome.error is not None:
             why = outcome.error.strip().splitlines()[-1]
-            wrong = StudyError if outcome.wrong_input else JobError
-            raise wrong(f"{path}: {outcome.key} cannot be drawn: {why}")
+            raise outcome.failure(StudyError, f"{path}: {outcome.key} cannot be drawn: {why}")
         step += 1
         progress(Progress(step, len(names)))  # nothing about the case: not even its time
     _show(sealed, run.path(CASES), names)
@@ -243,5 +242,5 @@ def _published(
 def _only(outcomes: Iterator[Any]) -> list[str]:
     outcome = next(outcomes)
     if outcome.error is not None:
-        raise (StudyError if outcome.wrong_input else JobError)(outcome.error)
+        raise outcome.failure(StudyError, outcome.error)
     return list(outcome.result)

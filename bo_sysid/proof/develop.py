@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bo_sysid.errors import JobError, StudyError
+from bo_sysid.errors import StudyError
 from bo_sysid.execution import Progress, Report, map_jobs, silent
 from bo_sysid.proof.case import draw_case
 from bo_sysid.proof.conceal import write_case
@@ -54,8 +54,7 @@ def develop(
     }
     for step, outcome in enumerate(map_jobs(_draw, missing), 1):
         if outcome.error is not None:
-            wrong = StudyError if outcome.wrong_input else JobError
-            raise wrong(f"{path}: {outcome.key}: {outcome.error}")
+            raise outcome.failure(StudyError, f"{path}: {outcome.key}: {outcome.error}")
         progress(Progress(step, len(missing), outcome.key))
     for draw in wanted:
         place = folder / draw.name
