@@ -125,9 +125,8 @@ def eliminate(search: Search, steps: int = 14) -> None:
             else:
                 out = range(len(f.members)) if touching else _by_cost(search, f)
                 nearer = _fitted_without(search, f, out, done)
-                for k in range(len(f.members)) if f.rms > LOOSE and not touching else ():
-                    if f.groups[k] is None:
-                        fit_some(search, f, _all_but(f, k))
+                if f.rms > LOOSE and not touching:
+                    _fit_parts(search, f)
             if nearer or len(search.fits) > before:
                 break
             if not small:
@@ -160,6 +159,13 @@ def _fitted_without(
                 break
         nearer |= known is None or made.rss < known.rss
     return nearer
+
+
+def _fit_parts(search: Search, f: Fit) -> None:
+    """Fit a set without each of its members that is in no group, where that was not done yet."""
+    for k, group in enumerate(f.groups):
+        if group is None:
+            fit_some(search, f, _all_but(f, k))
 
 
 def _all_but(f: Fit, k: int) -> list[int]:
