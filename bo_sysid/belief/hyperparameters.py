@@ -15,6 +15,7 @@ References:
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +23,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_t
 
 from bo_sysid.belief.gp import Evidence, Kernel
+from bo_sysid.execution import limit_threads
 
 STUDENT_DOF = 5
 DRAWS = 256  # importance draws over all modes and kernels
@@ -108,8 +110,8 @@ def _find_modes(
 ) -> list[_Mode]:
     """Return the distinct local maxima that hold a share of the posterior worth sampling."""
     tops: list[tuple[Evidence, Float[np.ndarray, " p"], float]] = []
-    for evidence in evidences:
-        for start in starts:
+    with limit_threads(1):  # matrices are small, and BLAS threads would spin while they wait
+        for evidence, start in product(evidences, starts):
             theta, density = _climb(evidence, prior, start)
             known = any(
                 e is evidence and np.all(np.abs(t - theta) < 0.1 * prior.std) for e, t, _ in tops

@@ -107,7 +107,7 @@ def explain(located: Located) -> Outcome:
     error = _forecast_error(located) if unknown.flagged or in_contact(problem) else None
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
-    alone, found = _law_alone(located, error)
+    alone, found = _law_alone(located, error, rivals=unknown.flagged)
     if unknown.law is None:  # where nothing is missing, the repaired model is the refitted one
         fit, repaired = _fitted(located, fit, error) if fit.members else (fit, refitted)
     else:
@@ -186,10 +186,12 @@ def _forecast_error(located: Located) -> PredictionError | None:
 
 
 def _law_alone(
-    located: Located, error: PredictionError | None
+    located: Located, error: PredictionError | None, *, rivals: bool
 ) -> tuple[Hypothesis | None, Unknown]:
     """Return the nominal model with a learned law at the joint where one explains most, and where.
 
+    Without `rivals` only the law that predicts most is learned: beside names that explain all it is
+    there to be compared with.
     The correction of the time step has the share that the answer shows, or all of it: without what
     is missing, its fit follows something else.
     """
@@ -203,7 +205,8 @@ def _law_alone(
     found = replace(examine(problem, replace(decision, best=nominal)), flagged=True)
     if found.law is None:
         return None, found
-    law, clue = _learned(located, nominal, found.clues, error)
+    clues = found.clues if rivals else found.clues[:1]
+    law, clue = _learned(located, nominal, clues, error)
     return law, replace(found, clues=(clue,))
 
 

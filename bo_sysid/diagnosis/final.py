@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import substitute, vary
-from bo_sysid.diagnosis.rules import admissible, clean, ranked
+from bo_sysid.diagnosis.rules import admissible, clean, lost, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.starts import first_starts
@@ -36,10 +36,14 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     order = ranked(search.fits.values(), search.prior)
     chosen = _finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
-    leader, prepared = _polished(problem, order[0])
+    leader, prepared = order[0], prepare(problem, order[0].hypothesis)
     if problem.loose(leader.hypothesis):
-        other = _polished(problem, _restarted(order[0]))
-        leader, prepared = min((leader, prepared), other, key=lambda made: made[0].rms)
+        softer = _softened(leader)
+        others = (leader, prepared), (softer, prepare(problem, softer.hypothesis))
+        ends = [_polished(problem, *other, most=1) for other in others]
+        leader, prepared = min(ends, key=lambda end: end[0].rms)
+    times = 1 if lost(order[0], search.nominal) else _POLISH
+    leader, prepared = _polished(problem, leader, prepared, most=times)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
     for f in chosen:
         if f.members:
@@ -66,6 +70,8 @@ def compare(final: Search) -> None:
         if not leader.members or leader.key in done:
             return
         done.add(leader.key)
+        if lost(leader, final.nominal):
+            return
         substitute(final, leader)
         _shaped_alike(final, leader)
         _polish_rivals(final, leader, polished)
@@ -118,7 +124,8 @@ def _polish_rivals(final: Search, leader: Fit, polished: set[Names]) -> None:
 def _bent_anew(final: Search) -> None:
     """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
     leader, smooth = final.best, not can_touch(final.prepared.problem.machine.model)
-    if smooth and rubbing(leader) and not clean(leader):
+    decided = clean(leader) or lost(leader, final.nominal)
+    if smooth and rubbing(leader) and not decided:
         vary(final, leader)
 
 
@@ -146,16 +153,29 @@ def _straightened(final: Search) -> None:
             del final.fits[f.key]
 
 
-def _polished(problem: Problem, leader: Fit) -> tuple[Fit, Prepared]:
+def _polished(
+    problem: Problem, leader: Fit, prepared: Prepared, *, most: int
+) -> tuple[Fit, Prepared]:
     """Fit the leader on all windows, prepared anew until its magnitudes stay where they are."""
-    prepared = prepare(problem, leader.hypothesis)
-    for _ in range(_times(leader, problem)):
+    for _ in range(min(most, _times(leader, problem))):
         before, leader = leader, _refitted(prepared.linear, leader)
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
         if _distance(before, leader) < _SETTLED:
             break
     return leader, prepared
+
+
+def _softened(fit: Fit) -> Fit:
+    """Return a fit whose gaps have softer ends.
+
+    From a wide gap with hard ends no small step leads to a narrower one with soft ends.
+    """
+    x = tuple(
+        np.concatenate([v[:1], [_SOFTER * c.point[1]], v[2:]]) if c.effect.hidden else v
+        for c, v in zip(fit.members, fit.x, strict=True)
+    )
+    return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
 
 
 def _fitted_at_itself(problem: Problem, fit: Fit) -> Fit:
@@ -197,18 +217,6 @@ def _distance(before: Fit, after: Fit) -> float:
     return float(np.sqrt(max(change @ inverse @ change, 0.0)))
 
 
-def _restarted(fit: Fit) -> Fit:
-    """Return a fit whose gaps have softer ends.
-
-    From a wide gap with hard ends no small step leads to a narrower one with soft ends.
-    """
-    x = tuple(
-        np.concatenate([v[:1], [_SOFTER * c.point[1]], v[2:]]) if c.effect.hidden else v
-        for c, v in zip(fit.members, fit.x, strict=True)
-    )
-    return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
-
-
 def _leader(search: Search) -> Fit:
     """Return the best of the fits whose every member is needed."""
     fits = list(search.fits.values())
@@ -220,10 +228,13 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
     Of those that leave many times as much as the leader only the best that is admissible, which
-    may be what all windows admit, and the best that shares no name, to compare with.
+    may be what all windows admit, and the best that shares no name, to compare with. Where names
+    are no explanation only the leader, and the best that is admissible.
     """
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
+    if lost(order[0], nominal):
+        return list(dict.fromkeys((order[0], *able[:1])))
     held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
     near = [f for f in held if f.rms < _FAR * order[0].rms]
     others = [f for f in order if f.members and not f.names & order[0].names]

@@ -9,7 +9,7 @@ from bo_sysid.diagnosis.final import compare, final_fits
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.lengths import LEAST, stable, tractable, windows_of
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
-from bo_sysid.diagnosis.rules import ROUGH, clean
+from bo_sysid.diagnosis.rules import ROUGH, clean, lost
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
 from bo_sysid.diagnosis.windowing import Prepared, prepare
@@ -61,8 +61,9 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
         search, length = _lengthened(evidence, search, length, horizon, step)
         search, step = _explored(evidence, search, length, step, rounds=3)
         tell(f"windows of {length} instants: {_said(search.best)}")
-    sharpened(search)
-    stripped(search)
+    if not lost(search.best, search.nominal):
+        sharpened(search)
+        stripped(search)
     tell(f"final fits: {_said(search.best)}")
     final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final)

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify
-from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, ranked, required, sizes, weak
+from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, lost, ranked, required, sizes, weak
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
@@ -19,11 +19,12 @@ from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
 _TRIED = 2  # joints that are added, by what their grid points leave
+_NEARER = 0.97  # of what a set leaves far off, that a round must come below
 _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
-    """Go on until the leading set no longer changes; return the leader."""
+    """Go on until the leading set no longer changes, or leads nowhere; return the leader."""
     if not search.begun:
         round_at(search, search.nominal)
     leader = _followed(search, rounds)
@@ -40,19 +41,27 @@ def _followed(search: Search, rounds: int) -> Fit:
         if not leader.members:
             break
         round_at(search, leader)
-        if search.best.key == leader.key:
+        before, leader = leader, search.best
+        if leader.key == before.key or _stuck(search, before):
             break
-        leader = search.best
-    return search.best
+    return leader
+
+
+def _stuck(search: Search, before: Fit) -> bool:
+    """Whether a round has found no more than another set that explains as little."""
+    best = search.best
+    return lost(best, search.nominal) and best.rms > _NEARER * before.rms
 
 
 def add_joints(search: Search, leader: Fit) -> None:
     """Fit sets with each joint that an effect adds, from what its grid points leave.
 
     A linear estimate says little of a gap: what moves in it is not there in the nominal model. Each
-    is tried alone and beside the leader.
+    is tried alone and beside the leader, first on every other window.
     """
-    problem = search.prepared.problem
+    some = np.arange(len(search.prepared.start)) % 2 == 0
+    frame = search.frame.rows(some)
+    problem = frame.problem
     added = [c for c in search.candidates if c.effect.hidden]
     bases = dict.fromkeys((search.nominal, leader))
     for base in (b for b in bases if b.size < search.most):
@@ -61,8 +70,8 @@ def add_joints(search: Search, leader: Fit) -> None:
             if clashes([*base.members, c]):
                 continue
             h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, c.point[: c.size]))
-            start, r = first_start(problem, h, base.start)
-            r = settle(problem, search.frame, h, start, 1, r=r)[1]
+            start, r = first_start(problem, h, base.start.rows(some))
+            r = settle(problem, frame, h, start, 1, r=r)[1]
             left[c.key] = min(
                 left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=itemgetter(0)
             )

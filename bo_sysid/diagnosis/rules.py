@@ -22,6 +22,7 @@ _THERE = 4.0  # standard deviations from which a small member of a group is ther
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
+_LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far off, is no explanation
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,15 @@ def admissible(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> bool:
 def clean(fit: Fit) -> bool:
     """Whether a fit leaves nothing to look for."""
     return fit.excess < CLEAN
+
+
+def lost(fit: Fit, nominal: Fit) -> bool:
+    """Whether a fit is far from the recordings and explains little of what they have.
+
+    Where that is the leading set, no names are the explanation, and finer differences between sets
+    decide nothing.
+    """
+    return fit.rms > ROUGH and fit.excess > _LOST * nominal.excess
 
 
 def ranked(fits: Iterable[Fit], prior: Prior) -> list[Fit]:

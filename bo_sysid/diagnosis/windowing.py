@@ -62,8 +62,10 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     at = at or nothing(problem)
     _require_finite(problem, at, problem.windows.start)
     first = [] if known is None else [known]
-    if known is None or problem.loose(at):  # in a gap no step leads from one arrival to another
-        first = [*first_starts(problem, at), *first]
+    if known is None:
+        first = first_starts(problem, at)
+    elif problem.loose(at):  # in a gap no step leads from one arrival to another
+        first = [*first_starts(problem, at)[:1], *first]
     linear, contact = settled(problem, at, first), can_touch(problem.machine.model)
     if contact:
         start, _ = caught_up(problem, at, linear.start)
