@@ -5,7 +5,9 @@ import pytest
 import torch
 from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from bo_sysid.belief import hyperparameters
 from bo_sysid.belief.gp import MEAN_VARIANCE, Evidence
 from bo_sysid.belief.surrogate import KERNELS, POWERS, default_prior, fit_surrogate
 from bo_sysid.belief.warp import ZERO, Warp
@@ -131,6 +133,21 @@ def test_values_at_evaluated_points_are_kept(points):
     mean, variance = surrogate.moments(points)
     np.testing.assert_allclose(mean, surrogate.warp(deviations), atol=3e-3)
     assert np.sqrt(variance).max() < 3e-3
+
+
+def test_hyperparameters_are_searched_by_one_blas_thread(points, monkeypatch):
+    """Matrices of a few dozen rows gain nothing by more, and threads that wait spin."""
+    seen, climb = [], hyperparameters._climb
+
+    def watched(*given):
+        seen.append({p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"})
+        return climb(*given)
+
+    monkeypatch.setattr(hyperparameters, "_climb", watched)
+    with threadpool_limits(2):
+        fit_surrogate(points, deviations_at(points), bounds=BOUNDS)
+    assert seen
+    assert all(numbers == {1} for numbers in seen)
 
 
 def test_same_seed_same_ensemble(points):

@@ -9,7 +9,7 @@ from diagnosis_helpers import candidate, posed, record
 from bo_sysid.diagnosis.decide import decide
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.rules import Prior, admissible, required, sizes
+from bo_sysid.diagnosis.rules import Prior, admissible, lost, required, sizes
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000
@@ -66,6 +66,16 @@ def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
     assert required(weak, nominal) == pytest.approx(np.sqrt(8.0))
     assert not admissible(weak, nominal)
     assert decided(nominal, weak).best is nominal
+
+
+@pytest.mark.parametrize(
+    ("rms", "nominal", "gone"), [(6.0, 9.0, True), (6.0, 60.0, False), (2.9, 3.1, False)]
+)
+def test_a_set_is_lost_where_it_is_far_off_and_explains_little(
+    machine, rms: float, nominal: float, gone: bool
+) -> None:
+    damping = fit((candidate(machine, "viscous_damping", "elbow"),), rms)
+    assert lost(damping, fit((), nominal)) == gone
 
 
 @pytest.mark.parametrize(("alone", "needed"), [(12.0, True), (1.1, False)])

@@ -1,0 +1,71 @@
+"""What the search does and leaves out where names are far from the recordings."""
+
+import sys
+
+import numpy as np
+import pytest
+from diagnosis_helpers import SIGMA, arm, candidate, record
+
+from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.lengths import windows_of
+from bo_sysid.diagnosis.locate import locate
+from bo_sysid.diagnosis.rules import ROUGH, lost
+from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import CATALOGUE
+
+SEARCH, FINAL = (sys.modules[f"bo_sysid.diagnosis.{name}"] for name in ("search", "final"))
+
+
+def evidence(effect: str, **plant: object) -> Evidence:
+    recordings = (record(duration=4.0, **plant),)  # type: ignore[arg-type]
+    noise = {"qpos": SIGMA}
+    return make_evidence(arm(), recordings, effects=[CATALOGUE[effect]], noise=noise, threads=1)
+
+
+DAMPED = [("viscous_damping", "joint", "elbow", [0.02])]
+
+
+@pytest.fixture(scope="module")
+def waves() -> Evidence:
+    """Damping beside a force that nothing known explains."""
+    force = ("elbow", lambda q: 0.04 * np.sin(9 * q))
+    return evidence("viscous_damping", missing=DAMPED, force=force)
+
+
+@pytest.fixture
+def compared(monkeypatch: pytest.MonkeyPatch) -> list[Fit]:
+    """The sets whose members others were tried in the place of."""
+    seen: list[Fit] = []
+    monkeypatch.setattr(FINAL, "substitute", lambda search, fit: seen.append(fit))
+    return seen
+
+
+def test_sets_that_explain_little_are_not_compared_with_others(waves, compared) -> None:
+    located = locate(waves)
+    assert located.decision.best.members
+    assert lost(located.decision.best, located.decision.nominal)
+    assert not compared
+
+
+def test_a_set_that_explains_is_compared(compared) -> None:
+    located = locate(evidence("viscous_damping", missing=DAMPED))
+    (finding,) = located.decision.best.members
+    assert finding.key == ("viscous_damping", "elbow")
+    assert [fit.key for fit in compared] == [located.decision.best.key]
+
+
+@pytest.mark.parametrize(("share", "times"), [(1.05, 0), (2.0, 1)])
+def test_a_set_is_fitted_again_where_the_model_was_linearised_at_another_distance(
+    waves, monkeypatch: pytest.MonkeyPatch, share: float, times: int
+) -> None:
+    search = Search.on(prepare(windows_of(waves, 100, 0.002)), [], 1, None)
+    damping = candidate(waves.machine, "viscous_damping", "elbow")
+    first = search.fit([damping], [np.zeros(1)])
+    assert first.rms > ROUGH
+    taken, linearise = [], SEARCH.linearise
+    monkeypatch.setattr(SEARCH, "linearise", lambda *at: taken.append(at) or linearise(*at))
+    monkeypatch.setattr(search, "_framed", share * first.rms)
+    search.fit([damping], first.x, start=first.start, again=True)
+    assert min(len(taken), 1) == times
