@@ -52,6 +52,27 @@ def test_leaving_a_block_out_equals_solving_without_it(fitted) -> None:
     assert fit.cv[3] == pytest.approx(((y[out] - S[out] @ step) ** 2).sum(), rel=1e-4)
 
 
+def test_a_magnitude_that_cannot_be_seen_lies_anywhere_between_its_bounds(fitted) -> None:
+    ready, (friction, payload), fit = fitted
+    hidden = fit.jacobian.copy()
+    hidden[..., 1] = 0.0  # as of a shift out of the plane of motion
+    made = assess(
+        ready.problem, ready.linear.Q, fit.hypothesis, fit.groups, fit.start, fit.residual, hidden
+    )
+    width = float((payload.high - payload.low)[0])
+    assert made.covariance[1, 1] == pytest.approx(width**2 / 12, rel=1e-3)
+    alone = assess(
+        ready.problem,
+        ready.linear.Q,
+        replace(fit.hypothesis, members=(friction,), x=fit.x[:1]),
+        (None,),
+        fit.start,
+        fit.residual,
+        np.delete(hidden, 1, axis=-1),
+    )
+    assert made.covariance[0, 0] == pytest.approx(alone.covariance[0, 0], rel=1e-6)
+
+
 def test_unique_size_is_what_no_other_column_can_take_over(fitted) -> None:
     ready, _, fit = fitted
     S = project(ready.linear.Q, fit.jacobian.astype(float)).reshape(-1, fit.jacobian.shape[-1])

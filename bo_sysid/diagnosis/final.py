@@ -29,6 +29,8 @@ _TOLD = 2.0  # standard deviations from which a bend is told from none
 _AS_GOOD = 1.02  # times what a set leaves, that may be left without
 _NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are polished; how many
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
+_SETTLED_SHAPE = 0.03  # the same as a share of a shape
+_GAINED = 0.995  # of what the time before left, that linearising anew must come below
 
 
 def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
@@ -156,12 +158,16 @@ def _straightened(final: Search) -> None:
 def _polished(
     problem: Problem, leader: Fit, prepared: Prepared, *, most: int
 ) -> tuple[Fit, Prepared]:
-    """Fit the leader on all windows, prepared anew until its magnitudes stay where they are."""
-    for _ in range(min(most, _times(leader, problem))):
+    """Fit the leader on all windows, prepared anew until its magnitudes stay where they are.
+
+    Or until that gains nothing: a bend that windows tell little of may wander on for ever.
+    """
+    for k in range(min(most, _times(leader, problem))):
         before, leader = leader, _refitted(prepared.linear, leader)
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
-        if _distance(before, leader) < _SETTLED:
+        idle = k > 0 and leader.rms > _GAINED * before.rms
+        if idle or _distance(before, leader) < _SETTLED:
             break
     return leader, prepared
 
@@ -208,8 +214,15 @@ def _refitted(linear: Linear, fit: Fit) -> Fit:
 
 
 def _distance(before: Fit, after: Fit) -> float:
-    """Return how far the magnitudes of two fits of a set lie apart, in standard deviations."""
-    if before.key != after.key:  # its shapes were fitted
+    """Return how far the magnitudes of two fits of a set lie apart, in standard deviations.
+
+    Infinitely far where its shapes still move.
+    """
+    moved = [
+        np.abs(b.shapes - a.shapes) > _SETTLED_SHAPE * np.abs(a.shapes)
+        for b, a in zip(before.members, after.members, strict=True)
+    ]
+    if np.concatenate(moved).any():
         return np.inf
     change = np.concatenate(after.x) - np.concatenate(before.x)
     own = slice(0, len(change))
@@ -227,10 +240,15 @@ def _leader(search: Search) -> Fit:
 def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
-    Of those that leave many times as much as the leader only the best that is admissible, which
+    Of sets that differ in shapes alone only the first, since they are fitted again. Of those that
+    leave many times as much as the leader only the best that is admissible, which
     may be what all windows admit, and the best that shares no name, to compare with. Where names
     are no explanation only the leader, and the best that is admissible.
     """
+    first: dict[frozenset[tuple[str, str]], Fit] = {}
+    for f in order:
+        first.setdefault(frozenset(c.key for c in f.members), f)
+    order = list(first.values())
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
     if lost(order[0], nominal):

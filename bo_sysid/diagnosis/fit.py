@@ -16,6 +16,7 @@ from bo_sysid.simulation import State
 
 _CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
 _TINY = 1e-12
+_UNSEEN = 1e-3  # of what the bounds say of a magnitude: recordings that say less say nothing
 
 Names: TypeAlias = frozenset[tuple[str, str]]
 """Effects and sites of a set, whatever the shapes."""
@@ -123,17 +124,20 @@ def assess(
 
     Leave-one-block-out steps are computed from the blocks' normal equations, with a ridge on unit
     columns. The covariance is the sandwich of the blocks' gradients, at least the one of white
-    noise of the observed size, parameters of the study being uniform within their bounds. The
+    noise of the observed size, all magnitudes being uniform within their bounds: what cannot be
+    seen, such as a shift out of the plane of motion, may lie anywhere between them. The
     unique size of a member is the rms of its columns times its magnitudes after the other columns
     took over what they can, parameters without leaving their bounds.
     """
     y = project(Q, residual)
     SP = project(Q, jacobian.astype(float))
-    scale = np.sqrt((SP**2).sum(axis=(0, 1))) + _TINY
+    dof, p = problem.dof, SP.shape[-1]
+    variance = float((y**2).sum()) / dof
+    prior = np.sqrt(12.0 * variance) / _widths(hypothesis, p)
+    scale = np.maximum(np.sqrt((SP**2).sum(axis=(0, 1))), _UNSEEN * prior) + _TINY
     SP = SP / scale
     G, g, cost = by_block(SP, y, problem.block)
-    total, p = G.sum(axis=0), len(scale)
-    cv, dof = cost.copy(), problem.dof
+    total, cv = G.sum(axis=0), cost.copy()
     if p:
         ridge = _CV_RIDGE * np.eye(p)
         whole = np.linalg.solve(total + ridge, g.sum(axis=0))
@@ -141,9 +145,7 @@ def assess(
             step = np.linalg.solve(total - G[k] + ridge, g.sum(axis=0) - g[k]) - whole
             cv[k] = cost[k] - 2 * step @ g[k] + step @ G[k] @ step
     low, high = _room(hypothesis, p)
-    variance = float(cost.sum()) / dof
-    known = total + np.diag(12.0 * variance / ((high - low) * scale) ** 2)
-    covariance = sandwich(known, g, variance) / np.outer(scale, scale)
+    covariance = sandwich(total, g, variance, (prior / scale) ** 2) / np.outer(scale, scale)
     unique = _unique(hypothesis, total, scale, (low * scale, high * scale), dof)
     rms = float(np.sqrt(cost.sum() / dof))
     return Fit(
@@ -166,27 +168,41 @@ def by_block(
 
 
 def sandwich(
-    G: Float[np.ndarray, "p p"], g: Float[np.ndarray, "b p"], variance: float
+    G: Float[np.ndarray, "p p"],
+    g: Float[np.ndarray, "b p"],
+    variance: float,
+    prior: Float[np.ndarray, " p"] | float = 0.0,
 ) -> Float[np.ndarray, "p p"]:
     """Return the covariance by the scatter of the blocks' gradients, at least that of white noise.
 
-    G⁻¹MG⁻¹ with M the sum over blocks of their gradients' squares about the mean.
+    (G + Λ)⁻¹(M + σ²Λ)(G + Λ)⁻¹ with M the sum over blocks of their gradients' squares about the
+    mean.
 
     Args:
         G: the normal matrix.
         g: the gradient of each block.
-        variance: of the noise.
+        variance: σ² of the noise.
+        prior: diagonal of Λ, what was known before, over 1/σ².
     """
     p, blocks = len(G), len(g)
-    inverse = np.linalg.pinv(G + 1e-9 * np.eye(p), hermitian=True)
+    known = np.diag(np.broadcast_to(prior, p))
+    inverse = np.linalg.pinv(G + known + 1e-9 * np.eye(p), hermitian=True)
     if blocks < 2:
         return np.asarray(inverse * variance)
     centred = g - g.mean(axis=0)
-    meat = centred.T @ centred * blocks / (blocks - 1)
+    meat = centred.T @ centred * blocks / (blocks - 1) + variance * known
     robust, white = inverse @ meat @ inverse, inverse * variance
     least = np.diag(white) / np.maximum(np.diag(robust), 1e-12 * np.diag(white) + 1e-300)
     grow = np.sqrt(np.clip(np.nan_to_num(least, posinf=1e12), 1.0, 1e12))
     return np.asarray(robust * np.outer(grow, grow))
+
+
+def _widths(hypothesis: Hypothesis, p: int) -> Float[np.ndarray, " p"]:
+    """Return the distance between the bounds of each of `p` magnitudes."""
+    held = [c.high - c.low for c in (*hypothesis.members, *hypothesis.nuisances)]
+    found = np.full(p, np.inf)
+    found[: sum(map(len, held))] = np.concatenate([*held, []])
+    return found
 
 
 def _room(hypothesis: Hypothesis, p: int) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,8 @@ _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherev
 
 def explore(search: Search, rounds: int = 5) -> Fit:
     """Go on until the leading set no longer changes, or leads nowhere; return the leader."""
-    if not search.begun:
+    near = search.best.members and search.best.rms < LOOSE
+    if not (search.begun or near):
         round_at(search, search.nominal)
     leader = _followed(search, rounds)
     if not clean(leader) and not can_touch(search.prepared.problem.machine.model):

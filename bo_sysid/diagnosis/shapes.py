@@ -26,6 +26,7 @@ _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residua
 _BENT = 1.8  # times a bend of bristles that is fitted
 _SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
+_SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
 _PROBE = 0.03  # of the range of a shape, for its column
 _RESHAPINGS, _WORTH = 3, 1e-3  # steps on the shapes; share of the squares one must gain
 _HALVINGS = 2
@@ -81,7 +82,7 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
 
 def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
     """Minimise the residual over one shape of a member; the best fit is kept."""
-    best = fit
+    best, sharp = fit, _SMOOTH if fit.members[at[0]].bendable else _SHARP
 
     def rss(value: float) -> float:
         nonlocal best
@@ -93,7 +94,7 @@ def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -
 
     minimize_scalar(
         rss, bounds=bounds, method="bounded",
-        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * _SHARP * (bounds[1] - bounds[0])},
+        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * sharp * (bounds[1] - bounds[0])},
     )  # fmt: skip
     if best is not fit:
         search.listed(best)
@@ -175,9 +176,10 @@ def _profile(
     K = np.linalg.lstsq(A, C.reshape(-1, len(width)), rcond=1e-10)[0]
     G, g, _ = by_block(C - S @ K, project(Q, fit.residual), problem.block)
     variance = max(fit.rms, 1.0) ** 2
-    total = G.sum(axis=0) + 12.0 * variance * np.eye(len(width))
-    V = sandwich(total, g, variance) * np.outer(width, width)
-    return np.linalg.solve(total, g.sum(axis=0)) * width, V, K / width
+    prior = 12.0 * variance
+    V = sandwich(G.sum(axis=0), g, variance, prior) * np.outer(width, width)
+    known = G.sum(axis=0) + prior * np.eye(len(width))
+    return np.linalg.solve(known, g.sum(axis=0)) * width, V, K / width
 
 
 def _columns(
