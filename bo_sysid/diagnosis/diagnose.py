@@ -24,7 +24,7 @@ from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_
 from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, parameters_sentence, sets
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import chosen, load_effects
-from bo_sysid.execution import Progress, Report, silent, threads
+from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
 from bo_sysid.simulation.of_study import study_laws
@@ -125,6 +125,7 @@ class Diagnosis:
         return {**ordered, "sha256": self.sha256}
 
 
+@limit_threads(1)  # BLAS threads that spin while they wait slow the simulation down
 def diagnose(
     study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
 ) -> Diagnosis:
