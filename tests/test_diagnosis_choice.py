@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from bo_sysid.diagnosis.answer import (
     bending,
     bending_sentence,
+    holding,
     leaves_much,
     left_sentence,
     make_answer,
@@ -177,6 +178,7 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
         return replace(best, hypothesis=replace(best.hypothesis, members=members, x=x))
 
     assert bending(best) == bending(beside("shoulder")) == ()
+    assert holding(best) == ()
     assert bending(beside("elbow")) == ("elbow",)
     assert "The compliance at elbow may be the friction there" in bending_sentence(["elbow"])
 

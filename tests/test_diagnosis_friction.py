@@ -9,6 +9,7 @@ import yaml
 from diagnosis_helpers import ARM, NAMES, SIGMA, arm, posed, record
 
 from bo_sysid.diagnosis import diagnose
+from bo_sysid.diagnosis.answer import holding
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
@@ -140,7 +141,9 @@ def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> Non
     made = make_evidence(
         arm(), [record(held, duration=5.0)], effects=chosen, noise={"qpos": SIGMA}, threads=1
     )
-    (finding,) = findings(locate(made).decision.best, made.machine, 1.0, ())
+    best = locate(made).decision.best
+    assert holding(best) == ("elbow",)  # and any friction would do the same where it rests
+    (finding,) = findings(best, made.machine, 1.0, ())
     assert (finding.effect, finding.site) == ("dry_friction", "elbow")
     low, high = finding.quantity.interval
     assert low < 0.9 < high < 1.5

@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.rules import clean
+from bo_sysid.diagnosis.rules import FLAT, clean
 from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import CATALOGUE, Machine
 from bo_sysid.runs import plain
@@ -108,8 +108,8 @@ def make_answer(
 
     Where names are doubtful an effect outside the catalogue is as probable as beside something
     that stays unexplained: in contact, where they were wrong more often than their fits say,
-    where they leave much more than noise (`leaves_much`), and where a compliance may be the bend of
-    friction (`bending`).
+    where they leave much more than noise (`leaves_much`), where a compliance may be the bend of
+    friction (`bending`), and where friction holds a joint all the time (`holding`).
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
@@ -162,6 +162,24 @@ def bending_sentence(joints: Sequence[str]) -> str:
     return (
         f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
         "it slips: a load that changes while the joint moves one way would tell."
+    )
+
+
+def holding(best: Fit) -> tuple[str, ...]:
+    """Return the joints that friction holds all the time, where any friction does the same.
+
+    Such as that of a worn spot in which the joint rests.
+    """
+    members = zip(best.members, best.groups, best.felt, strict=True)
+    return tuple(c.site.name for c, g, felt in members if c.bendable and not g and felt <= FLAT)
+
+
+def holding_sentence(joints: Sequence[str]) -> str:
+    """Return in words that friction is seen at one place only, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"Friction holds {which} all the time in these recordings: how much it is, and whether it "
+        f"is the same elsewhere, would be told by commands that move {which}."
     )
 
 

@@ -10,6 +10,8 @@ from bo_sysid.diagnosis.answer import (
     Answer,
     bending,
     bending_sentence,
+    holding,
+    holding_sentence,
     leaves_much,
     left_sentence,
     make_answer,
@@ -111,6 +113,8 @@ class Diagnosis:
             said.append(left_sentence(best, self.evidence.most))
         if bending(self.outcome.fit):
             said.append(bending_sentence(bending(self.outcome.fit)))
+        if held := holding(self.outcome.fit):
+            said.append(holding_sentence(held))
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -148,7 +152,7 @@ def diagnose(
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
     best = located.decision.best
-    doubtful = contact or leaves_much(best) or bool(bending(best))
+    doubtful = contact or leaves_much(best) or bool(bending(best) or holding(best))
     answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=doubtful)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)

@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.hypothesis import Candidate
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
-_FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
+FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
 _NOTHING = 1e-3  # of the magnitude by which a member is probed: no more is none
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
@@ -93,7 +93,7 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
         probe = np.abs(member.probe)
         there = bool((np.abs(x) > _NOTHING * probe).any())
-        full = felt <= _FLAT and bool((np.abs(x) > probe).any())
+        full = felt <= FLAT and bool((np.abs(x) > probe).any())
         far = there and (fit.rms > LOOSE or full)
         left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
         lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
