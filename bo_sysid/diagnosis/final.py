@@ -241,9 +241,9 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
     Of sets that differ in shapes alone only the first, since they are fitted again. Of those that
-    leave many times as much as the leader only the best that is admissible, which
-    may be what all windows admit, and the best that shares no name, to compare with. Where names
-    are no explanation only the leader, and the best that is admissible.
+    leave many times as much as the leader only the best that is admissible, which may be what all
+    windows admit, and the best that shares no name, to compare with. Where names are no explanation
+    only the leader, and the best that is admissible.
     """
     first: dict[frozenset[tuple[str, str]], Fit] = {}
     for f in order:
