@@ -5,13 +5,14 @@ where the torque that the motor hands on holds it (`transmitted`), with no speed
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.effects import Hidden, Machine, Part
+from bo_sysid.effects.bristles import bristle_motors, loaded
 from bo_sysid.simulation import State, Trajectory
 
 _OFF = 0.1  # of a joint's travel and speed, by which an added joint's start may be off
@@ -230,6 +231,18 @@ def transmitted(
         forces = data.qfrc_actuator + data.qfrc_passive + data.qfrc_constraint
         out[w] = forces - model.dof_armature * data.qacc
     return out
+
+
+def with_loaded_bristles(
+    model: mujoco.MjModel, start: State, ctrl: Float[np.ndarray, "W nu"]
+) -> State:
+    """Return starts whose bristles are bent as `loaded` says, where a model has bristles."""
+    motors = bristle_motors(model)
+    if not motors.size:
+        return start
+    act = start.act.copy()
+    act[:, model.actuator_actadr[motors]] = loaded(model, motors, start.qpos, start.qvel, ctrl)
+    return replace(start, act=act)
 
 
 def _speeds(model: mujoco.MjModel, joint: int) -> int:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem, finer_step, pose
-from bo_sysid.diagnosis.starts import DIVERGING, estimated, prior
+from bo_sysid.diagnosis.starts import DIVERGING, estimated, held_joints, prior
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
@@ -91,11 +91,11 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
 def noise_floor(problem: Problem, past: int, hypothesis: Hypothesis, errors: Errors) -> float:
     """Return the forecast error that sensor noise alone makes, in sigma.
 
-    By the response to the start, √(1 + tr(Jₐ Cov Jₐᵀ)/n). In contact no slope holds over a
-    window: there what the hypothesis predicts from its starts is seen through new noise, and
-    forecast.
+    By the response to the start, √(1 + tr(Jₐ Cov Jₐᵀ)/n). In contact, and where friction may hold
+    a joint, no slope holds over a window: there what the hypothesis predicts from its starts is
+    seen through new noise, and forecast.
     """
-    if can_touch(problem.machine.model):
+    if can_touch(problem.machine.model) or held_joints(problem, hypothesis):
         return forecast(_redrawn(problem, hypothesis, errors.start), past, hypothesis).ahead
     return _floor(problem, past, _plain(hypothesis), errors)
 

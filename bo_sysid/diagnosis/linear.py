@@ -25,6 +25,8 @@ from bo_sysid.diagnosis.points import (
 )
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.effects import Part
+from bo_sysid.effects.contract import Reading
+from bo_sysid.effects.readings import readings
 from bo_sysid.simulation import (
     State,
     Trajectory,
@@ -213,36 +215,55 @@ class Linear:
         return out
 
     def shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
-        """Return what the channels show of a change of state, in sigma."""
+        """Return what the channels show of a change of state, in sigma.
+
+        The hypothesis' readings show it as well: (1 + scale)·δ(t - delay).
+        """
         p = self.problem
         if not self.points.coordinates.same:
             s = self.points.coordinates.seen() @ s
-        at = (p.windows.step + p.windows.fraction) / self.macro
-        node = np.minimum(np.floor(at + 1e-9).astype(int), self.macros)
-        after = np.minimum(node + 1, self.macros)
-        part = np.clip(at - node, 0.0, 1.0)
-        between = bool((part > 1e-9).any())
-        row = np.arange(len(node))[:, None]
-        bend = 0.5 * part * (1 - part) * self.macro * p.windows.timestep
-        out = np.empty((len(node), node.shape[1], len(p.windows.channels), s.shape[-1]))
-        nv = p.machine.model.nv
-        for k, name in enumerate(p.windows.channels):
-            position = name in p.layout.qpos
-            column = (
-                int(p.layout.velocity[p.layout.qpos[name]])
-                if position
-                else nv + p.layout.qvel[name]
-            )
-            values = s[:, :, column]
-            out[:, :, k] = values[row, node]
-            if between:
-                out[:, :, k] += part[..., None] * (values[row, after] - values[row, node])
-                if position:
-                    v = s[:, :, nv + column]
-                    out[:, :, k] -= bend[..., None] * (v[row, after] - v[row, node])
+        read = readings(self.parts)
+        out = np.empty((*p.weight.shape, s.shape[-1]))
         with np.errstate(over="ignore", invalid="ignore"):  # windows that diverge
-            out *= p.weight[..., None]
-        return out.reshape(len(node), -1, s.shape[-1])
+            for k, name in enumerate(p.windows.channels):
+                reading = read.get(name, Reading(name))
+                values = self._later(s, reading.source or name, reading.delay)
+                out[:, :, k] = (1.0 + reading.scale) * values
+            out *= np.where(p.seen(self.parts), p.weight, 0.0)[..., None]
+        return out.reshape(len(out), -1, s.shape[-1])
+
+    def _later(
+        self, s: Float[np.ndarray, "W M1 n c"], channel: str, delay: float
+    ) -> Float[np.ndarray, "W H c"]:
+        """Return the change of what a channel measures, `delay` after it.
+
+        Between macro steps it bends as its velocity says; before the window it goes on along the
+        tangent at its start.
+        """
+        p, nv = self.problem, self.problem.machine.model.nv
+        position = channel in p.layout.qpos
+        column = (
+            int(p.layout.velocity[p.layout.qpos[channel]])
+            if position
+            else nv + p.layout.qvel[channel]
+        )
+        values, length = s[:, :, column], self.macro * p.windows.timestep
+        at = (p.windows.step + p.windows.fraction) / self.macro - delay / length
+        inside = np.maximum(at, 0.0)
+        node = np.minimum(np.floor(inside + 1e-9).astype(int), self.macros)
+        after = np.minimum(node + 1, self.macros)
+        part = np.clip(inside - node, 0.0, 1.0)[..., None]
+        row = np.arange(len(node))[:, None]
+        out = values[row, node]
+        if (part > 1e-9).any():
+            out = out + part * (values[row, after] - values[row, node])
+            if position:
+                v = s[:, :, nv + column]
+                out -= 0.5 * part * (1 - part) * length * (v[row, after] - v[row, node])
+        if delay and position:
+            before = np.minimum(at, 0.0)[..., None] * length
+            out = out + before * s[:, :1, nv + column]
+        return np.asarray(out)
 
 
 def smoothed(

@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
+from bo_sysid.diagnosis.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.effects import Filter, Force, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.effects.readings import readings
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
@@ -145,9 +146,10 @@ class Problem:
         model, parts = self.compiled(hypothesis, windows.timestep)
         ctrl = self.controls(parts, windows)
         coordinates = Coordinates.between(self.machine.model, model, parts)
+        torque = self._transmitted(hypothesis, start, ctrl, coordinates)
         whole = self.engine.rollout(
             model,
-            coordinates.expand(start, self._transmitted(hypothesis, start, ctrl, coordinates)),
+            with_loaded_bristles(model, coordinates.expand(start, torque), ctrl[:, 0]),
             ctrl,
             laws=(*self.laws, *force_laws(parts)),
             signals=windows.signals,
@@ -198,10 +200,24 @@ class Problem:
         """Return recorded minus predicted for every observation, in sigma."""
         s = self.simulate(hypothesis, start, finer)
         shown = observe(self.layout, s.windows, s.trajectory, s.parts)
-        r = self.weighted(np.where(self.weight > 0, s.windows.residual(shown), 0.0))
+        r = self.weighted(np.where(self.seen(s.parts), s.windows.residual(shown), 0.0))
         if self.correction is not None and hypothesis.numerics:
             r = r - hypothesis.numerics * self.correction
         return r
+
+    def seen(self, parts: Sequence[Part]) -> Bool[np.ndarray, "W H c"]:
+        """Return which observations count: none of what a delayed reading has from before its log.
+
+        How the machine moved before a recording began is not known.
+        """
+        seen, windows = self.weight > 0, self.windows
+        for reading in readings(parts).values():
+            if reading.delay and reading.channel in windows.channels:
+                began = np.array([r.span[0] for r in self.recordings])[windows.recording]
+                at = windows.time[:, None] + (windows.step + windows.fraction) * windows.timestep
+                known = at - began[:, None] >= reading.delay
+                seen[..., windows.channels.index(reading.channel)] &= known
+        return seen
 
     def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
         """Return values in sigma, one row a window, 0 where nothing was observed."""

@@ -13,6 +13,9 @@ from bo_sysid.diagnosis.coordinates import Coordinates
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.effects import Force
+from bo_sysid.effects.bristles import bristle_motors
+from bo_sysid.effects.machine import JointScale
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
@@ -31,7 +34,7 @@ _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's 
 _TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
 _ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
 _LEAST = 1e-12  # of that prior
-_STUCK = 0.02  # of the joint's typical speed, below which it may be at rest
+_SLOW = 1.0  # of the joint's typical speed: below, friction may hold it
 
 
 def estimated(
@@ -43,8 +46,8 @@ def estimated(
         problem: its windows begin where a smoother says.
         hypothesis: simulates.
         finer: divides the time step.
-        resting: whether joints that hardly move are tried at rest as well: with dry friction no
-            small change of the start leads from one to the other.
+        resting: whether slow joints with friction are tried at rest as well: no small change of
+            the start leads from one to the other.
     """
     first, *more = first_starts(problem, hypothesis, finer)
     found = _Starts(problem, hypothesis, first, finer)
@@ -53,12 +56,12 @@ def estimated(
         found.tried(np.arange(len(first)), start)
     if can_touch(problem.machine.model):
         found.grown()
-    if not resting:
-        return found.start
-    at_rest = _at_rest(problem, found.start)
-    rows = np.flatnonzero((at_rest.qvel != found.start.qvel).any(axis=1))
-    if rows.size:
-        found.tried(rows, at_rest.rows(rows))
+    for joint in held_joints(problem, hypothesis) if resting else ():
+        slow = np.abs(problem.windows.start.qvel[:, joint.dof]) < _SLOW * joint.speed
+        rows = np.flatnonzero(slow)
+        if rows.size:
+            found.tried(rows, _at_rest(problem.windows.start.rows(rows), joint))
+            found.tried(rows, _at_rest(found.start.rows(rows), joint))
     return found.start
 
 
@@ -276,10 +279,22 @@ def _placed(start: State, rows: Int[np.ndarray, " L"], other: State) -> State:
     return start.picked(pick, other.rows(place))
 
 
-def _at_rest(problem: Problem, start: State) -> State:
-    """Return the starts with joints that hardly move at rest."""
+def _at_rest(start: State, joint: JointScale) -> State:
+    """Return the starts with a joint at rest."""
     qvel = start.qvel.copy()
-    for joint in problem.machine.joints.values():
-        slow = np.abs(qvel[:, joint.dof]) < _STUCK * joint.speed
-        qvel[slow, joint.dof] = 0.0
+    qvel[:, joint.dof] = 0.0
     return replace(start, qvel=qvel)
+
+
+def held_joints(problem: Problem, hypothesis: Hypothesis) -> list[JointScale]:
+    """Return the joints that friction of a hypothesis may hold at rest."""
+    model, parts = problem.compiled(hypothesis)
+    bristles = model.actuator_trnid[bristle_motors(model), 0]
+    names = {p.joint for p in parts if isinstance(p, Force)}
+    return [
+        j
+        for j in problem.machine.joints.values()
+        if j.name in names
+        or model.dof_frictionloss[model.joint(j.name).dofadr[0]] > 0
+        or model.joint(j.name).id in bristles
+    ]

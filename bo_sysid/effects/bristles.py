@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int
 
 from bo_sysid.effects.actuators import passive_motor
 from bo_sysid.effects.contract import Motion, Signal
@@ -13,6 +14,8 @@ STIFF = 1e-4
 BENT_FINER = (0.6, 1.6)
 """Factors by which the bend that explains most is varied."""
 
+_STIFFNESS = 5  # place in `dynprm` of a motor with LuGre friction
+_STEADY = slice(3, 6)  # place in `biasprm` of sliding level, level at standstill and their speed
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the joint's travel
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
@@ -62,18 +65,84 @@ def add_bristles(
     spec.joint(name).frictionloss = 0.0
 
 
-def bristled(level: Signal, bend: float, joint: JointScale, motion: Motion) -> Signal:
-    """Return the force of bristles [1] whose level of sliding F is given at each instant.
+def bristle_motors(model: mujoco.MjModel) -> Int[np.ndarray, " b"]:
+    """Return the motors that `add_bristles` added to a model, or that came with LuGre friction."""
+    motors = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_DCMOTOR)
+    return np.flatnonzero(motors & (model.actuator_dynprm[:, _STIFFNESS] > 0))
+
+
+def loaded(
+    model: mujoco.MjModel,
+    motors: Int[np.ndarray, " b"],
+    qpos: Float[np.ndarray, "W nq"],
+    qvel: Float[np.ndarray, "W nv"],
+    ctrl: Float[np.ndarray, "W nu"],
+) -> Float[np.ndarray, "W b"]:
+    """Return how far bristles are bent where nothing of the past is known, in [rad] or [m].
+
+    At rest they carry what would set their joint in motion, up to the level of friction F; straight
+    ones would let it go, since they overshoot to twice the load. In motion they are bent by F/σ₀
+    against it. Between lies the speed at which they store what the joint moves with,
+    m·v²/2 = F²/σ₀.
+
+    Args:
+        model: with bristles.
+        motors: that hold them.
+        qpos: positions.
+        qvel: velocities.
+        ctrl: controls.
+    """
+    stiffness = model.actuator_dynprm[motors, _STIFFNESS]
+    dof = model.jnt_dofadr[model.actuator_trnid[motors, 0]]
+    v = qvel[:, dof]
+    low, high, speed = model.actuator_biasprm[motors, _STEADY].T
+    most = (low + (high - low) * np.exp(-((v / speed) ** 2))) / stiffness
+    load, mass = _loads(model, dof, qpos, qvel, ctrl)
+    slides = -np.expm1(-0.5 * mass * v**2 / (stiffness * most**2))
+    held = np.clip(load / stiffness, -most, most)
+    return np.asarray(held + slides * (np.sign(v) * most - held))
+
+
+def _loads(
+    model: mujoco.MjModel,
+    dof: Int[np.ndarray, " b"],
+    qpos: Float[np.ndarray, "W nq"],
+    qvel: Float[np.ndarray, "W nv"],
+    ctrl: Float[np.ndarray, "W nu"],
+) -> tuple[Float[np.ndarray, "W b"], Float[np.ndarray, "W b"]]:
+    """Return the forces that would hold some joints at rest, and the inertia each of them feels.
+
+    With f = -(M⁻¹)ₛₛ⁻¹ q̈ₛ they do not accelerate, where q̈ is without friction of theirs.
+    """
+    data = mujoco.MjData(model)
+    load, mass = np.zeros((len(qpos), len(dof))), np.zeros((len(qpos), len(dof)))
+    units, columns = np.eye(model.nv)[dof], np.zeros((len(dof), model.nv))
+    for w in range(len(qpos)):
+        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[w], qvel[w], ctrl[w]
+        data.qvel[dof], data.act[:] = 0.0, 0.0
+        mujoco.mj_forward(model, data)
+        mujoco.mj_solveM(model, data, columns, units)
+        load[w] = np.linalg.solve(columns[:, dof], data.qacc[dof])
+        mass[w] = 1.0 / np.diagonal(columns[:, dof])
+    return load, mass
+
+
+def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion: Motion) -> Signal:
+    """Return the force of bristles [1] whose level of sliding F is a share of a drive's force.
 
     s' = (v - |v|·s)/b with s in [-1, 1]; the friction is -(F·s + σ₁·b·s'). As in `add_bristles`,
     the bend b is larger where a step could not resolve the stiffness F/b, and σ₁ no more than
-    F over the joint's speed. The law's memory holds s, 0 at the start.
+    F over the joint's speed. The law's memory holds s, which begins as in `loaded`: at rest the drive
+    bends them, since they hold less than it gives.
 
     [1] as in `add_bristles`.
     """
-    v, h = motion.qvel[joint.name], motion.timestep
+    v, h, level = motion.qvel[joint.name], motion.timestep, share * np.abs(drive)
     b = np.maximum(bend, level * h**2 / (_RESOLVED * joint.inertia))
-    before = np.asarray(motion.memory.get("bent", 0.0))
+    before = motion.memory.get("bent")
+    if before is None:
+        slides = -np.expm1(-0.5 * joint.inertia * v**2 / np.maximum(level * b, 1e-300))
+        before = np.sign(drive) + slides * (np.sign(v) - np.sign(drive))
     bent = (before + v * h / b) / (1.0 + np.abs(v) * h / b)  # implicit Euler
     motion.memory["bent"] = bent
     damping = np.minimum(2.0 * np.sqrt(level / b * joint.inertia), level / joint.speed)

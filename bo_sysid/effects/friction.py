@@ -217,13 +217,13 @@ def _load_extent(site: Site, machine: Machine) -> Extent | None:
 
 
 def _load(site: Site, machine: Machine) -> Callable[[Motion], Signal]:
-    """Return what the actuators of a joint command."""
+    """Return the force that the actuators of a joint command."""
     joint = machine.joints[site.name]
     drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain]
 
     def load(m: Motion) -> Signal:
         q, v = m.qpos[site.name], m.qvel[site.name]
-        return np.abs(sum(a.force(m.ctrl[a.name], q, v) for a in drives))
+        return np.asarray(sum(a.force(m.ctrl[a.name], q, v) for a in drives))
 
     return load
 
@@ -235,14 +235,14 @@ def _load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Mot
     def law(m: Motion) -> Signal:
         v = m.qvel[site.name]
         stopping = 0.5 * joint.inertia * np.abs(v) / m.timestep
-        return np.asarray(-np.sign(v) * np.minimum(x[0] * load(m), stopping))
+        return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load(m)), stopping))
 
     return law
 
 
 def _bent_load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
     joint, load = machine.joints[site.name], _load(site, machine)
-    return lambda m: bristled(x[0] * load(m), float(x[1]), joint, m)
+    return lambda m: bristled(load(m), x[0], x[1], joint, m)
 
 
 @effect(
