@@ -1,7 +1,10 @@
 """The noise floor of a forecast against the straight line through noisy points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from diagnosis_helpers import candidate
 
 from bo_sysid.diagnosis.forecast import fitted, forecast, forecast_problem, noise_floor
 from bo_sysid.diagnosis.hypothesis import Hypothesis
@@ -65,3 +68,41 @@ def test_what_was_not_recorded_counts_in_no_error_and_in_no_floor():
     assert errors.ahead == pytest.approx(floor, rel=0.03)
     whole = fitted(problem, Hypothesis())
     assert whole.ahead == pytest.approx(1.0, rel=0.03)
+
+
+def test_a_reading_of_another_scale_is_forecast_as_well_as_any():
+    """A mass that drifts, read at .6 and 1.8 of where it is: noise and nothing else."""
+    rng, time = np.random.default_rng(2), np.arange(0, 60, SAMPLING)
+    moved = 0.3 * np.sin(0.2 * time)
+    force = -0.04 * moved
+    model = Model.from_xml(MASS.format(floor=""))
+    for scale in (-0.4, 0.8):
+        shown = (1 + scale) * moved + SIGMA * rng.normal(size=len(time))
+        channels = {"slide": shown}
+        recording = Recording.from_arrays(time, qpos=channels, ctrl={"slide": force})
+        problem, past = posed(model, recording)
+        encoder = candidate(problem.machine, "encoder_scale", "slide")
+        at = Hypothesis((encoder,), (np.array([scale]),))
+        errors = forecast(problem, past, at)
+        assert errors.ahead == pytest.approx(noise_floor(problem, past, at, errors), rel=0.05)
+
+
+STUCK = """<mujoco><option timestep="0.0005" gravity="0 0 0"/><worldbody>
+<body><joint name="slide" type="slide" axis="1 0 0"/><geom size=".1" mass="1"/></body>
+</worldbody><actuator><motor name="slide" joint="slide"/></actuator></mujoco>"""
+
+
+def test_a_joint_that_friction_holds_under_load_is_forecast_at_rest():
+    """It is held all the time by bristles; noise hides whether it moves."""
+    rng, time = np.random.default_rng(3), np.arange(0, 20, SAMPLING)
+    rest = SIGMA * rng.normal(size=len(time))
+    force = 1.5 + 0.4 * np.sin(3 * time)
+    recording = Recording.from_arrays(time, qpos={"slide": rest}, ctrl={"slide": force})
+    problem, past = posed(Model.from_xml(STUCK), recording)
+    friction = candidate(problem.machine, "dry_friction", "slide")
+    bent = replace(friction, point=np.array([2.0, 1.0, 1e-4]))
+    at = Hypothesis((bent,), (np.array([2.0]),))
+    errors = forecast(problem, past, at)
+    assert errors.ahead < 1.1
+    floor = noise_floor(problem, past, at, errors)
+    assert errors.ahead == pytest.approx(floor, rel=0.05)

@@ -196,3 +196,40 @@ def test_contact_is_expected_where_it_can_happen_only() -> None:
     assert can_touch(Model.from_dm_control("cheetah", "run").compile())
     assert not can_touch(Model.from_dm_control("pendulum", "swingup").compile())  # disabled there
     assert not can_touch(Model.from_dm_control("cartpole", "swingup").compile())
+
+
+@pytest.mark.parametrize("readings", [[("encoder_scale", 0.5)], [("sensor_delay", 0.03)], None])
+def test_response_to_the_start_is_seen_through_the_readings(prepared, readings) -> None:
+    """Against two simulations; None is both of them at the elbow."""
+    ready, machine = prepared
+    readings = readings or [("encoder_scale", -0.4), ("sensor_delay", 0.02)]
+    sites = {"encoder_scale": "elbow", "sensor_delay": "qpos.elbow"}
+    members = tuple(candidate(machine, id, sites[id]) for id, _ in readings)
+    at = Hypothesis(members, tuple(np.array([x]) for _, x in readings))
+    problem = replace(ready.problem, correction=None)
+    J = linearise(problem, at, ready.start).J
+    base = problem.residual(at, ready.start)
+    for k in range(4):
+        step = np.zeros((len(ready.start), 4))
+        step[:, k] = 1e-4
+        moved = ready.start.moved(problem.machine.model, step)
+        exact = (base - problem.residual(at, moved)) / 1e-4
+        np.testing.assert_allclose(J[..., k], exact, atol=0.03 * np.abs(exact).max())
+
+
+def test_what_a_delayed_reading_shows_from_before_its_log_does_not_count(prepared) -> None:
+    ready, machine = prepared
+    late = candidate(machine, "sensor_delay", "qpos.elbow")
+    at = Hypothesis((late,), (np.array([0.03]),))
+    problem = replace(ready.problem, correction=None)
+    elbow = problem.windows.channels.index("qpos.elbow")
+    r = problem.residual(at, ready.start).reshape(problem.weight.shape)
+    instants = problem.windows.time[0] + problem.windows.step[0] * problem.windows.timestep
+    unknown = instants - problem.recordings[0].span[0] < 0.03
+    assert 5 < unknown.sum() < 20
+    assert (r[0, unknown, elbow] == 0).all()
+    assert (r[0, ~unknown, elbow] != 0).all()
+    assert (r[0, :, 1 - elbow] != 0).all()
+    assert (r[1:, :, elbow] != 0).all()
+    J = linearise(problem, at, ready.start).J.reshape(*r.shape, -1)
+    assert (J[0, unknown, elbow] == 0).all()

@@ -237,8 +237,8 @@ class Linear:
     ) -> Float[np.ndarray, "W H c"]:
         """Return the change of what a channel measures, `delay` after it.
 
-        Between macro steps it bends as its velocity says; before the window it goes on along the
-        tangent at its start.
+        Between macro steps it bends as its velocity says; before the window it goes on with the
+        acceleration at its start.
         """
         p, nv = self.problem, self.problem.machine.model.nv
         position = channel in p.layout.qpos
@@ -261,8 +261,8 @@ class Linear:
                 v = s[:, :, nv + column]
                 out -= 0.5 * part * (1 - part) * length * (v[row, after] - v[row, node])
         if delay and position:
-            before = np.minimum(at, 0.0)[..., None] * length
-            out = out + before * s[:, :1, nv + column]
+            before, v = np.minimum(at, 0.0)[..., None], s[:, :2, nv + column]
+            out = out + length * before * (v[:, :1] + 0.5 * before * (v[:, 1:] - v[:, :1]))
         return np.asarray(out)
 
 
