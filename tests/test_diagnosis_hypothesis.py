@@ -8,8 +8,8 @@ from effect_machines import case
 
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
-from bo_sysid.diagnosis.problem import coarsened, finer_step
 from bo_sysid.diagnosis.repaired import MODEL, write_model
+from bo_sysid.diagnosis.timestep import coarsened, finer_step
 from bo_sysid.effects import CATALOGUE, Force, Reading
 from bo_sysid.errors import ModelError
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
+from bo_sysid.diagnosis.along import smoothed
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.explain import Unexplained, _better, _placed, _refuted
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.law import law_candidate, learn, terms_of
 from bo_sysid.diagnosis.left_out import RIDGES, LeftOut
-from bo_sysid.diagnosis.linear import linearise, project, smoothed
+from bo_sysid.diagnosis.linear import linearise, project
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.refit import Effort, refit

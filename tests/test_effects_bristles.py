@@ -76,3 +76,12 @@ def test_a_sliding_joint_is_braked_from_the_first_step_on(force):
 def test_a_model_without_bristles_has_none():
     model = mujoco.MjSpec.from_string(SLIDER.format(second=LINK)).compile()
     assert bristle_motors(model).size == 0
+
+
+def test_bristles_that_hold_nothing_are_straight_and_say_nothing():
+    model = slider()
+    motors = bristle_motors(model)
+    model.actuator_biasprm[motors, 3:5] = 0.0
+    qpos, qvel, ctrl = np.zeros((2, 1)), np.array([[0.0], [1.0]]), np.ones((2, 1))
+    with np.errstate(all="raise"):
+        assert not loaded(model, motors, qpos, qvel, ctrl).any()

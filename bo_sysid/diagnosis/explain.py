@@ -12,11 +12,11 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.law import learn, terms_of
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
-from bo_sysid.diagnosis.problem import coarsened
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rules import LOOSE
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
+from bo_sysid.diagnosis.timestep import coarsened
 from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.errors import RecordingError

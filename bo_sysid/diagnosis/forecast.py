@@ -13,8 +13,9 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
-from bo_sysid.diagnosis.problem import Problem, finer_step, pose
+from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.starts import DIVERGING, estimated, held_joints, prior
+from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.problem import shares
+from bo_sysid.diagnosis.timestep import shares
 
 _WINDOWS = 24  # of the training recordings
 _FLOOR = 1e-2  # [sigma²] of a window that leaves nothing

@@ -11,7 +11,7 @@ import yaml
 
 from bo_sysid.diagnosis.findings import Finding
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.problem import finer_step
+from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
 from bo_sysid.effects.friction import BEND

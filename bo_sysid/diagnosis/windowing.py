@@ -14,9 +14,10 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
-from bo_sysid.diagnosis.problem import FINER, Problem
+from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.settling import better_of, settle
 from bo_sysid.diagnosis.starts import caught_up, first_starts
+from bo_sysid.diagnosis.timestep import FINER
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State

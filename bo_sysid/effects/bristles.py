@@ -18,6 +18,7 @@ _STIFFNESS = 5  # place in `dynprm` of a motor with LuGre friction
 _STEADY = slice(3, 6)  # place in `biasprm` of sliding level, level at standstill and their speed
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the joint's travel
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
+_LEAST = 1e-30  # [J] that bristles store
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
 
 
@@ -98,7 +99,7 @@ def loaded(
     low, high, speed = model.actuator_biasprm[motors, _STEADY].T
     most = (low + (high - low) * np.exp(-((v / speed) ** 2))) / stiffness
     load, mass = _loads(model, dof, qpos, qvel, ctrl)
-    slides = -np.expm1(-0.5 * mass * v**2 / (stiffness * most**2))
+    slides = -np.expm1(-0.5 * mass * v**2 / np.maximum(stiffness * most**2, _LEAST))
     held = np.clip(load / stiffness, -most, most)
     return np.asarray(held + slides * (np.sign(v) * most - held))
 
@@ -132,8 +133,8 @@ def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion
 
     s' = (v - |v|·s)/b with s in [-1, 1]; the friction is -(F·s + σ₁·b·s'). As in `add_bristles`,
     the bend b is larger where a step could not resolve the stiffness F/b, and σ₁ no more than
-    F over the joint's speed. The law's memory holds s, which begins as in `loaded`: at rest the drive
-    bends them, since they hold less than it gives.
+    F over the joint's speed. The law's memory holds s, which begins as in `loaded`: at rest the
+    drive bends them, since they hold less than it gives.
 
     [1] as in `add_bristles`.
     """
@@ -141,7 +142,7 @@ def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion
     b = np.maximum(bend, level * h**2 / (_RESOLVED * joint.inertia))
     before = motion.memory.get("bent")
     if before is None:
-        slides = -np.expm1(-0.5 * joint.inertia * v**2 / np.maximum(level * b, 1e-300))
+        slides = -np.expm1(-0.5 * joint.inertia * v**2 / np.maximum(level * b, _LEAST))
         before = np.sign(drive) + slides * (np.sign(v) - np.sign(drive))
     bent = (before + v * h / b) / (1.0 + np.abs(v) * h / b)  # implicit Euler
     motion.memory["bent"] = bent
