@@ -8,6 +8,7 @@ from diagnosis_helpers import candidate
 
 from bo_sysid.diagnosis.forecast import fitted, forecast, forecast_problem, noise_floor
 from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.starts import caught_up
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
@@ -92,17 +93,34 @@ STUCK = """<mujoco><option timestep="0.0005" gravity="0 0 0"/><worldbody>
 </worldbody><actuator><motor name="slide" joint="slide"/></actuator></mujoco>"""
 
 
-def test_a_joint_that_friction_holds_under_load_is_forecast_at_rest():
-    """It is held all the time by bristles; noise hides whether it moves."""
-    rng, time = np.random.default_rng(3), np.arange(0, 20, SAMPLING)
+def held(duration: float):
+    """A mass that bristles hold under a load that changes, and the friction that holds it."""
+    rng, time = np.random.default_rng(3), np.arange(0, duration, SAMPLING)
     rest = SIGMA * rng.normal(size=len(time))
     force = 1.5 + 0.4 * np.sin(3 * time)
     recording = Recording.from_arrays(time, qpos={"slide": rest}, ctrl={"slide": force})
     problem, past = posed(Model.from_xml(STUCK), recording)
     friction = candidate(problem.machine, "dry_friction", "slide")
     bent = replace(friction, point=np.array([2.0, 1.0, 1e-4]))
-    at = Hypothesis((bent,), (np.array([2.0]),))
+    return problem, past, Hypothesis((bent,), (np.array([2.0]),))
+
+
+def test_a_joint_that_friction_holds_under_load_is_forecast_at_rest():
+    """Noise hides whether it moves."""
+    problem, past, at = held(20.0)
     errors = forecast(problem, past, at)
     assert errors.ahead < 1.1
     floor = noise_floor(problem, past, at, errors)
     assert errors.ahead == pytest.approx(floor, rel=0.05)
+
+
+def test_windows_of_a_held_joint_that_began_in_motion_begin_at_rest():
+    problem, _, at = held(5.0)
+    begin = problem.windows.start
+    moving = replace(begin, qvel=np.full_like(begin.qvel, 0.5))
+    count = (problem.weight > 0).sum(axis=(1, 2))
+    before = (problem.residual(at, moving) ** 2).sum(axis=1) / count
+    found, r = caught_up(problem, at, moving)
+    assert (before > 10).all()
+    assert ((r**2).sum(axis=1) / count).mean() == pytest.approx(1.0, abs=0.2)
+    assert np.abs(found.qvel).max() < 0.05

@@ -105,7 +105,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     """Return the errors with starts fitted inside the windows, over √((n - p)/n)."""
     finer = finer_step(hypothesis.numerics)
     plain = _plain(hypothesis)
-    start = estimated(problem, plain, finer)
+    start = estimated(problem, plain, finer, resting=True)
     r = problem.residual(plain, start, finer)
     seen = int((problem.weight > 0).sum())
     n, p = seen / len(r), 2 * problem.machine.model.nv

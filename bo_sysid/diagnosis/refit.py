@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
-from bo_sysid.diagnosis.starts import caught_up
+from bo_sysid.diagnosis.starts import caught_up, held_joints
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
@@ -122,7 +122,8 @@ def refit(
     if len(theta):
         point, S = _descend(frame, space, point, S if columns is not None else None, effort)
     point = _settled(frame, space, point)
-    if can_touch(problem.machine.model):
+    at = space.hypothesis(point.theta)
+    if can_touch(problem.machine.model) or (effort.final and held_joints(problem, at)):
         point, S = _caught_up(frame, space, point, S, effort)
     labels = groups if groups is not None else (None,) * len(members)
     hypothesis = space.hypothesis(point.theta)

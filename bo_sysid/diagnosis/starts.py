@@ -56,12 +56,8 @@ def estimated(
         found.tried(np.arange(len(first)), start)
     if can_touch(problem.machine.model):
         found.grown()
-    for joint in held_joints(problem, hypothesis) if resting else ():
-        slow = np.abs(problem.windows.start.qvel[:, joint.dof]) < _SLOW * joint.speed
-        rows = np.flatnonzero(slow)
-        if rows.size:
-            found.tried(rows, _at_rest(problem.windows.start.rows(rows), joint))
-            found.tried(rows, _at_rest(found.start.rows(rows), joint))
+    if resting:
+        found.rested(np.arange(len(first)))
     return found.start
 
 
@@ -72,7 +68,8 @@ def caught_up(
 
     In contact a start decides when something is touched, and no small step leads from one order of
     impacts to another; what is left there asks for names that are not there. Each such window
-    begins anew at the smoother's start and is fitted to its first part, then to more of it.
+    begins anew at the smoother's start and is fitted to its first part, then to more of it. Slow
+    joints that friction may hold are tried at rest.
 
     Args:
         problem: the windows.
@@ -80,7 +77,9 @@ def caught_up(
         start: starts so far.
     """
     found = _Starts(problem, hypothesis, start, 1)
-    found.grown()
+    if can_touch(problem.machine.model):
+        found.grown()
+    found.rested(found.left_behind())
     return found.start, found.residual
 
 
@@ -149,10 +148,23 @@ class _Starts:
         other.fit()
         self._adopt(rows, other)
 
+    def left_behind(self) -> Int[np.ndarray, " L"]:
+        """Return the windows that leave more than noise."""
+        count = (self._problem.weight > 0).sum(axis=(1, 2))
+        return np.flatnonzero((self.residual**2).sum(axis=1) > _LEFT_BEHIND * count)
+
+    def rested(self, rows: Int[np.ndarray, " L"]) -> None:
+        """Try slow joints that friction may hold at rest: from the smoother's starts and these."""
+        smooth = self._problem.windows.start
+        for joint in held_joints(self._problem, self._hypothesis):
+            slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
+            if slow.size:
+                self.tried(slow, _at_rest(smooth.rows(slow), joint))
+                self.tried(slow, _at_rest(self.start.rows(slow), joint))
+
     def grown(self) -> None:
         """Fit windows that leave more than noise to more and more of them, from the smoother on."""
-        count = (self._problem.weight > 0).sum(axis=(1, 2))
-        rows = np.flatnonzero((self.residual**2).sum(axis=1) > _LEFT_BEHIND * count)
+        rows = self.left_behind()
         if not rows.size:
             return
         whole = self._problem.rows(rows)

@@ -43,7 +43,7 @@ def add_bristles(
 
     The bristles bend by `bend` before they slip, by more where a step could not resolve their
     stiffness. They are damped against the joint's inertia, but by no more than the Coulomb level at
-    the joint's speed: a simulation begins with straight bristles, and damping acts on them at once.
+    the joint's speed: more would be felt as friction of its own at every reversal.
 
     Args:
         spec: the spec to change.
