@@ -46,8 +46,8 @@ def estimated(
         problem: its windows begin where a smoother says.
         hypothesis: simulates.
         finer: divides the time step.
-        resting: whether slow joints with friction are tried at rest as well: no small change of
-            the start leads from one to the other.
+        resting: whether slow joints with friction are tried at rest where a window leaves more than
+            noise: no small change of the start leads from one to the other.
     """
     first, *more = first_starts(problem, hypothesis, finer)
     found = _Starts(problem, hypothesis, first, finer)
@@ -57,7 +57,7 @@ def estimated(
     if can_touch(problem.machine.model):
         found.grown()
     if resting:
-        found.rested(np.arange(len(first)))
+        found.rested()
     return found.start
 
 
@@ -79,7 +79,7 @@ def caught_up(
     found = _Starts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
         found.grown()
-    found.rested(found.left_behind())
+    found.rested()
     return found.start, found.residual
 
 
@@ -148,15 +148,19 @@ class _Starts:
         other.fit()
         self._adopt(rows, other)
 
-    def left_behind(self) -> Int[np.ndarray, " L"]:
+    def _left_behind(self) -> Int[np.ndarray, " L"]:
         """Return the windows that leave more than noise."""
         count = (self._problem.weight > 0).sum(axis=(1, 2))
         return np.flatnonzero((self.residual**2).sum(axis=1) > _LEFT_BEHIND * count)
 
-    def rested(self, rows: Int[np.ndarray, " L"]) -> None:
-        """Try slow joints that friction may hold at rest: from the smoother's starts and these."""
+    def rested(self) -> None:
+        """Try slow joints that friction may hold at rest, where windows leave more than noise.
+
+        From the smoother's starts, then from these.
+        """
         smooth = self._problem.windows.start
         for joint in held_joints(self._problem, self._hypothesis):
+            rows = self._left_behind()
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))
@@ -164,7 +168,7 @@ class _Starts:
 
     def grown(self) -> None:
         """Fit windows that leave more than noise to more and more of them, from the smoother on."""
-        rows = self.left_behind()
+        rows = self._left_behind()
         if not rows.size:
             return
         whole = self._problem.rows(rows)
