@@ -8,6 +8,8 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.forecast import fitted
+from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.rules import ROUGH, lost
@@ -69,3 +71,21 @@ def test_a_set_is_fitted_again_where_the_model_was_linearised_at_another_distanc
     monkeypatch.setattr(search, "_framed", share * first.rms)
     search.fit([damping], first.x, start=first.start, again=True)
     assert min(len(taken), 1) == times
+
+
+def test_what_only_windows_outside_the_search_show_is_found() -> None:
+    """A torque limit that is reached once, where the search has no window."""
+    limit, noise = 0.147, {"qpos": SIGMA}
+    lost_of_one = [("actuator_saturation", "actuator", "elbow", [1.0 - limit])]
+    recorded = record(lost_of_one, seed=3, duration=12.0, finer=1)
+    chosen = [CATALOGUE["actuator_saturation"], CATALOGUE["dry_friction"]]
+    rare = make_evidence(arm(), [recorded], effects=chosen, noise=noise, threads=1)
+    horizon = round(rare.window / rare.machine.sampling)
+    searched, whole = (windows_of(rare, horizon, 0.002, everything) for everything in (False, True))
+    assert fitted(searched, Hypothesis()).ahead < 1.1
+    assert fitted(whole, Hypothesis()).ahead > 1.5
+    best = locate(rare).decision.best
+    assert [c.key for c in best.members] == [("actuator_saturation", "elbow")]
+    kept = rare.machine.actuators["elbow"].force_max - best.hypothesis.x[0][0]
+    assert kept == pytest.approx(limit, rel=0.02)
+    assert best.rms < 1.05

@@ -21,6 +21,7 @@ _HALVINGS = 3
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _CARRIED = 4
+_RARE = 1.5  # times what the search leaves of its windows, above which all windows are searched
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,13 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
         sharpened(search)
         stripped(search)
     tell(f"final fits: {_said(search.best)}")
-    final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+    step = _step_for(search, search.best, step)
+    final = final_fits(evidence, search, horizon, step)
+    if final.best.rms > _RARE * search.best.rms:
+        tell(f"all windows, since others show more: {_said(final.best)}")
+        search = carried(search, final.prepared, _CARRIED)
+        search, step = _explored(evidence, search, horizon, step)
+        final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
