@@ -67,9 +67,14 @@ def add_bristles(
 
 
 def bristle_motors(model: mujoco.MjModel) -> Int[np.ndarray, " b"]:
-    """Return the motors that `add_bristles` added to a model, or that came with LuGre friction."""
+    """Return the motors at joints whose one activation is how far bristles are bent.
+
+    Those that `add_bristles` added to a model, and any like them that it came with.
+    """
     motors = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_DCMOTOR)
-    return np.flatnonzero(motors & (model.actuator_dynprm[:, _STIFFNESS] > 0))
+    at_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
+    bent = (model.actuator_dynprm[:, _STIFFNESS] > 0) & (model.actuator_actnum == 1)
+    return np.flatnonzero(motors & at_joint & bent)
 
 
 def loaded(
