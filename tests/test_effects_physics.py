@@ -133,16 +133,17 @@ class TestFriction:
 
     @pytest.mark.parametrize("sign", [1, -1])
     def test_bristles_bend_as_their_equation_says(self, slide, sign) -> None:
-        """At a constant slow speed the friction is F·(1 - exp(-x/b))."""
+        """At a constant slow speed, from bent by the drive: F·(1 - (1 ∓ 1)·exp(-x/b))."""
         joint, level, bend, h = slide.machine.joints["x"], 2.0, 1e-3, 1e-4
-        v = sign * 2e-3 * joint.speed
+        v, drive = sign * 1e-3 * joint.speed, 2 * level
         memory: dict[str, object] = {}
         felt, steps = [], int(5 * bend / abs(v) / h)
         for _ in range(steps):
             motion = LawInputs(np.zeros(1), {}, {"x": np.array([v])}, {}, {}, h, memory)
-            felt.append(bristled(np.array([level]), bend, joint, motion)[0])
+            felt.append(bristled(np.array([drive]), 0.5, bend, joint, motion)[0])
         travelled = abs(v) * h * np.arange(1, steps + 1)
-        expected = -sign * level * -np.expm1(-travelled / bend)
+        turned = 1 - np.sign(drive) * sign
+        expected = -sign * level * (1 - turned * np.exp(-travelled / bend))
         np.testing.assert_allclose(felt, expected, atol=0.01 * level)
 
     @pytest.mark.parametrize("push", [0.5, -0.5])
