@@ -104,6 +104,18 @@ def test_bounds_of_a_bend_hold_it_however_large(times: float) -> None:
     assert low < bend <= high
 
 
+def test_a_period_stays_within_the_bounds_of_its_effect() -> None:
+    machine = survey(arm().compile(), [record([], duration=1.0)])
+    coggings = [
+        c for c in candidates([CATALOGUE["cogging"]], machine) if c.site.name == "shoulder"
+    ]  # fmt: skip
+    extent = coggings[0].extent
+    for period in (extent.low[-1], *(c.shapes[0] for c in coggings), extent.high[-1]):
+        ((low, high),) = ranges(coggings[0].with_shapes(np.array([period])), machine).values()
+        assert extent.low[-1] <= low <= period <= high <= extent.high[-1]
+        assert low < high
+
+
 def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> None:
     search = searched(("dry_friction", "joint", "shoulder", [0.1, 1.0, 8e-4]), finer=16)
     problem, Q = search.prepared.problem, search.frame.Q

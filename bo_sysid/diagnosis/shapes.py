@@ -77,7 +77,8 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
     joint = machine.joint_of(c.site.kind, c.site.name)
     assert joint is not None  # noqa: S101 - what repeats with position is at a joint
     reach = _LOBE / joint.span
-    return {0: (max(first - reach, 0.1 * first), first + reach)}
+    low, high = float(c.extent.low[-1]), float(c.extent.high[-1])
+    return {0: (max(first - reach, low), min(first + reach, high))}
 
 
 def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
