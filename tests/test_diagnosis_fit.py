@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis_helpers import arm, candidate, posed, record
+from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.fit import assess, sandwich
@@ -12,6 +13,9 @@ from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.diagnosis.screen import Screen
+from bo_sysid.diagnosis.signatures import signatures
+from bo_sysid.diagnosis.timestep import SHARE
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.parameters import Parameter
@@ -78,7 +82,8 @@ def test_unique_size_is_what_no_other_column_can_take_over(fitted) -> None:
     S = project(ready.linear.Q, fit.jacobian.astype(float)).reshape(-1, fit.jacobian.shape[-1])
     own = S[:, 0] * fit.x[0][0]
     rest = np.delete(S, 0, axis=1)
-    left = own - rest @ np.linalg.lstsq(rest, own, rcond=None)[0]
+    room = np.array([-np.inf, np.inf]), np.array(SHARE) - fit.hypothesis.numerics
+    left = own - rest @ lsq_linear(rest, own, np.transpose(room)).x
     assert fit.unique[0] == pytest.approx(np.sqrt(left @ left / ready.problem.dof), rel=1e-3)
 
 
@@ -133,6 +138,33 @@ def test_a_parameter_takes_over_only_what_its_bounds_allow(fitted) -> None:
     assert made[narrow].unique[0] == pytest.approx((1 - share) * alone.unique[0], rel=1e-3)
     widths = [np.sqrt(made[c].covariance[0, 0]) for c in (beside, narrow)]
     assert widths == pytest.approx([x[0] / np.sqrt(12), share * x[0] / np.sqrt(12)], rel=0.2)
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.5, 0.0), (1.7, 0.7)])
+def test_a_finer_step_takes_over_only_what_its_bounds_allow(fitted, share, left) -> None:
+    ready, (friction, _), fit = fitted
+    x = fit.x[0]
+    own = fit.jacobian[..., :1]
+    S = np.concatenate([own, own * x[0]], axis=-1)  # a share of one does what the member does
+    hypothesis = Hypothesis((friction,), (x,), numerics=share)
+    known = ready.problem, ready.linear.Q
+    made = assess(*known, hypothesis, (None,), fit.start, fit.residual, S)
+    alone = assess(*known, replace(hypothesis, numerics=0.0), (None,), fit.start, fit.residual, own)
+    assert made.unique[0] == pytest.approx(left * alone.unique[0], abs=1e-3 * alone.unique[0])
+
+
+@pytest.mark.parametrize("share", [1.0, 2.0])
+def test_a_finer_step_at_its_bound_explains_nothing_more(fitted, share) -> None:
+    ready, held, fit = fitted
+    at = replace(fit, hypothesis=replace(fit.hypothesis, numerics=share))
+    table = Screen.at(at, ready.linear, held).gram((), {})
+    Q, problem = ready.linear.Q, ready.problem
+    (column,) = signatures(ready.linear, held[:1]).reshape(1, -1)
+    other = project(Q, problem.correction).ravel()
+    beside = column - other * (other @ column) / (other @ other)
+    expected = column if share == 2.0 else beside
+    assert np.linalg.norm(beside) < 0.9999 * np.linalg.norm(column)
+    assert table.scale[0] == pytest.approx(np.linalg.norm(expected), rel=1e-5)
 
 
 def test_an_effect_is_found_beside_a_parameter_that_is_at_its_bound() -> None:

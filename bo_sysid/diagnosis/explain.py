@@ -235,8 +235,8 @@ def _stepped(
     """
     if error is not None and in_contact(located.prepared.problem):
         return error.stepped(hypothesis)
-    correction = max(located.prepared.correction_rms, 1e-12)
-    return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / correction)
+    change = max(located.prepared.step_rms, 1e-12)
+    return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / change)
 
 
 def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:

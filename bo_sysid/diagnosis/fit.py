@@ -12,6 +12,7 @@ from scipy.optimize import lsq_linear
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.timestep import SHARE
 from bo_sysid.simulation import State
 
 _CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
@@ -127,7 +128,7 @@ def assess(
     noise of the observed size, all magnitudes being uniform within their bounds: what cannot be
     seen, such as a shift out of the plane of motion, may lie anywhere between them. The
     unique size of a member is the rms of its columns times its magnitudes after the other columns
-    took over what they can, parameters without leaving their bounds.
+    took over what they can, parameters and the share of a finer time step within their bounds.
     """
     y = project(Q, residual)
     SP = project(Q, jacobian.astype(float))
@@ -198,21 +199,23 @@ def sandwich(
 
 
 def _widths(hypothesis: Hypothesis, p: int) -> Float[np.ndarray, " p"]:
-    """Return the distance between the bounds of each of `p` magnitudes."""
+    """Return the distance between the bounds of each of `p` columns, a time step's share last."""
     held = [c.high - c.low for c in (*hypothesis.members, *hypothesis.nuisances)]
-    found = np.full(p, np.inf)
+    found = np.full(p, SHARE[1] - SHARE[0])
     found[: sum(map(len, held))] = np.concatenate([*held, []])
     return found
 
 
 def _room(hypothesis: Hypothesis, p: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far each of `p` columns may move down and up: parameters to their bounds."""
+    """Return how far each of `p` columns may move down and up: within bounds but for members."""
     low, high = np.full(p, -np.inf), np.full(p, np.inf)
     first = sum(c.size for c in hypothesis.members)
     for c, x in zip(hypothesis.nuisances, hypothesis.nuisance_x, strict=True):
         own = slice(first, first + c.size)
         low[own], high[own] = np.minimum(c.low - x, 0.0), np.maximum(c.high - x, 0.0)
         first += c.size
+    low[first:] = min(SHARE[0] - hypothesis.numerics, 0.0)
+    high[first:] = max(SHARE[1] - hypothesis.numerics, 0.0)
     return low, high
 
 

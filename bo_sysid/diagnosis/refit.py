@@ -18,10 +18,10 @@ from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.starts import caught_up, held_joints
+from bo_sysid.diagnosis.timestep import SHARE
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
-_NUMERICS = (-0.5, 2.0)
 _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothing to speak of
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
@@ -66,7 +66,7 @@ class _Space:
     def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
         held = (*members, *problem.nuisances)
         numerics = problem.correction is not None
-        extra = ([_NUMERICS[0]], [_NUMERICS[1]], [1.0]) if numerics else ([], [], [])
+        extra = ([SHARE[0]], [SHARE[1]], [1.0]) if numerics else ([], [], [])
         low, high, probe = (
             np.concatenate([*(getattr(c, name) for c in held), np.array(tail, float)])
             for name, tail in zip(("low", "high", "probe"), extra, strict=True)

@@ -12,6 +12,7 @@ from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.signatures import signatures
 from bo_sysid.diagnosis.subsets import Gram, gram
+from bo_sysid.diagnosis.timestep import SHARE
 
 _NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
 
@@ -38,8 +39,9 @@ class Screen:
     def at(cls, fit: Fit, frame: Linear, candidates: Sequence[Candidate]) -> "Screen":
         """Return the screen of a fit; `frame` is the linear model there.
 
-        A parameter at its bound gives way no further: its column takes nothing over. Joints that
-        are not in the fit are not added to one that leaves nothing: each has to be simulated.
+        A parameter, or share of a finer time step, at its bound gives way no further: its column
+        takes nothing over. Joints that are not in the fit are not added to one that leaves
+        nothing: each has to be simulated.
         """
         problem = frame.problem
         held = [*candidates, *problem.nuisances]
@@ -52,7 +54,9 @@ class Screen:
         owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:
             column = project(frame.Q, problem.correction).astype(np.float32)
-            S, owner = np.concatenate([S, column[..., None]], axis=-1), np.append(owner, _NUISANCE)
+            S = np.concatenate([S, column[..., None]], axis=-1)
+            spent = fit.hypothesis.numerics in SHARE
+            owner = np.append(owner, _SPENT if spent else _NUISANCE)
         A = S.reshape(-1, S.shape[-1])
         y = project(frame.Q, fit.residual).astype(np.float32)
         G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)

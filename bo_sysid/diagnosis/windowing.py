@@ -42,6 +42,7 @@ class Prepared:
         start: starts fitted to the hypothesis at which it was prepared.
         linear: that hypothesis linearised there.
         correction_rms: size of the correction in sigma.
+        step_rms: the same without what other starts can make up for, as a forecast meets it.
         dropped: windows left out because the time step decides what happens in them.
     """
 
@@ -49,6 +50,7 @@ class Prepared:
     start: State
     linear: Linear
     correction_rms: float
+    step_rms: float
     dropped: int
 
 
@@ -80,11 +82,11 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     keep = size < _CHAOTIC * np.median(size) + 0.5
     linear, correction = linear.rows(keep), correction[keep]
     problem, start = linear.problem, linear.start
-    rms = float(np.sqrt((correction**2).sum() / problem.dof))
+    rms, unfitted = (float(np.sqrt((c**2).sum() / problem.dof)) for c in (correction, change[keep]))
     if rms > _NEGLIGIBLE:
         problem = replace(problem, correction=correction)
         linear = replace(linear, problem=problem)
-    return Prepared(problem, start, linear, rms, int((~keep).sum()))
+    return Prepared(problem, start, linear, rms, unfitted, int((~keep).sum()))
 
 
 def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
