@@ -29,6 +29,7 @@ _STEP = 2.5e-4  # [s] of a plant, an eighth of the models'; less where the log i
 _BRISTLES = 8  # times finer still, where bristles bend by .2 mrad within a step
 _WINDOW = 0.3  # [s] in which an effect is sized
 _TOUCHING = 0.1  # [s] the same where geoms can touch
+_NO_SIZE = 1e-3  # [sigma]
 _TRIES = 40  # draws until every effect of a case can be sized
 
 
@@ -391,6 +392,13 @@ class Sizes:
         d = project(self._prepared.linear.Q, r - self._base)
         return float(np.sqrt((d**2).sum() / self._problem.dof))
 
+    def seen(self, c: Candidate, x: Sequence[float]) -> np.ndarray:
+        """Return the magnitudes without what no prediction shows, as a shift out of the plane."""
+        own = np.array(x[: c.size])
+        if c.effect.vector < 2:
+            return own
+        return own * [self.of(c, part) > _NO_SIZE for part in np.diag(own)]
+
     def scaled(self, c: Candidate, target: float, share: float) -> np.ndarray | None:
         """Return the magnitudes at which an effect makes `target` sigma, None where none do.
 
@@ -477,7 +485,11 @@ def draw(
         return Case(rig, (), (), (), sigma)
     acting = Sizes(model, machine, train, sigma)
     shown = [
-        replace(p, size=acting.of(c, np.array(p.x[: c.size])))
+        replace(
+            p,
+            size=acting.of(c, np.array(p.x[: c.size])),
+            value=c.effect.reported(c.full(acting.seen(c, p.x)), machine, c.site),
+        )
         for p, c in zip(found, drawn, strict=True)
     ]
     return Case(rig, tuple(shown), (train,), (holdout,), sigma)

@@ -95,6 +95,15 @@ def test_dead_columns_are_left_out(problem) -> None:
     assert 5 not in table.living()
 
 
+def test_what_adapts_may_say_nothing(problem) -> None:
+    held, S, y, owner = problem
+    S[:, [0, 8]] = 0.0  # no column that could take anything over
+    table = gram(held, S.T @ S, S.T @ y, owner, {}, fixed=(0,))
+    (scored,) = table.score([(Unit((3,)),)])
+    exact = np.linalg.lstsq(S[:, [3]], y, rcond=None)[0]
+    np.testing.assert_allclose(scored.x, exact, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("one", "two", "clash"),
     [

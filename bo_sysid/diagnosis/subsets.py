@@ -19,7 +19,7 @@ _BESIDE_GROUPS = 20  # single candidates tried beside two groups
 _PER_SITE = 3  # variants of one effect at one site that are combined
 _DEAD = 1e-3  # of a column's square that projection must leave
 _SILENT = 3.0  # [sigma, over all observations] that a candidate must be able to move
-_RIDGE = 1e-7
+_RIDGE, _TINY = 1e-7, 1e-12
 _OUTSIDE, _ABOVE = 0.02, 1.5  # tolerance of linear estimates outside their bounds
 _TOGETHER = 256  # sets solved at once, times their width
 
@@ -134,7 +134,7 @@ def gram(
     norm = np.diag(G)[rest]
     if out.any():
         N = G[np.ix_(out, out)]
-        ridge = 1e-9 * np.trace(N) * np.eye(len(N))
+        ridge = (1e-9 * np.trace(N) + _TINY) * np.eye(len(N))  # no column may say anything
         K = np.linalg.solve(N + ridge, np.column_stack([G[np.ix_(out, rest)], b[out]]))
         b = b[rest] - G[np.ix_(rest, out)] @ K[:, -1]
         G = G[np.ix_(rest, rest)] - G[np.ix_(rest, out)] @ K[:, :-1]
