@@ -2,12 +2,14 @@
 
 import hashlib
 import json
+import sys
 from pathlib import Path
 
 import mujoco
 import pytest
 import yaml
 from diagnosis_helpers import ARM, NAMES, record
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.errors import UserError
@@ -118,6 +120,20 @@ def test_a_wrong_parameter_is_no_missing_physics(tmp_path: Path) -> None:
         ],
     )
     assert diagnose(study).verdict == "nothing-missing"
+
+
+def test_one_blas_thread_is_enough(tmp_path: Path, monkeypatch) -> None:
+    """Threads that spin while they wait take the cores that simulate."""
+    seen = []
+
+    def watched(*_):
+        seen.extend(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")
+        raise UserError("seen")
+
+    monkeypatch.setattr(sys.modules["bo_sysid.diagnosis.diagnose"], "locate", watched)
+    with threadpool_limits(2), pytest.raises(UserError, match="seen"):
+        diagnose(write_study(tmp_path))
+    assert set(seen) == {1}
 
 
 def test_a_recording_without_the_joint_is_refused(tmp_path: Path) -> None:
