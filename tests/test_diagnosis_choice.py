@@ -9,20 +9,22 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 from numpy.testing import assert_allclose
 
-from bo_sysid.diagnosis.answer import (
-    bending,
-    bending_sentence,
-    holding,
-    leaves_much,
-    left_sentence,
-    make_answer,
-)
+from bo_sysid.diagnosis.answer import make_answer
 from bo_sysid.diagnosis.argmin import argmin_sets
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
 from bo_sysid.diagnosis.explain import explain
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.forecast import AHEAD
+from bo_sysid.diagnosis.hints import (
+    bending,
+    doubtful,
+    hints,
+    holding,
+    leaves_much,
+    left_sentence,
+    unrepeated,
+)
 from bo_sysid.diagnosis.holdout import Holdout
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.moves import fit_some
@@ -175,12 +177,36 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
     def beside(joint: str):
         springy = candidate(machine, "joint_compliance", joint)
         members, x = (*best.members, springy), (*best.x, springy.point[: springy.size])
-        return replace(best, hypothesis=replace(best.hypothesis, members=members, x=x))
+        hypothesis = replace(best.hypothesis, members=members, x=x)
+        n, p = len(members), sum(c.size for c in members)
+        J = 10.0 * np.ones((*best.residual.shape, p))
+        return replace(
+            best, hypothesis=hypothesis, groups=(None,) * n, jacobian=J, covariance=np.eye(p),
+            unique=(4.0,) * n,
+        )  # fmt: skip
 
     assert bending(best) == bending(beside("shoulder")) == ()
     assert holding(best) == ()
     assert bending(beside("elbow")) == ("elbow",)
-    assert "The compliance at elbow may be the friction there" in bending_sentence(["elbow"])
+    assert not doubtful(best, machine)
+    assert doubtful(beside("elbow"), machine)
+    (said,) = hints(beside("elbow"), machine)
+    assert "The compliance at elbow may be the friction there" in said
+
+
+@pytest.mark.parametrize("swept", [0.9, 1.1])
+def test_cogging_of_which_no_whole_period_was_seen_is_a_hint(friction, swept) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    period = machine.joints["elbow"].span / swept
+    c = candidate(machine, "cogging", "elbow").with_shapes(np.array([2 * np.pi / period]))
+    J = np.zeros((*best.residual.shape, c.size))
+    hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+    fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=np.eye(c.size))
+    assert unrepeated(fit, machine) == ({"elbow": pytest.approx(period)} if swept < 1 else {})
+    said = hints(fit, machine)
+    assert [f"Motion of elbow over more than {period:.3g} rad" in s for s in said] == [True] * (
+        swept < 1
+    )
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-4])

@@ -9,10 +9,10 @@ import yaml
 from diagnosis_helpers import ARM, NAMES, SIGMA, arm, posed, record
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.answer import holding
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hints import holding
 from bo_sysid.diagnosis.hypothesis import candidates
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.moves import explore

@@ -66,6 +66,28 @@ def test_a_window_is_fitted_as_if_it_were_alone(windows):
         np.testing.assert_allclose(alone.qvel[0], together.qvel[w], atol=1e-4)
 
 
+def test_a_joint_that_is_kept_still_begins_as_it_was_given_and_others_follow(windows):
+    problem, _ = windows
+    begin = problem.windows.start
+    given = replace(begin, qvel=np.where([False, True], 0.0, begin.qvel + 0.05))
+    found = starts._Starts(problem, Hypothesis(), given, 1, still=1)
+    before = found.cost.copy()
+    found.fit()
+    np.testing.assert_allclose(found.start.qvel[:, 1], 0.0, atol=1e-6)
+    assert np.abs(found.start.qvel[:, 0] - given.qvel[:, 0]).max() > 0.01
+    assert (found.cost <= before).all()
+
+
+def test_a_window_that_leaves_more_than_noise_in_one_channel_is_left_behind(windows):
+    problem, _ = windows
+    found = starts._Starts(problem, Hypothesis(), problem.windows.start, 1)
+    found.residual = np.ones_like(found.residual)
+    shaped = found.residual.reshape(problem.weight.shape)
+    shaped[2, :, 1], shaped[5] = np.sqrt(1.8), np.sqrt(1.6)
+    assert found._left_behind().tolist() == [5]
+    assert found._left_behind(anywhere=True).tolist() == [2, 5]
+
+
 def test_windows_whose_slope_says_nothing_catch_up(windows, monkeypatch):
     problem, machine = windows
     friction = candidate(machine, "viscous_damping", "elbow")

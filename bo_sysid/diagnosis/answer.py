@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, inf, sqrt
 from typing import Any, Literal
 
 import pandas as pd
@@ -14,8 +13,6 @@ from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.rules import FLAT, clean
-from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import CATALOGUE, Machine
 from bo_sysid.runs import plain
 
@@ -25,8 +22,6 @@ _ALTERNATIVES = 5
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
-_LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
-_STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
 @dataclass(frozen=True)
@@ -107,9 +102,8 @@ def make_answer(
     """Freeze a decision into an answer, with what to record next.
 
     Where names are doubtful an effect outside the catalogue is as probable as beside something
-    that stays unexplained: in contact, where they were wrong more often than their fits say,
-    where they leave much more than noise (`leaves_much`), where a compliance may be the bend of
-    friction (`bending`), and where friction holds a joint all the time (`holding`).
+    that stays unexplained: in contact, where they were wrong more often than their fits say, and
+    where `hints` says why.
 
     Names that a learned law replaces are no findings; their set stays among the alternatives.
     """
@@ -133,64 +127,6 @@ def make_answer(
         _located(kept, outcome.unexplained),
         outcome.unexplained,
         experiment,
-    )
-
-
-def leaves_much(best: Fit) -> bool:
-    """Return whether the best set leaves so much that something else must be missing, too.
-
-    That is so, too, where an effect does not stand out from what is left: it may stand in for it.
-    """
-    if clean(best):
-        return False
-    sizes = [hypot(*(best.unique[k] for k in unit)) for unit in units_of(best)]
-    return best.excess > _LEFT or sqrt(best.excess) > _STANDS_OUT * min(sizes, default=inf)
-
-
-def bending(best: Fit) -> tuple[str, ...]:
-    """Return the joints with a compliance beside friction: friction bends, too, before it slips.
-
-    Its bend is not always found, and a compliance was named in its place.
-    """
-    rubbing = {c.site.name for c in best.members if c.bendable}
-    springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]
-    return tuple(joint for joint in springy if joint in rubbing)
-
-
-def bending_sentence(joints: Sequence[str]) -> str:
-    """Return in words that a compliance may be the friction beside it, and what would tell."""
-    return (
-        f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
-        "it slips: a load that changes while the joint moves one way would tell."
-    )
-
-
-def holding(best: Fit) -> tuple[str, ...]:
-    """Return the joints that friction holds all the time, where any friction does the same.
-
-    Such as that of a worn spot in which the joint rests.
-    """
-    members = zip(best.members, best.groups, best.felt, strict=True)
-    return tuple(c.site.name for c, g, felt in members if c.bendable and not g and felt <= FLAT)
-
-
-def holding_sentence(joints: Sequence[str]) -> str:
-    """Return in words that friction is seen at one place only, and what would tell."""
-    which = " and ".join(joints)
-    return (
-        f"Friction holds {which} all the time in these recordings: how much it is, and whether it "
-        f"is the same elsewhere, would be told by commands that move {which}."
-    )
-
-
-def left_sentence(best: Fit, most: int) -> str:
-    """Return in words that more than noise is left, and what can be done."""
-    small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
-    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
-    if len(units_of(best)) < most:
-        return f"{said}. No further effect that was tried explains more."
-    return (
-        f"{said}. All {most} effects that diagnosis.most allows are used, and more may be missing."
     )
 
 

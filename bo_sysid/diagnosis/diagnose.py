@@ -6,20 +6,12 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.diagnosis.answer import (
-    Answer,
-    bending,
-    bending_sentence,
-    holding,
-    holding_sentence,
-    leaves_much,
-    left_sentence,
-    make_answer,
-)
+from bo_sysid.diagnosis.answer import Answer, make_answer
 from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.explain import Outcome, explain
+from bo_sysid.diagnosis.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
@@ -111,10 +103,7 @@ class Diagnosis:
         best = self.located.decision.best
         if self.answer.findings and not self.contact and leaves_much(best):
             said.append(left_sentence(best, self.evidence.most))
-        if bending(self.outcome.fit):
-            said.append(bending_sentence(bending(self.outcome.fit)))
-        if held := holding(self.outcome.fit):
-            said.append(holding_sentence(held))
+        said += hints(self.outcome.fit, self.evidence.machine)
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -151,9 +140,8 @@ def diagnose(
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    best = located.decision.best
-    doubtful = contact or leaves_much(best) or bool(bending(best) or holding(best))
-    answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=doubtful)
+    unsure = contact or doubtful(located.decision.best, evidence.machine)
+    answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=unsure)
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))

@@ -34,6 +34,7 @@ _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's 
 _TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
 _ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
 _LEAST = 1e-12  # of that prior
+_STILL = 1e-6  # of the prior, of a joint that is kept at rest
 _SLOW = 1.0  # of the joint's typical speed: below, friction may hold it
 
 
@@ -134,37 +135,50 @@ def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]
 class _Starts:
     """Starts that are being fitted, with their residuals and costs."""
 
-    def __init__(self, problem: Problem, hypothesis: Hypothesis, start: State, finer: int) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        start: State,
+        finer: int,
+        still: int | None = None,
+    ) -> None:
+        """Begin at given starts; a coordinate of the velocity that is `still` keeps its value."""
         self._problem, self._hypothesis = problem, hypothesis
-        self._finer, self.start = finer, start
+        self._finer, self.start, self._still = finer, start, still
         everything = np.arange(len(start))
         self.residual = self._residual(everything, start)
         self.cost = (self.residual**2).sum(axis=1)
         self._anchor = self.start
 
-    def tried(self, rows: Int[np.ndarray, " L"], start: State) -> None:
+    def tried(self, rows: Int[np.ndarray, " L"], start: State, still: int | None = None) -> None:
         """Fit some windows from other starts, and take what costs less."""
-        other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._finer)
+        other = _Starts(self._problem.rows(rows), self._hypothesis, start, self._finer, still)
         other.fit()
         self._adopt(rows, other)
 
-    def _left_behind(self) -> Int[np.ndarray, " L"]:
-        """Return the windows that leave more than noise."""
-        count = (self._problem.weight > 0).sum(axis=(1, 2))
-        return np.flatnonzero((self.residual**2).sum(axis=1) > _LEFT_BEHIND * count)
+    def _left_behind(self, *, anywhere: bool = False) -> Int[np.ndarray, " L"]:
+        """Return the windows that leave more than noise: in all, or `anywhere` in one channel."""
+        seen = self._problem.weight > 0
+        squares, count = self.residual.reshape(seen.shape) ** 2, seen.sum(axis=1)
+        axes, count = (1, count) if anywhere else ((1, 2), count.sum(axis=1, keepdims=True))
+        left = squares.sum(axis=axes).reshape(count.shape) > _LEFT_BEHIND * count
+        return np.flatnonzero(left.any(axis=1))
 
     def rested(self) -> None:
         """Try slow joints that friction may hold at rest, where windows leave more than noise.
 
-        From the smoother's starts, then from these.
+        From the smoother's starts, then from these; with the joint kept at rest as well, since the
+        slopes of one that slips, taken beside it, mislead those that move it.
         """
         smooth = self._problem.windows.start
         for joint in held_joints(self._problem, self._hypothesis):
-            rows = self._left_behind()
+            rows = self._left_behind(anywhere=True)
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))
                 self.tried(slow, _at_rest(self.start.rows(slow), joint))
+                self.tried(slow, _at_rest(self.start.rows(slow), joint), still=joint.dof)
 
     def grown(self) -> None:
         """Fit windows that leave more than noise to more and more of them, from the smoother on."""
@@ -234,6 +248,8 @@ class _Starts:
         linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
         if first:
             self._spread = prior(self._problem, linear.points.coordinates)
+            if self._still is not None:
+                self._spread[self._problem.machine.model.nv + self._still] *= _STILL
             count, n = len(self.start), len(self._spread)
             self._away = np.zeros((count, n))
             self._J, self._gain = np.zeros((count, linear.J.shape[1], n)), np.zeros((count, n, n))
