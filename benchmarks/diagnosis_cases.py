@@ -524,7 +524,7 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
             )
             for k in (1, 2)
         )  # fmt: skip
-        if not _runs_away(train, plain):
+        if not (_runs_away(train, plain) or _runs_away(holdout, plain)):
             break
         size = 0.6 * size
     return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
