@@ -25,7 +25,7 @@ from bo_sysid.diagnosis.hints import (
     left_sentence,
     unrepeated,
 )
-from bo_sysid.diagnosis.holdout import Holdout
+from bo_sysid.diagnosis.holdout import Holdout, beyond
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
@@ -301,6 +301,27 @@ def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> No
     first, *more = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences
     assert first.startswith("Forecast error on the unseen recording")
     assert [said in m for m in more] == ([True] if said else [])
+
+
+@pytest.mark.parametrize("after", [1.1, 4.0])
+def test_where_the_hold_out_goes_and_no_training_recording_went_is_said(after: float) -> None:
+    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
+    rows = [
+        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
+        for m, e in models.items()
+    ]
+    time = np.linspace(0.0, 1.0, 101)
+    known, unseen = (
+        Recording.from_arrays(
+            time, qpos={"elbow": amplitude * time, "shoulder": 0.1 * time}, ctrl={}
+        )
+        for amplitude in (1.0, 2.0)
+    )
+    shares = beyond([known], [unseen], ["elbow", "shoulder"])
+    assert shares == {"elbow": pytest.approx(50 / 101)}
+    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), beyond=shares).sentences[1:]
+    told = "The unseen recording goes where no training recording was: the elbow in 50% of it."
+    assert (told in said) == (after > 2)
 
 
 def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(friction) -> None:

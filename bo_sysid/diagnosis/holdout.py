@@ -1,15 +1,17 @@
 """The proof on recordings that were never used."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
+from bo_sysid.diagnosis.findings import spoken
 from bo_sysid.diagnosis.forecast import (
     AHEAD,
     LONGER,
@@ -23,9 +25,13 @@ from bo_sysid.diagnosis.forecast import (
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.tables import traces
+from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
+_BEYOND = (
+    0.05  # of the unseen instants outside the range that was trained on, that is worth telling
+)
 _AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
@@ -41,6 +47,7 @@ class Holdout:
         traces: what was recorded and what the models forecast, over the longest horizon.
         note: why there is none, where there is none.
         parameters: whether the study has parameters, which `refitted` differs by.
+        beyond: by joint, the share of the instants in which it is where no training recording was.
     """
 
     table: pd.DataFrame
@@ -48,6 +55,7 @@ class Holdout:
     traces: pd.DataFrame
     note: str = ""
     parameters: bool = True
+    beyond: Mapping[str, float] = field(default_factory=dict)
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
         """Return one error, None where it was not computed."""
@@ -74,13 +82,23 @@ class Holdout:
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
         if after > max(1.02 * before, _AT_FLOOR * floor):
-            return (text, "The unseen recording does not confirm the repair.")
-        if after > _AT_FLOOR * floor:
-            return (
-                text,
-                "The floor is not reached: these recordings do not show all that is missing.",
-            )
-        return (text,)
+            said = "The unseen recording does not confirm the repair."
+        elif after > _AT_FLOOR * floor:
+            said = "The floor is not reached: these recordings do not show all that is missing."
+        else:
+            return (text,)
+        return (text, said, *self._elsewhere)
+
+    @property
+    def _elsewhere(self) -> tuple[str, ...]:
+        """Where the hold-out goes and the training recordings do not, in words."""
+        if not self.beyond:
+            return ()
+        shares = " and ".join(
+            f"{spoken(Site('joint', joint))} in {share:.0%} of it"
+            for joint, share in self.beyond.items()
+        )
+        return (f"The unseen recording goes where no training recording was: {shares}.",)
 
     def as_json(self) -> dict[str, Any]:
         """Return the part of `diagnosis.json` about the hold-out."""
@@ -135,7 +153,27 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     if length > PAST + free:
         made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
         rows, traced = rows + made, traced if longer.empty else longer
-    return Holdout(_table(rows), free_runs, traced, parameters=bool(evidence.nuisances))
+    return Holdout(
+        _table(rows), free_runs, traced, parameters=bool(evidence.nuisances),
+        beyond=beyond(evidence.recordings, recordings, evidence.machine.joints),
+    )  # fmt: skip
+
+
+def beyond(
+    known: Sequence[Recording], unseen: Sequence[Recording], joints: Collection[str]
+) -> dict[str, float]:
+    """Return the joints that leave the range of their known positions, and how much of the time."""
+    found = {}
+    for joint in joints:
+        seen, new = _positions(known, joint), _positions(unseen, joint)
+        if seen.size and new.size:
+            found[joint] = float(np.mean((new < np.nanmin(seen)) | (new > np.nanmax(seen))))
+    return {joint: share for joint, share in found.items() if share > _BEYOND}
+
+
+def _positions(recordings: Sequence[Recording], joint: str) -> Float[np.ndarray, " n"]:
+    channels = (r.channels.get(f"qpos.{joint}") for r in recordings)
+    return np.concatenate([*(c.values for c in channels if c is not None), np.zeros(0)])
 
 
 def _table(rows: list[dict[str, Any]]) -> pd.DataFrame:
