@@ -160,10 +160,10 @@ class _Starts:
     def _left_behind(self, *, anywhere: bool = False) -> Int[np.ndarray, " L"]:
         """Return the windows that leave more than noise: in all, or `anywhere` in one channel."""
         seen = self._problem.weight > 0
-        squares, count = self.residual.reshape(seen.shape) ** 2, seen.sum(axis=1)
-        axes, count = (1, count) if anywhere else ((1, 2), count.sum(axis=1, keepdims=True))
-        left = squares.sum(axis=axes).reshape(count.shape) > _LEFT_BEHIND * count
-        return np.flatnonzero(left.any(axis=1))
+        left, count = (self.residual.reshape(seen.shape) ** 2).sum(axis=1), seen.sum(axis=1)
+        if not anywhere:
+            left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
+        return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
 
     def rested(self) -> None:
         """Try slow joints that friction may hold at rest, where windows leave more than noise.
