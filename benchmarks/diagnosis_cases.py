@@ -527,6 +527,8 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
         if not (_runs_away(train, plain) or _runs_away(holdout, plain)):
             break
         size = 0.6 * size
+    else:  # it is the commands that do
+        return Case(rig, (), (), (), sigma)
     return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
 
 

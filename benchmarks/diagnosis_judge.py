@@ -116,7 +116,7 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
     else:
         case = draw(rng, rig, ids, 0)
     wanted = {"single": 1, "off": 1, "log": 1, "lugre": 1, "contact": 1, "pair": 2}.get(suite, 0)
-    if len(case.truth) < wanted:
+    if not case.train or len(case.truth) < wanted:
         return None
     if suite == "off":  # what was planted is a parameter of the study
         (planted,) = case.truth
