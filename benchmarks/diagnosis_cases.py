@@ -240,6 +240,7 @@ class _Encoders:
         self.qvel = [int(compiled.joint(n).dofadr[0]) for n in model.joints]
         added = [p for p in parts if isinstance(p, Hidden)]
         self.added = [(model.joints.index(p.of), compiled.joint(p.joint), p.shown) for p in added]
+        self.hidden = {p.joint: compiled.joint(p.joint) for p in added}
 
     def read(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
         qpos, qvel = data.qpos[self.qpos], data.qvel[self.qvel]
@@ -263,6 +264,9 @@ class _View:
         self.time, self.timestep = np.array([time]), timestep
         self.qpos = {n: data.qpos[[i]] for n, i in zip(model.joints, encoders.qpos, strict=True)}
         self.qvel = {n: data.qvel[[i]] for n, i in zip(model.joints, encoders.qvel, strict=True)}
+        for name, joint in encoders.hidden.items():  # a law may act on what no encoder shows
+            self.qpos[name] = data.qpos[joint.qposadr]
+            self.qvel[name] = data.qvel[joint.dofadr]
         self.ctrl = {n: data.ctrl[i : i + 1] for i, n in enumerate(model.actuators)}
 
 
