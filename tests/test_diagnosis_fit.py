@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.signatures import signatures
-from bo_sysid.diagnosis.timestep import SHARE
+from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.parameters import Parameter
@@ -82,7 +82,7 @@ def test_unique_size_is_what_no_other_column_can_take_over(fitted) -> None:
     S = project(ready.linear.Q, fit.jacobian.astype(float)).reshape(-1, fit.jacobian.shape[-1])
     own = S[:, 0] * fit.x[0][0]
     rest = np.delete(S, 0, axis=1)
-    room = np.array([-np.inf, np.inf]), np.array(SHARE) - fit.hypothesis.numerics
+    room = np.array([-np.inf, np.inf]), np.array(SHARE_BOUNDS) - fit.hypothesis.numerics
     left = own - rest @ lsq_linear(rest, own, np.transpose(room)).x
     assert fit.unique[0] == pytest.approx(np.sqrt(left @ left / ready.problem.dof), rel=1e-3)
 

@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.timestep import SHARE
+from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
 from bo_sysid.simulation import State
 
 _CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
@@ -201,7 +201,7 @@ def sandwich(
 def _widths(hypothesis: Hypothesis, p: int) -> Float[np.ndarray, " p"]:
     """Return the distance between the bounds of each of `p` columns, a time step's share last."""
     held = [c.high - c.low for c in (*hypothesis.members, *hypothesis.nuisances)]
-    found = np.full(p, SHARE[1] - SHARE[0])
+    found = np.full(p, SHARE_BOUNDS[1] - SHARE_BOUNDS[0])
     found[: sum(map(len, held))] = np.concatenate([*held, []])
     return found
 
@@ -214,8 +214,8 @@ def _room(hypothesis: Hypothesis, p: int) -> tuple[np.ndarray, np.ndarray]:
         own = slice(first, first + c.size)
         low[own], high[own] = np.minimum(c.low - x, 0.0), np.maximum(c.high - x, 0.0)
         first += c.size
-    low[first:] = min(SHARE[0] - hypothesis.numerics, 0.0)
-    high[first:] = max(SHARE[1] - hypothesis.numerics, 0.0)
+    low[first:] = min(SHARE_BOUNDS[0] - hypothesis.numerics, 0.0)
+    high[first:] = max(SHARE_BOUNDS[1] - hypothesis.numerics, 0.0)
     return low, high
 
 

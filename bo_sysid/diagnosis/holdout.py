@@ -29,9 +29,7 @@ from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
-_BEYOND = (
-    0.05  # of the unseen instants outside the range that was trained on, that is worth telling
-)
+_BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
 _AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length

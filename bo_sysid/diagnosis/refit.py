@@ -18,7 +18,7 @@ from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.starts import caught_up, held_joints
-from bo_sysid.diagnosis.timestep import SHARE
+from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
@@ -66,7 +66,7 @@ class _Space:
     def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
         held = (*members, *problem.nuisances)
         numerics = problem.correction is not None
-        extra = ([SHARE[0]], [SHARE[1]], [1.0]) if numerics else ([], [], [])
+        extra = ([SHARE_BOUNDS[0]], [SHARE_BOUNDS[1]], [1.0]) if numerics else ([], [], [])
         low, high, probe = (
             np.concatenate([*(getattr(c, name) for c in held), np.array(tail, float)])
             for name, tail in zip(("low", "high", "probe"), extra, strict=True)

@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.signatures import signatures
 from bo_sysid.diagnosis.subsets import Gram, gram
-from bo_sysid.diagnosis.timestep import SHARE
+from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
 
 _NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
 
@@ -55,7 +55,7 @@ class Screen:
         if problem.correction is not None:
             column = project(frame.Q, problem.correction).astype(np.float32)
             S = np.concatenate([S, column[..., None]], axis=-1)
-            spent = fit.hypothesis.numerics in SHARE
+            spent = fit.hypothesis.numerics in SHARE_BOUNDS
             owner = np.append(owner, _SPENT if spent else _NUISANCE)
         A = S.reshape(-1, S.shape[-1])
         y = project(frame.Q, fit.residual).astype(np.float32)
