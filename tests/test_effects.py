@@ -14,6 +14,7 @@ from bo_sysid.effects import (
     Machine,
     Site,
     applicable,
+    catalogue,
     chosen,
     load_effects,
     survey,
@@ -221,28 +222,29 @@ def test_a_channel_that_only_some_recordings_have_is_no_site(arm) -> None:
 def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
     file = tmp_path / "mine.py"
     file.write_text(USER)
-    for _ in range(2):  # again: registered anew
+    for _ in range(2):  # again: nothing of the first time is left
         (mine,) = load_effects(file)
     assert mine.id == "my_friction"
-    assert CATALOGUE["my_friction"] is mine
+    assert "my_friction" not in CATALOGUE  # it is the study's that names the file
+    assert set(catalogue([file])) == {*CATALOGUE, "my_friction"}
+    with pytest.raises(StudyError, match=r"mine\.py: effect 'my_friction' is registered twice"):
+        catalogue([file, file])
     model, _ = compiled(arm, machine, mine, Site("joint", "elbow"), np.array([0.3]))
     assert model.joint("elbow").frictionloss[0] == 0.3
     file.write_text("raise OSError('no')")
     with pytest.raises(StudyError, match=r"mine\.py: OSError: no"):
         load_effects(file)
-    assert "my_friction" in CATALOGUE
     file.write_text("x = 1")
     with pytest.raises(StudyError, match="registers no effect"):
         load_effects(file)
-    assert "my_friction" not in CATALOGUE
 
 
 def test_unknown_effects_are_named_with_the_nearest() -> None:
     with pytest.raises(
         StudyError, match="unknown effect 'dry_fricton'; did you mean 'dry_friction'"
     ):
-        chosen(["dry_fricton"])
-    assert all(e.id != "cogging" for e in chosen("all", ("cogging",)))
+        chosen(CATALOGUE, ["dry_fricton"])
+    assert all(e.id != "cogging" for e in chosen(CATALOGUE, "all", ("cogging",)))
 
 
 PLANAR = """<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body name="torso" pos="0 0 1">

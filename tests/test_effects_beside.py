@@ -1,6 +1,7 @@
 """What stands beside a repaired model: forces, filters and readings, kept as data."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def beside(machine) -> Beside:
         machine,
         (Placed("asymmetric_damping", ELBOW, (0.02,)),
          Placed("actuator_deadzone", Site("actuator", "elbow"), (0.05,))),
-        (LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}),),
+        (LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}, hold=0.001),),
     )  # fmt: skip
 
 
@@ -59,6 +60,8 @@ def test_what_is_read_back_acts_as_what_was_written(machine, tmp_path) -> None:
         if isinstance(p, Force):
             np.testing.assert_array_equal(p.law(motion()), q.law(motion()))
             assert np.abs(q.law(motion())).max() > 1e-4
+            assert p.hold == q.hold
+    assert after[-1].hold == 0.001
 
 
 def test_the_forces_are_those_of_the_catalogue(machine) -> None:
@@ -143,6 +146,27 @@ def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:
     wrong = Beside(machine, (), (LearnedLaw("elbow", {"positon 3": 0.1}),))
     with pytest.raises(ModelError, match="position 3"):
         wrong.parts(arm())
+
+
+@pytest.mark.parametrize(
+    ("key", "wrong", "said"),
+    [
+        (("laws", 0, "joint"), "shuolder", r"unknown joint 'shuolder'; did you mean 'shoulder'"),
+        (("effects", 0, "site"), "elbw", r"unknown joint 'elbw'; did you mean 'elbow'"),
+        (("effects", 0, "kind"), "body", r"unknown kind of site 'body'"),
+        (("effects", 0, "x"), [0.1, 0.2, 0.3], r"asymmetric_damping at elbow has 3 magnitudes"),
+    ],
+)
+def test_what_was_edited_wrongly_is_named_with_its_file(
+    machine, tmp_path, key, wrong, said
+) -> None:
+    file = tmp_path / "model.json"
+    beside(machine).write(file)
+    content = json.loads(file.read_text())
+    content[key[0]][key[1]][key[2]] = wrong
+    file.write_text(json.dumps(content))
+    with pytest.raises(ModelError, match=rf"model\.json: ({said})"):
+        read_beside(file, arm().compile()).parts(arm())
 
 
 def magnet(q: np.ndarray) -> np.ndarray:

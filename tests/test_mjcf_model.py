@@ -174,6 +174,45 @@ def test_timestep():
         model.compile(timestep=0.0)
 
 
+DELAYED = """
+<mujoco>
+  <option timestep="0.002" gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="slide" type="slide"/><geom size=".1" mass="1"/></body>
+  </worldbody>
+  <actuator><motor name="a" joint="slide" delay="0.02" nsample="11" interp="linear"/></actuator>
+  <sensor><jointpos name="late" joint="slide" delay="0.02" nsample="11" interp="linear"/></sensor>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("timestep", [0.004, 0.002, 0.0005, 0.0003])
+def test_a_delay_lasts_as_long_at_any_time_step(timestep, tmp_path):
+    model = Model.from_xml(DELAYED)
+    assert _arrivals(model.compile(timestep=timestep)) == pytest.approx([0.05, 0.13], abs=0.005)
+
+    def finer(spec: mujoco.MjSpec) -> None:
+        spec.option.timestep = timestep
+
+    model.export(tmp_path / "finer.xml", [finer])
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "finer.xml"))
+    assert _arrivals(exported) == pytest.approx([0.05, 0.13], abs=0.005)
+
+
+def _arrivals(model: mujoco.MjModel) -> list[float]:
+    """Return when the force of a command at 0.03 s, and a jump of the joint at 0.11 s, are felt."""
+    data, dt = mujoco.MjData(model), model.opt.timestep
+    felt: dict[str, float] = {}
+    for k in range(round(0.2 / dt)):
+        data.ctrl[:] = k * dt >= 0.03
+        data.qpos[:] = k * dt >= 0.11
+        mujoco.mj_step(model, data)
+        for name, value in (("force", data.actuator_force[0]), ("sensor", data.sensordata[0])):
+            if value > 0.5:
+                felt.setdefault(name, k * dt)
+    return [felt["force"], felt["sensor"]]
+
+
 def test_fixed_base_holds_the_robot_and_leaves_objects_free(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(FLOATING)

@@ -30,11 +30,9 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Print the catalogue."""
-    from bo_sysid.effects import CATALOGUE, listing, load_effects
+    from bo_sysid.effects import catalogue, listing
 
-    for file in args.file:
-        load_effects(file)
-    found = listing(CATALOGUE.values())
+    found = listing(catalogue(args.file).values())
     if args.json:
         print(json.dumps(found.to_dict("records"), indent=2, ensure_ascii=False))
         return

@@ -38,8 +38,6 @@ def check_names(study: "Study") -> None:
         study.check_names(datasets=DATASETS)
     diagnosis = study.diagnosis
     if diagnosis.effects != "all" or diagnosis.exclude or (study.plant and study.plant.effects):
-        from bo_sysid.effects import CATALOGUE, load_effects
+        from bo_sysid.study.inputs import study_effects
 
-        for file in diagnosis.effect_files:
-            load_effects(study.folder / file)
-        study.check_names(effects=CATALOGUE)
+        study.check_names(effects=study_effects(study))

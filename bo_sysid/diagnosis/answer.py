@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,7 +13,8 @@ from bo_sysid.diagnosis.experiment import Experiment
 from bo_sysid.diagnosis.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.findings import Finding, findings, named
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.effects import CATALOGUE, Machine
+from bo_sysid.effects import Machine
+from bo_sysid.effects.contract import Family
 from bo_sysid.runs import plain
 
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
@@ -121,7 +122,7 @@ def make_answer(
     alternatives.append({"findings": [stranger], "probability": none_of_these})
     alternatives.sort(key=lambda a: -a["probability"])
     return Answer(
-        verdict(found, outcome.unexplained),
+        verdict({c.effect.family for c in kept.members}, outcome.unexplained),
         found,
         tuple(alternatives[:_ALTERNATIVES]),
         _located(kept, outcome.unexplained),
@@ -145,9 +146,8 @@ def _equivalents(
     return tuple(found.values())
 
 
-def verdict(found: Sequence[Finding], unexplained: Unexplained) -> Verdict:
+def verdict(families: Collection[Family], unexplained: Unexplained) -> Verdict:
     """Return the verdict: what is missing outweighs what is only measured wrongly."""
-    families = {CATALOGUE[f.effect].family for f in found}
     if unexplained.flagged:
         return "unknown-physics"
     if "physics" in families:

@@ -17,14 +17,14 @@ from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
 from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, parameters_sentence, sets
 from bo_sysid.diagnosis.windowing import in_contact
-from bo_sysid.effects import chosen, load_effects
+from bo_sysid.effects import chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import require_scales
-from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train
+from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train, study_effects
 
 _STAGES = 6
 
@@ -182,12 +182,10 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
     """Return what a diagnosis is made from: scales, noise, candidates."""
     model = load_model(study)
     require_scales(study, model)
-    for file in study.diagnosis.effect_files:
-        load_effects(study.file(file, ("diagnosis", "effect_files")))
     return make_evidence(
         model,
         recordings,
-        effects=chosen(study.diagnosis.effects, study.diagnosis.exclude),
+        effects=chosen(study_effects(study), study.diagnosis.effects, study.diagnosis.exclude),
         parameters=study.parameter_set(model),
         noise=study.recordings.noise,
         most=study.diagnosis.most,

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.coordinates import Coordinates
-from bo_sysid.diagnosis.problem import Problem, Simulated, force_laws
+from bo_sysid.diagnosis.problem import Problem, Simulated
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, tangent_difference
+from bo_sysid.simulation.lockstep import force_laws
 
 _MOVE, _TURN = 1e-5, 1e-4  # perturbation of positions and of velocities
 _FORCE = 1e-2  # of the joint's typical force

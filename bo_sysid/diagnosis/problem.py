@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.coordinates import Coordinates, transmitted, with_loaded
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.diagnosis.timestep import refined
-from bo_sysid.effects import Filter, Force, Machine, Part
+from bo_sysid.effects import Filter, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.effects.readings import readings
 from bo_sysid.mjcf import Model
@@ -19,6 +19,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
 from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.windows import Layout, Windows
 
 BLOCKS = 20
@@ -274,11 +275,6 @@ def pose(
         engine,
         tuple(laws),
     )
-
-
-def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
-    """Return the forces among `parts` as laws of the simulation."""
-    return tuple(ForceLaw(p.joint, p.law, p.hold) for p in parts if isinstance(p, Force))
 
 
 def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:

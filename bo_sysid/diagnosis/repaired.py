@@ -7,10 +7,11 @@ from types import MappingProxyType
 from typing import Any
 
 import mujoco
+import numpy as np
 import yaml
 
 from bo_sysid.diagnosis.findings import Finding
-from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
@@ -102,14 +103,19 @@ def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
     effects, laws = [], []
     for c, x in zip(hypothesis.members, hypothesis.x, strict=True):
         if c.effect.id == "unknown":
-            names = (k.name for k in c.effect.components)
-            weights = {n: float(w) for n, w in zip(names, x, strict=True) if w}
-            laws.append(LearnedLaw(c.site.name, weights))
+            laws += _learned(model, machine, c, x)
             continue
         remaining = c.effect.write(model.spec(), c.site, c.full(x), machine)
         if any(isinstance(p, Force | Filter | Reading) for p in remaining):
             effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
     return Beside(machine, tuple(effects), tuple(laws))
+
+
+def _learned(model: Model, machine: Machine, c: Candidate, x: np.ndarray) -> list[LearnedLaw]:
+    names = (k.name for k in c.effect.components)
+    weights = {n: float(w) for n, w in zip(names, x, strict=True) if w}
+    forces = c.effect.parts(model.spec(), c.site, c.full(x), machine)
+    return [LearnedLaw(f.joint, weights, f.hold) for f in forces if isinstance(f, Force)]
 
 
 def _scale_step(spec: mujoco.MjSpec, share: float) -> None:

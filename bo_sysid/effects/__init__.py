@@ -28,7 +28,15 @@ from bo_sysid.effects.contract import (
     unit_at,
 )
 from bo_sysid.effects.machine import Machine
-from bo_sysid.effects.registry import CATALOGUE, applicable, chosen, effect, listing, load_effects
+from bo_sysid.effects.registry import (
+    CATALOGUE,
+    applicable,
+    catalogue,
+    chosen,
+    effect,
+    listing,
+    load_effects,
+)
 from bo_sysid.effects.surveying import survey
 
 __all__ = [
@@ -45,6 +53,7 @@ __all__ = [
     "Reading",
     "Site",
     "applicable",
+    "catalogue",
     "chosen",
     "effect",
     "listing",

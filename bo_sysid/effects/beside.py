@@ -5,7 +5,7 @@ their terms; the scales that both refer to are in it. Nothing in it is code.
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Filter, Force, Part, Site
+from bo_sysid.effects.contract import Effect, Filter, Force, Part, Site
 from bo_sysid.effects.learned import features, learned_force
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.effects.readings import readings
@@ -37,10 +37,17 @@ class Placed:
 
 @dataclass(frozen=True)
 class LearnedLaw:
-    """A learned force on a joint: the weight of each term by its name."""
+    """A learned force on a joint.
+
+    Attributes:
+        joint: its name.
+        weights: of each term by its name.
+        hold: time in [s] for which a value may be held, the step at which it was learned.
+    """
 
     joint: str
     weights: Mapping[str, float]
+    hold: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -51,42 +58,54 @@ class Beside:
         machine: the scales that the magnitudes refer to.
         effects: of the catalogue.
         laws: learned forces.
+        source: where this was read from, for messages.
     """
 
     machine: Machine
     effects: tuple[Placed, ...] = ()
     laws: tuple[LearnedLaw, ...] = ()
+    source: str = "beside the model"
 
-    def parts(self, model: Model) -> tuple[Part, ...]:
+    def parts(self, model: Model, effects: Mapping[str, Effect] = CATALOGUE) -> tuple[Part, ...]:
         """Return what is stepped, filtered and read beside a model.
 
-        Raises:
-            ModelError: an effect or a term is not known.
-        """
-        made: list[Part] = []
-        spec = model.spec()  # edits are in the model's file already: this copy is thrown away
-        for e in self.effects:
-            if e.effect not in CATALOGUE:
-                raise ModelError(
-                    f"{model.source}: unknown effect {e.effect!r} beside it; "
-                    f"{nearest(e.effect, CATALOGUE)}"
-                )
-            made += CATALOGUE[e.effect].write(spec, e.site, np.array(e.x), self.machine)
-        for law in self.laws:
-            made.append(self._force(model, law))
-        return tuple(made)
+        Args:
+            model: with the edits in it.
+            effects: all that there are, by id.
 
-    def _force(self, model: Model, law: LearnedLaw) -> Force:
-        terms = {t.name: t for t in features(law.joint, self.machine)}
+        Raises:
+            ModelError: an effect, a site or a term is not known, or magnitudes are missing.
+        """
+        spec = model.spec()  # edits are in the model's file already: this copy is thrown away
+        made = [part for placed in self.effects for part in self._placed(spec, placed, effects)]
+        return (*made, *map(self._force, self.laws))
+
+    def _placed(
+        self, spec: mujoco.MjSpec, placed: Placed, effects: Mapping[str, Effect]
+    ) -> tuple[Part, ...]:
+        effect, site = effects[self._known("effect", placed.effect, effects)], placed.site
+        self._known("kind of site", site.kind, (effect.kind,))
+        self._known(site.kind, site.name, self.machine.names(site.kind))
+        if len(placed.x) != len(effect.components):
+            raise ModelError(
+                f"{self.source}: {effect.id} at {site} has {len(placed.x)} magnitudes; it needs "
+                + ", ".join(c.name for c in effect.components)
+            )
+        return effect.write(spec, site, np.array(placed.x), self.machine)
+
+    def _force(self, law: LearnedLaw) -> Force:
+        joint = self._known("joint", law.joint, self.machine.joints)
+        terms = {t.name: t for t in features(joint, self.machine)}
         for name in law.weights:
-            if name not in terms:
-                raise ModelError(
-                    f"{model.source}: the learned law on {law.joint} has a term {name!r}; "
-                    f"{nearest(name, terms)}"
-                )
+            self._known(f"term of a law on {joint}", name, terms)
         weights = np.array([law.weights.get(n, 0.0) for n in terms])
-        scale = self.machine.joints[law.joint].force
-        return Force(law.joint, learned_force(tuple(terms.values()), weights, scale))
+        scale = self.machine.joints[joint].force
+        return Force(joint, learned_force(tuple(terms.values()), weights, scale), law.hold)
+
+    def _known(self, what: str, name: str, valid: Collection[str]) -> str:
+        if name not in valid:
+            raise ModelError(f"{self.source}: unknown {what} {name!r}; {nearest(name, valid)}")
+        return name
 
     def write(self, path: Path) -> None:
         """Write the file that `read_beside` reads."""
@@ -97,7 +116,9 @@ class Beside:
                 {"effect": e.effect, "kind": e.site.kind, "site": e.site.name, "x": list(e.x)}
                 for e in self.effects
             ],
-            "laws": [{"joint": w.joint, "weights": dict(w.weights)} for w in self.laws],
+            "laws": [
+                {"joint": w.joint, "weights": dict(w.weights), "hold": w.hold} for w in self.laws
+            ],
             "machine": {
                 **{name: {k: asdict(v) for k, v in getattr(m, name).items()} for name in _TABLES},
                 "channels": list(m.channels),
@@ -144,7 +165,11 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
             for e in content["effects"]
         )
         laws = tuple(
-            LearnedLaw(w["joint"], {n: float(v) for n, v in w["weights"].items()})
+            LearnedLaw(
+                w["joint"],
+                {n: float(v) for n, v in w["weights"].items()},
+                float(w.get("hold", 0.0)),
+            )
             for w in content["laws"]
         )
     except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
@@ -152,7 +177,7 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
             f"{path}: is no file of what stands beside a model, as diagnose writes it "
             f"({type(error).__name__}: {error})"
         ) from None
-    return Beside(machine, effects, laws)
+    return Beside(machine, effects, laws, str(path))
 
 
 def _scale(made: Callable[..., Any], told: Mapping[str, Any]) -> Any:

@@ -43,7 +43,7 @@ def effect(id: str, **fields: Any) -> Callable[[Apply], Effect]:
 
     def register(apply: Apply) -> Effect:
         if id in _EFFECTS:
-            raise StudyError(f"effect {id!r} is registered twice; choose another id")
+            raise StudyError(_twice(id))
         _EFFECTS[id] = Effect(id=id, apply=apply, **fields)
         return _EFFECTS[id]
 
@@ -53,49 +53,69 @@ def effect(id: str, **fields: Any) -> Callable[[Apply], Effect]:
 def load_effects(path: Path) -> tuple[Effect, ...]:
     """Run a user's file of effects and return those that it registers.
 
-    Loading a file twice registers its effects anew.
+    They are the caller's: the registry is left as it was, so that no other study gets them.
 
     Raises:
-        StudyError: the file cannot be read, fails, or registers nothing.
+        StudyError: the file cannot be read, fails, registers nothing or an effect that exists.
     """
     before = dict(_EFFECTS)
-    for id in [i for i, e in before.items() if _file_of(e) == path.resolve()]:
-        del _EFFECTS[id]
-    kept = set(_EFFECTS)
     try:
         spec = importlib.util.spec_from_file_location(f"bo_sysid_effects_{path.stem}", path)
         if spec is None or spec.loader is None:
-            raise StudyError(f"{path}: effect_files must be Python files (.py)")
+            raise StudyError("effect_files must be Python files (.py)")
         spec.loader.exec_module(importlib.util.module_from_spec(spec))
-    except Exception as error:
+        made = tuple(e for id, e in _EFFECTS.items() if id not in before)
+    except StudyError as error:
+        raise StudyError(f"{path}: {error}") from error
+    except Exception as error:  # whatever it is, it is for the file's author
+        raise StudyError(f"{path}: {type(error).__name__}: {error}") from error
+    finally:
         _EFFECTS.clear()
         _EFFECTS.update(before)
-        if isinstance(error, StudyError):
-            raise
-        raise StudyError(f"{path}: {type(error).__name__}: {error}") from error
-    made = tuple(e for i, e in _EFFECTS.items() if i not in kept)
     if not made:
         raise StudyError(f"{path}: registers no effect; use the decorator bo_sysid.effects.effect")
     return made
 
 
+def catalogue(files: Iterable[Path] = ()) -> Mapping[str, Effect]:
+    """Return the effects by id: those of the registry, and those of a study's files.
+
+    Raises:
+        StudyError: a file cannot be loaded, or two register the same effect.
+    """
+    found = dict(_EFFECTS)
+    for path in files:
+        for made in load_effects(path):
+            if made.id in found:
+                raise StudyError(f"{path}: {_twice(made.id)}")
+            found[made.id] = made
+    return MappingProxyType(found)
+
+
+def _twice(id: str) -> str:
+    return f"effect {id!r} is registered twice; choose another id"
+
+
 def chosen(
-    include: str | list[str] | tuple[str, ...], exclude: tuple[str, ...] = ()
+    effects: Mapping[str, Effect],
+    include: str | list[str] | tuple[str, ...] = "all",
+    exclude: tuple[str, ...] = (),
 ) -> tuple[Effect, ...]:
     """Return the effects that a study asks for.
 
     Args:
+        effects: all that there are, by id.
         include: "all" or ids.
         exclude: ids.
 
     Raises:
         StudyError: an id is unknown.
     """
-    wanted = list(_EFFECTS) if include == "all" else list(include)
+    wanted = list(effects) if include == "all" else list(include)
     for id in [*wanted, *exclude]:
-        if id not in _EFFECTS:
-            raise StudyError(f"diagnosis.effects: unknown effect {id!r}; {nearest(id, _EFFECTS)}")
-    return tuple(_EFFECTS[i] for i in wanted if i not in exclude)
+        if id not in effects:
+            raise StudyError(f"diagnosis.effects: unknown effect {id!r}; {nearest(id, effects)}")
+    return tuple(effects[i] for i in wanted if i not in exclude)
 
 
 def listing(effects: Iterable[Effect]) -> pd.DataFrame:

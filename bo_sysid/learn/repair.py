@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bo_sysid.effects import CATALOGUE
 from bo_sysid.errors import UserError
 from bo_sysid.execution import Report
 from bo_sysid.learn.scene import Scene
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import study_effects
 
 MOST = 2
 """Most diagnoses in a loop."""
@@ -46,7 +46,8 @@ def repaired(
     folder = run.path(f"diagnosis-{number:02d}")
     data = scene.study.resolved(relative_to=folder)
     data["recordings"] = _relocated(training, run, folder)
-    further = [e.id for e in CATALOGUE.values() if e.hidden]  # joints that no policy could observe
+    effects = study_effects(scene.study).values()
+    further = [e.id for e in effects if e.hidden]  # joints that no policy could observe
     asked = data.get("diagnosis", {})
     data["diagnosis"] = {**asked, "exclude": sorted({*asked.get("exclude", ()), *further})}
     trusted = bool(scene.study.code)

@@ -1,6 +1,7 @@
 """Compile a spec, with MuJoCo's complaints turned into messages for the user."""
 
 import warnings
+from math import ceil
 
 import mujoco
 import numpy as np
@@ -69,6 +70,24 @@ def refit_keyframes(spec: mujoco.MjSpec, before: mujoco.MjModel, source: str) ->
                     (i, n), (k, _) = old[field][name], new[field][name]
                     full[k : k + n] = value[i : i + n]
             setattr(key, field, full.tolist())
+
+
+def keep_delays(spec: mujoco.MjSpec, before: float) -> None:
+    """Give actuators and sensors that are delayed buffers that last as long at a finer time step.
+
+    MuJoCo holds `nsample` values, one for each step, and answers a question about earlier ones with
+    the oldest: without this a delay shrinks with the step.
+
+    Args:
+        spec: the changed spec.
+        before: the time step for which its buffers were made, in [s].
+    """
+    step = spec.option.timestep
+    if not step < before:
+        return
+    for element in (*spec.actuators, *spec.sensors):
+        if element.delay > 0 and element.nsample > 0:
+            element.nsample = max(element.nsample, ceil(element.delay / step) + 1)
 
 
 _KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")

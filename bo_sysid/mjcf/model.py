@@ -10,7 +10,7 @@ import mujoco
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import sources
-from bo_sysid.mjcf.compiling import compile_spec, coordinates, refit_keyframes
+from bo_sysid.mjcf.compiling import compile_spec, coordinates, keep_delays, refit_keyframes
 from bo_sysid.mjcf.export import write_mjcf
 from bo_sysid.mjcf.inertia import release_total_mass, same_inertia
 from bo_sysid.mjcf.strip import stripped
@@ -283,12 +283,14 @@ class Model:
     def _apply(
         self, spec: mujoco.MjSpec, edits: Sequence[Edit], timestep: float | None
     ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+        written = spec.option.timestep
         for edit in edits:
             edit(spec)
         if timestep is not None:
             if not timestep > 0:
                 raise ModelError(f"{self.source}: timestep {timestep:g} s must be above 0")
             spec.option.timestep = timestep
+        keep_delays(spec, written)
         if spec.keys and self._changes_coordinates(spec):
             refit_keyframes(spec, self._forms.model, self.source)
         done = "; ".join(str(edit) for edit in edits if hasattr(edit, "moves_mass"))

@@ -5,21 +5,22 @@ which the catalogue edits in, are stepped as force laws here, so that a plant do
 the code that looks for them; so are the forces that MJCF cannot say.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from bo_sysid.effects import CATALOGUE, Effect, Force, Machine, Part, Site, load_effects, survey
+from bo_sysid.effects import Effect, Force, Machine, Part, Site, survey
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.plant import Plant
-from bo_sysid.simulation.lockstep import ForceLaw
+from bo_sysid.simulation.lockstep import ForceLaw, force_laws
 from bo_sysid.simulation.of_study import recorded_input
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import study_effects
 
 STEPPED = ("joint_spring", "constant_force", "cogging")
 _SURVEY = 2.0  # [s] of motion that says how large the machine's forces and speeds are
@@ -48,10 +49,8 @@ def realised(study: Study, model: Model) -> Realised:
     asked = study.plant.effects if study.plant else ()
     if not asked:
         return Realised()
-    for file in study.diagnosis.effect_files:
-        load_effects(study.file(file, ("diagnosis", "effect_files")))
-    machine = survey(model.compile(), [_motion(model)])
-    made = [_one(study, model, machine, i) for i in range(len(asked))]
+    machine, effects = survey(model.compile(), [_motion(model)]), study_effects(study)
+    made = [_one(study, model, machine, effects, i) for i in range(len(asked))]
     return Realised(
         tuple(edit for one in made for edit in one.edits),
         tuple(law for one in made for law in one.laws),
@@ -68,15 +67,17 @@ def _motion(model: Model) -> Any:
     return plant.record(controls)
 
 
-def _one(study: Study, model: Model, machine: Machine, number: int) -> Realised:
+def _one(
+    study: Study, model: Model, machine: Machine, effects: Mapping[str, Effect], number: int
+) -> Realised:
     assert study.plant is not None  # noqa: S101 - the caller looked
     asked = study.plant.effects[number]
     key = ("plant", "effects", number)
-    if asked.effect not in CATALOGUE:
+    if asked.effect not in effects:
         raise study.error(
-            (*key, "effect"), f"unknown effect {asked.effect!r}; {nearest(asked.effect, CATALOGUE)}"
+            (*key, "effect"), f"unknown effect {asked.effect!r}; {nearest(asked.effect, effects)}"
         )
-    effect = CATALOGUE[asked.effect]
+    effect = effects[asked.effect]
     if asked.kind != effect.kind:
         raise study.error((*key, "kind"), f"{effect.id} acts on a {effect.kind}, not {asked.kind}")
     site = Site(effect.kind, asked.site or "world")
@@ -131,12 +132,12 @@ def realise(model: Model, effect: Effect, site: Site, x: np.ndarray, machine: Ma
 
     remaining = effect.write(model.spec(), site, x, machine)
     _require_same_coordinates(effect, model, edit)
-    laws = tuple(_laws(effect, remaining))
+    laws = _laws(effect, remaining)
     _require_no_inputs(effect, model, laws)
     return Realised((edit,), laws)
 
 
-def _laws(effect: Effect, parts: Sequence[Part]) -> list[ForceLaw]:
+def _laws(effect: Effect, parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
     other = [p for p in parts if not isinstance(p, Force)]
     if other:
         what = type(other[0]).__name__.lower()
@@ -144,7 +145,7 @@ def _laws(effect: Effect, parts: Sequence[Part]) -> list[ForceLaw]:
             f"{effect.id} is a {what} of recorded data, which a plant that acts on its own cannot "
             "have; choose an effect that is MJCF or a force (bo-sysid effects lists them)"
         )
-    return [ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force)]
+    return force_laws(parts)
 
 
 def _require_no_inputs(effect: Effect, model: Model, laws: Sequence[ForceLaw]) -> None:

@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.effects.contract import Force, Part
+
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 Signal = Float[np.ndarray, " W"]
@@ -70,6 +72,11 @@ class ForceLaw:
     joint: str
     law: Law
     hold: float = 0.0
+
+
+def force_laws(parts: Sequence[Part]) -> tuple[ForceLaw, ...]:
+    """Return the forces among `parts` as laws of the simulation."""
+    return tuple(ForceLaw(p.joint, p.law, p.hold) for p in parts if isinstance(p, Force))
 
 
 def steps_held(laws: Sequence[Controller | ForceLaw], timestep: float) -> int:

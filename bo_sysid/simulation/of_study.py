@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bo_sysid.effects import Force
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.effects.machine import recorded_inputs
 from bo_sysid.errors import UserError, nearest
@@ -22,6 +21,7 @@ from bo_sysid.simulation.lockstep import (
     LawInputs,
     LockStep,
     Signal,
+    force_laws,
 )
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.simulator import MujocoSimulator
@@ -47,8 +47,7 @@ def study_laws(study: Study, model: Model) -> tuple[Controller | ForceLaw, ...]:
             near = nearest(name, model.actuators)
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
     laws = [Controller(name, study_law(study, name)) for name in study.actuators]
-    forces = [p for p in load_parts(study, model) if isinstance(p, Force)]
-    return (*laws, *(ForceLaw(p.joint, p.law) for p in forces))
+    return (*laws, *force_laws(load_parts(study, model)))
 
 
 def study_law(study: Study, actuator: str) -> Law:

@@ -5,12 +5,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from bo_sysid.effects import Filter, Force
+from bo_sysid.effects import Filter
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel
-from bo_sysid.simulation.lockstep import ForceLaw, LockStep
+from bo_sysid.simulation.lockstep import LockStep, force_laws
 
 _MEMORY = 2.0  # [s] of commands that filters look back on
 
@@ -36,7 +36,7 @@ class Stepper:
         self.model: mujoco.MjModel = source.compile()
         self.data = mujoco.MjData(self.model)
         self._filters = [p for p in parts if isinstance(p, Filter)]
-        self._laws = tuple(ForceLaw(p.joint, p.law) for p in parts if isinstance(p, Force))
+        self._laws = force_laws(parts)
         self._time: list[float] = []
         self._past: list[np.ndarray] = []
         self._lockstep: LockStep | None = None

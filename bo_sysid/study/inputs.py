@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from bo_sysid.effects import Part, load_effects
+from bo_sysid.effects import Effect, Part, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
@@ -54,11 +54,19 @@ def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
     """
     if not study.model.beside:
         return ()
-    for file in study.diagnosis.effect_files:
-        load_effects(study.file(file, ("diagnosis", "effect_files")))
-    compiled = model.compile()
+    compiled, effects = model.compile(), study_effects(study)
     files = (study.file(f, ("model", "beside")) for f in study.model.beside)
-    return tuple(part for f in files for part in read_beside(f, compiled).parts(model))
+    return tuple(part for f in files for part in read_beside(f, compiled).parts(model, effects))
+
+
+def study_effects(study: Study) -> Mapping[str, Effect]:
+    """Return the effects that a study can name: the catalogue and those of its own files.
+
+    Raises:
+        StudyError: one of its files cannot be loaded.
+    """
+    key = ("diagnosis", "effect_files")
+    return catalogue(study.file(f, key) for f in study.diagnosis.effect_files)
 
 
 def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
