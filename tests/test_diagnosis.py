@@ -79,7 +79,30 @@ def test_the_repaired_study_is_a_study_with_the_finding_as_parameter(diagnosed) 
     assert study.train_files
 
 
-def test_the_answer_was_hashed_before_the_holdout_was_read(diagnosed) -> None:
+def test_the_answer_is_hashed_before_the_holdout_is_read(tmp_path: Path, monkeypatch) -> None:
+    """Reading the hold-out finds the answer written with its hash, and nothing about errors."""
+    study, seen = write_study(tmp_path, FRICTION), []
+
+    def reading(*_, **__):
+        seen.append(json.loads((tmp_path / "run" / "answer.json").read_text()))
+        assert not (tmp_path / "run" / "diagnosis.json").exists()
+        raise UserError("stop here")
+
+    monkeypatch.setattr(sys.modules["bo_sysid.diagnosis.diagnose"], "load_holdout", reading)
+    with (
+        pytest.raises(UserError, match="stop here"),
+        Run.open(tmp_path / "run", study.resolved(tmp_path / "run"), "diagnose") as run,
+    ):
+        diagnose(study, run)
+    (answer,) = seen
+    sha256 = answer.pop("sha256")
+    text = json.dumps(answer, sort_keys=True, separators=(",", ":"))
+    assert sha256 == hashlib.sha256(text.encode()).hexdigest()
+    assert "holdout" not in answer
+    assert [f["effect"] for f in answer["findings"]] == ["dry_friction"]
+
+
+def test_the_hash_is_that_of_the_answer(diagnosed) -> None:
     result, folder = diagnosed
     content = json.loads((folder / "diagnosis.json").read_text())
     answer = {k: v for k, v in content.items() if k not in ("holdout", "sha256")}

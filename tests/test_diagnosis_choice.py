@@ -259,6 +259,24 @@ def test_names_that_leave_much_are_hints(friction) -> None:
 
 
 @pytest.mark.parametrize("late", [0.4e-3, 3e-3])
+def test_however_many_sets_are_open_something_unheard_of_is_one_of_the_alternatives(
+    friction,
+) -> None:
+    fits = {f.key: f for f in friction.search.fits.values()}
+    best = friction.decision.best
+    others = [f for f in fits.values() if f.key != best.key]
+    assert len(others) > 4
+    even = np.full(len(others) + 1, 1 / (len(others) + 1))
+    decision = replace(friction.decision, fits=(best, *others), probability=even)
+    answer = make_answer(decision, explain(friction), friction.prepared.problem.machine)
+    told = [a["probability"] for a in answer.alternatives]
+    unheard = [a for a in answer.alternatives if a["findings"][0:1] and
+               a["findings"][0]["effect"] == "unknown"]  # fmt: skip
+    assert len(unheard) == 1
+    assert told == sorted(told, reverse=True)
+    assert answer.findings[0].probability + sum(told) == pytest.approx(1.0)
+
+
 def test_a_delay_is_named_and_nothing_else_is_flagged(late: float) -> None:
     recorded = record(duration=4.0, seed=3)
     shown = recorded.channels["qpos.elbow"]

@@ -1,5 +1,7 @@
 """Hypotheses as edits and parts."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,10 +10,24 @@ from effect_machines import case
 
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
-from bo_sysid.diagnosis.repaired import MODEL, write_model
+from bo_sysid.diagnosis.repaired import BESIDE, MODEL, MODULE, write_model
 from bo_sysid.diagnosis.timestep import coarsened, finer_step
-from bo_sysid.effects import CATALOGUE, Force, Reading
-from bo_sysid.errors import ModelError
+from bo_sysid.effects import CATALOGUE, Extent, Force, Reading
+from bo_sysid.errors import ModelError, StudyError
+
+
+def test_an_effect_whose_extent_is_wrong_is_named_with_its_site() -> None:
+    own = CATALOGUE["viscous_damping"]
+    c = case("cheetah")
+
+    def fails(site, machine):
+        raise KeyError("scale")
+
+    with pytest.raises(StudyError, match=r"'viscous_damping' at \w+: its extent fails: KeyError"):
+        candidates([replace(own, extent=fails)], c.machine)
+    two = Extent((1.0, 1.0), (0.0, 0.0), (2.0, 2.0))
+    with pytest.raises(StudyError, match=r"has 2 numbers; it needs one for each component"):
+        candidates([replace(own, extent=lambda site, machine: two)], c.machine)
 
 
 def test_each_part_comes_once_however_often_a_model_is_edited() -> None:
@@ -57,6 +73,19 @@ def test_the_repaired_model_has_the_step_at_which_it_was_fitted(
     write_model(arm(), machine, Hypothesis(numerics=numerics), tmp_path, timestep=own / halved)
     written = mujoco.MjModel.from_xml_path(str(tmp_path / MODEL))
     assert written.opt.timestep == pytest.approx(own / division)
+
+
+def test_what_an_earlier_diagnosis_left_beside_the_model_is_gone(tmp_path) -> None:
+    _, machine = posed(record(duration=2.0))
+    zone = next(c for c in candidates([CATALOGUE["actuator_deadzone"]], machine))
+    step = machine.model.opt.timestep
+    own = replace(Hypothesis(), members=(zone,), x=(zone.probe,))
+    written = write_model(arm(), machine, own, tmp_path, timestep=step)
+    assert written.beside
+    assert {BESIDE, MODULE} <= {p.name for p in tmp_path.iterdir()}
+    written = write_model(arm(), machine, Hypothesis(), tmp_path, timestep=step)
+    assert not written.beside
+    assert {p.name for p in tmp_path.iterdir()} == {MODEL}
 
 
 @pytest.mark.parametrize(

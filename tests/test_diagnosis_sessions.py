@@ -37,6 +37,17 @@ def test_the_interval_holds_what_recordings_differ_by() -> None:
     assert np.sqrt(fit.covariance[0, 0]) < expected
 
 
+def test_each_recording_has_its_own_magnitude() -> None:
+    problem, fit = fitted((LOW, HIGH))
+    table = by_recording(problem, fit).table
+    assert list(table["effect"]) == ["viscous_damping"] * 2
+    assert list(table["unit"]) == ["N m s/rad"] * 2
+    np.testing.assert_allclose(table["value"], [LOW, HIGH], rtol=0.05)
+    half = 0.5 * (table["high"] - table["low"])
+    assert (abs(table["value"] - [LOW, HIGH]) < 2 * half).all()  # four standard deviations
+    assert (half < 0.05 * table["value"]).all()
+
+
 def test_the_interval_holds_what_stretches_end_at() -> None:
     problem, fit = fitted((LOW, HIGH))
     ends = [fit.x[0][0], LOW, LOW, HIGH, HIGH]

@@ -1,5 +1,6 @@
 """Effects against their formulas at one instant; the registry."""
 
+import dataclasses
 from pathlib import Path
 
 import mujoco
@@ -16,6 +17,7 @@ from bo_sysid.effects import (
     applicable,
     catalogue,
     chosen,
+    effect,
     load_effects,
     survey,
 )
@@ -215,8 +217,8 @@ def test_a_channel_that_only_some_recordings_have_is_no_site(arm) -> None:
     ]
     machine = survey(arm.compile(), both)
     assert machine.channels == ("qpos.shoulder", "qpos.elbow")
-    for effect in CATALOGUE.values():
-        assert "qvel.elbow" not in {s.name for s in applicable(effect, machine)}
+    for own in CATALOGUE.values():
+        assert "qvel.elbow" not in {s.name for s in applicable(own, machine)}
 
 
 def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
@@ -237,6 +239,23 @@ def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
     file.write_text("x = 1")
     with pytest.raises(StudyError, match="registers no effect"):
         load_effects(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"kind": "jiont"}, r"unknown kind of site 'jiont'; did you mean 'joint'"),
+        ({"shapes": 1}, r"shapes is 1 of 1 components"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_refused_when_it_is_registered(change, said) -> None:
+    own = CATALOGUE["dry_friction"]
+    fields = {f.name: getattr(own, f.name) for f in dataclasses.fields(own)}
+    fields = {n: v for n, v in fields.items() if n not in ("id", "apply")}
+    fields |= {"components": own.components[:1], "shapes": 0, **change}
+    with pytest.raises(StudyError, match=said):
+        effect("of_my_own", **fields)(own.apply)
+    assert "of_my_own" not in CATALOGUE
 
 
 def test_unknown_effects_are_named_with_the_nearest() -> None:

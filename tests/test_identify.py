@@ -1,5 +1,6 @@
 """The search and the identification, against functions and machines whose answer is known."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -318,3 +319,23 @@ def test_another_law_or_input_is_another_problem(tmp_path: Path) -> None:
     assert fingerprint(0.0, 0.0, 0.0) == first
     others = [fingerprint(1.0, 0.0, 0.0), fingerprint(0.0, 1.0, 0.0), fingerprint(0.0, 0.0, 0.01)]
     assert len({first, *others}) == 4
+
+
+def test_another_mesh_of_the_same_name_is_another_problem(tmp_path: Path) -> None:
+    study = cart_study(tmp_path, samples=60)
+    mesh = '<asset><mesh name="hull" file="hull.obj"/></asset><worldbody>'
+    xml = CART.replace("<worldbody>", mesh, 1)
+    xml = xml.replace("</body>", '<geom type="mesh" mesh="hull" mass="0.1"/></body>', 1)
+    (tmp_path / "cart.xml").write_text(xml)
+
+    def fingerprint(width: float) -> str:
+        corners = [(0, 0, 0), (width, 0, 0), (0, 1, 0), (0, 0, 1)]
+        faces = ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
+        lines = [f"v {x} {y} {z}" for x, y, z in corners] + faces
+        (tmp_path / "hull.obj").write_text("\n".join(lines))
+        os.utime(tmp_path / "hull.obj", (0, 100 * width))  # MuJoCo keeps meshes by file and time
+        return make_problem(study, threads=1).fingerprint
+
+    first = fingerprint(1.0)
+    assert fingerprint(1.0) == first
+    assert fingerprint(1.1) != first

@@ -19,9 +19,10 @@ from bo_sysid.runs import plain
 
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
-_ALTERNATIVES = 5
+_LISTED = 0.005  # probability from which another set is an alternative
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
+_STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
 
 
@@ -116,15 +117,14 @@ def make_answer(
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)
-        if f.key != kept.key
+        if f.key != kept.key and p >= _LISTED
     ]
-    stranger = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
-    alternatives.append({"findings": [stranger], "probability": none_of_these})
+    alternatives.append({"findings": [_STRANGER], "probability": none_of_these})
     alternatives.sort(key=lambda a: -a["probability"])
     return Answer(
         verdict({c.effect.family for c in kept.members}, outcome.unexplained),
         found,
-        tuple(alternatives[:_ALTERNATIVES]),
+        tuple(alternatives),
         _located(kept, outcome.unexplained),
         outcome.unexplained,
         experiment,

@@ -17,7 +17,7 @@ from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Evaluation
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.identify.search import History, Rules, search
@@ -139,12 +139,10 @@ def _grid(width: int) -> list[tuple[float, ...]]:
 
 def _at(fit: Fit, steps: Float[np.ndarray, " k"]) -> Hypothesis:
     """Return the hypothesis of a fit with its magnitudes so many deviations away, within bounds."""
-    x, first = [], 0
-    for c, value in zip(fit.members, fit.x, strict=True):
-        own = slice(first, first + len(value))
+    x = []
+    for c, value, own in zip(fit.members, fit.x, slices_of(fit.members), strict=True):
         variance = np.diag(fit.covariance)[own] + (_RELATIVE * value) ** 2
         x.append(np.clip(value + np.sqrt(variance) * steps[own], c.low, c.high))
-        first += len(value)
     return replace(fit.hypothesis, x=tuple(x))
 
 

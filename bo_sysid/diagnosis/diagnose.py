@@ -215,11 +215,13 @@ def _repair(
     written = write_model(
         evidence.model, evidence.machine, outcome.repaired, folder, timestep=outcome.timestep
     )
-    text = study_text(study, answer.findings, run.folder, written.unrecorded)
+    text = study_text(study, answer.findings, run.folder, written)
     run.write_text(STUDY, text)
-    if answer.next_experiment is not None and answer.next_experiment.controls is not None:
-        text = answer.next_experiment.controls.to_csv(index=False)
-        run.write_text(EXPERIMENT, text)
+    controls = answer.next_experiment.controls if answer.next_experiment else None
+    if controls is not None:
+        run.write_text(EXPERIMENT, controls.to_csv(index=False))
+    else:  # that of an earlier diagnosis in the same folder is none of this one's
+        run.path(EXPERIMENT).unlink(missing_ok=True)
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
     return (
         *(

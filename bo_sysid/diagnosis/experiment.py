@@ -21,7 +21,7 @@ from bo_sysid.diagnosis.problem import Problem, Simulated, pose
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.diagnosis.windowing import prepare
-from bo_sysid.errors import UserError
+from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.excite.limits import Limits
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Trajectory
@@ -114,15 +114,18 @@ def _most_telling(
     found: tuple[float, str, np.ndarray | None] = (0.0, "", None)
     try:
         limits = Limits.of(problem.model, stated)
-        for name, controls in _motions(problem):
+    except StudyError:  # limits are known of hinges and slides only: words must do
+        return found
+    for name, controls in _motions(problem):
+        try:
             told = _kept(problem, best, limits, stated, controls)
             if told is None:
                 continue
             separation = min(_separation(problem, r, told[1]) for r in rivals)
-            if separation > found[0]:
-                found = (separation, name, told[0])
-    except UserError:  # limits are known of hinges and slides only: words must do
-        return found
+        except ModelError:  # a rival diverges: no number says by how much they differ
+            continue
+        if separation > found[0]:
+            found = (separation, name, told[0])
     return found
 
 

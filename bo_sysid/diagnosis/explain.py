@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.law import learn, terms_of
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
@@ -261,10 +261,8 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
 
 def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
     """Return for each member whether the recordings agree that it is there."""
-    found, first = [], 0
-    for c, x in zip(fit.members, fit.x, strict=True):
-        own = slice(first, first + c.size)
-        first += c.size
+    found = []
+    for c, x, own in zip(fit.members, fit.x, slices_of(fit.members), strict=True):
         widened = np.diag(sessions.covariance)[own] > np.diag(fit.covariance)[own]
         distance = x @ np.linalg.pinv(sessions.covariance[own, own], hermitian=True) @ x
         found.append(bool(not widened.any() or distance > chi2.ppf(0.95, c.size)))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
 from bo_sysid.effects import Machine, Site, unit_at
 
 _SHORT = 3  # letters of a name that needs its kind beside it
@@ -84,6 +84,15 @@ class Finding:
         }
 
 
+def quantities(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
+    """Return the value of each member of a fit as it is reported."""
+    slices = slices_of(fit.members)
+    return tuple(
+        _value(c, x, fit.covariance[own, own], machine)
+        for c, x, own in zip(fit.members, fit.x, slices, strict=True)
+    )
+
+
 def findings(
     fit: Fit,
     machine: Machine,
@@ -91,12 +100,12 @@ def findings(
     equivalents: tuple[tuple[Mapping[str, object], ...], ...],
 ) -> tuple[Finding, ...]:
     """Return the findings of a fit."""
-    found, first = [], 0
+    found, slices = [], slices_of(fit.members)
     unsure = fit.spread or tuple(np.zeros(len(c.shapes)) for c in fit.members)
-    for candidate, x, label, spread in zip(fit.members, fit.x, fit.groups, unsure, strict=True):
-        own = slice(first, first + candidate.size)
-        first += candidate.size
-        quantity = _value(candidate, x, fit.covariance[own, own], machine)
+    terms = zip(
+        fit.members, fit.x, quantities(fit, machine), fit.groups, unsure, slices, strict=True
+    )
+    for candidate, x, quantity, label, spread, own in terms:
         before = candidate.effect.nominal(candidate.site, machine)
         found.append(
             Finding(

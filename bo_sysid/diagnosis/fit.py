@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
@@ -89,12 +89,8 @@ class Fit:
 
         It is nothing where more of it would do no more, as of a friction that holds a joint.
         """
-        found, first = [], 0
-        for x in self.x:
-            own = self.jacobian[..., first : first + len(x)] @ x
-            first += len(x)
-            found.append(float(np.sqrt(np.mean(own**2))))
-        return tuple(found)
+        own = zip(slices_of(self.members), self.x, strict=True)
+        return tuple(float(np.sqrt(np.mean((self.jacobian[..., s] @ x) ** 2))) for s, x in own)
 
     @property
     def excess(self) -> float:
@@ -209,11 +205,11 @@ def _widths(hypothesis: Hypothesis, p: int) -> Float[np.ndarray, " p"]:
 def _room(hypothesis: Hypothesis, p: int) -> tuple[np.ndarray, np.ndarray]:
     """Return how far each of `p` columns may move down and up: within bounds but for members."""
     low, high = np.full(p, -np.inf), np.full(p, np.inf)
-    first = sum(c.size for c in hypothesis.members)
-    for c, x in zip(hypothesis.nuisances, hypothesis.nuisance_x, strict=True):
-        own = slice(first, first + c.size)
+    known, slices = len(hypothesis.members), hypothesis.slices
+    parameters = zip(hypothesis.nuisances, hypothesis.nuisance_x, slices[known:], strict=True)
+    for c, x, own in parameters:
         low[own], high[own] = np.minimum(c.low - x, 0.0), np.maximum(c.high - x, 0.0)
-        first += c.size
+    first = slices[-1].stop if slices else 0  # of the finer step
     low[first:] = min(SHARE_BOUNDS[0] - hypothesis.numerics, 0.0)
     high[first:] = max(SHARE_BOUNDS[1] - hypothesis.numerics, 0.0)
     return low, high
@@ -226,18 +222,17 @@ def _unique(
     room: tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]],
     dof: int,
 ) -> tuple[float, ...]:
-    sizes, first = [], 0
-    for candidate, x in zip(hypothesis.members, hypothesis.x, strict=True):
+    sizes, slices = [], slices_of(hypothesis.members)
+    for candidate, x, at in zip(hypothesis.members, hypothesis.x, slices, strict=True):
         # an effect that contains a simpler one must be needed beyond it
         own = 1 if candidate.effect.nested else candidate.size
-        a = np.arange(first, first + own)
+        a = np.arange(at.start, at.start + own)
         rest = np.setdiff1d(np.arange(len(G)), a)
         z = x[:own] * scale[a]
         N, c = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), G[np.ix_(rest, a)] @ z
         y = _nearest(N, c, (room[0][rest], room[1][rest]))
         left = z @ G[np.ix_(a, a)] @ z - 2 * y @ c + y @ N @ y
         sizes.append(float(np.sqrt(max(left, 0.0) / dof)))
-        first += candidate.size
     return tuple(sizes)
 
 

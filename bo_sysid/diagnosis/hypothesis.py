@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable
+from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable, extent_at
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.mjcf import Edit, Model, address_edit
 from bo_sysid.mjcf.address import Address
@@ -139,10 +140,21 @@ class Hypothesis:
         return replace(self, members=tuple(c for c, _ in pairs), x=tuple(x for _, x in pairs))
 
     @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where each member, then each parameter, stands in a vector of all magnitudes."""
+        return slices_of((*self.members, *self.nuisances))
+
+    @property
     def terms(self) -> tuple[tuple[Candidate, Float[np.ndarray, " _"]], ...]:
         """Candidates with magnitudes, parameters first: their edits set what effects change."""
         pairs = zip((*self.nuisances, *self.members), (*self.nuisance_x, *self.x), strict=True)
         return tuple(pairs)
+
+
+def slices_of(held: Sequence[Candidate]) -> tuple[slice, ...]:
+    """Return where each candidate stands in a vector of the magnitudes of all."""
+    ends = list(accumulate((c.size for c in held), initial=0))
+    return tuple(map(slice, ends[:-1], ends[1:]))
 
 
 def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, ...]:
@@ -152,7 +164,7 @@ def candidates(effects: Sequence[Effect], machine: Machine) -> tuple[Candidate, 
         if effect.family == "learned":
             continue
         for site in applicable(effect, machine):
-            extent = effect.extent(site, machine)
+            extent = extent_at(effect, site, machine)
             assert extent is not None  # noqa: S101 - applicable
             for point in extent.grid or (extent.probe,):
                 found.append(Candidate(effect, site, extent, np.array(point, float)))

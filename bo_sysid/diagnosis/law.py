@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.left_out import LeftOut
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem
@@ -130,10 +130,10 @@ def _step(
     penalty = np.full(A.shape[-1], _NAMED)
     penalty[: len(terms)] = held.gain(of_law, of_named, _NAMED)[1]
     found = np.linalg.solve(held.G.sum(axis=0) + np.diag(penalty), held.b.sum(axis=0)) / scale
-    steps = np.split(found[len(terms) :], np.cumsum([c.size for c in named])[:-1])
+    steps = found[len(terms) :]
     x = [
-        np.clip(z + d, c.low, c.high)
-        for c, z, d in zip(named, hypothesis.x[:-1], steps if named else (), strict=True)
+        np.clip(z + steps[own], c.low, c.high)
+        for c, z, own in zip(named, hypothesis.x[:-1], slices_of(named), strict=True)
     ]
     return replace(hypothesis, x=(*x, found[: len(terms)]))
 

@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.timestep import shares
 
 _WINDOWS = 24  # of the training recordings
@@ -87,7 +87,7 @@ class PredictionError:
 def _displaced(hypothesis: Hypothesis, u: Float[np.ndarray, " m"]) -> Hypothesis:
     """Return a hypothesis whose magnitudes lie a share of their reach away, in -1 to 1 each."""
     held = (*hypothesis.nuisances, *hypothesis.members)
-    parts = np.split(u, np.cumsum([c.size for c in held])[:-1])
+    parts = [u[own] for own in slices_of(held)]
     moved = []
     for k, ((c, x), part) in enumerate(zip(hypothesis.terms, parts, strict=True)):
         parameter = k < len(hypothesis.nuisances)

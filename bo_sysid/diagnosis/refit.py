@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, assess
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
@@ -80,13 +80,10 @@ class _Space:
 
     def hypothesis(self, theta: Float[np.ndarray, " p"]) -> Hypothesis:
         held = (*self.members, *self.nuisances)
-        ends = np.cumsum([c.size for c in held]).astype(int)
-        parts = np.split(theta, ends)
+        parts = tuple(theta[own] for own in slices_of(held))
         k = len(self.members)
         numerics = float(theta[-1]) if self.numerics else 0.0
-        return Hypothesis(
-            self.members, tuple(parts[:k]), self.nuisances, tuple(parts[k : len(held)]), numerics
-        )
+        return Hypothesis(self.members, parts[:k], self.nuisances, parts[k:], numerics)
 
 
 def refit(

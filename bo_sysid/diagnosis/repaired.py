@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import mujoco
@@ -17,6 +16,7 @@ from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
 from bo_sysid.effects.friction import BEND
 from bo_sysid.mjcf import Model
+from bo_sysid.runs import atomic
 from bo_sysid.study import Study
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
@@ -71,7 +71,11 @@ def write_model(
     if words:
         beside.write(folder / BESIDE)
         text = _MODULE.format(words="\n".join(f"- {w}" for w in words), model=MODEL, beside=BESIDE)
-        (folder / MODULE).write_text(text, encoding="utf-8")
+        with atomic(folder / MODULE) as unfinished:
+            unfinished.write_text(text, encoding="utf-8")
+    else:  # those of an earlier diagnosis in the same folder say what is no longer so
+        for name in (BESIDE, MODULE):
+            (folder / name).unlink(missing_ok=True)
     added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
     return Written(words, added)
 
@@ -126,7 +130,7 @@ def study_text(
     study: Study,
     found: Sequence[Finding],
     folder: Path,
-    unrecorded: Mapping[str, str | None] = MappingProxyType({}),
+    written: Written,
 ) -> str:
     """Return the study that goes on with the repaired model: findings become parameters.
 
@@ -136,11 +140,11 @@ def study_text(
     data: dict[str, Any] = study.resolved(relative_to=folder)
     data["name"] = f"{study.name}, repaired"
     beside = list(data["model"].get("beside", ()))
-    if (folder / BESIDE).is_file():
+    if written.beside:
         beside.append(BESIDE)
     data["model"] = {"file": MODEL, **({"beside": beside} if beside else {})}
-    if unrecorded or study.model.unrecorded:
-        data["model"]["unrecorded"] = {**study.model.unrecorded, **unrecorded}
+    if written.unrecorded or study.model.unrecorded:
+        data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
     known = {a for p in data.get("parameters", ()) for a in _list(p["address"])}
     for f in found:
         address = [a.format(site=f.site) for a in _addresses(f)]

@@ -11,7 +11,7 @@ import numpy as np
 
 from bo_sysid.diagnosis import subsets
 from bo_sysid.diagnosis.fit import Fit, set_key
-from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
 from bo_sysid.diagnosis.refit import FINAL, Effort
 from bo_sysid.diagnosis.rules import CLEAN, MARGIN, ROUGH, SHARE, clean
 from bo_sysid.diagnosis.screen import Screen
@@ -162,7 +162,7 @@ def _run(
             return
         if subsets.clashes([*held[0], *members]):
             continue
-        x = np.split(s.x, np.cumsum([c.size for c in members])[:-1])
+        x = [s.x[own] for own in slices_of(members)]
         whole = (*held[0], *members)
         known = search.fits.get(set_key(whole))
         again = anew and known is not None and base is not None and known.rms > base.rms

@@ -11,7 +11,7 @@ from math import comb, log, sqrt
 import numpy as np
 
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
 
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
@@ -146,10 +146,8 @@ def costs(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
 
 def significance(fit: Fit) -> list[float]:
     """Return for each member how many standard deviations its magnitudes are from nothing."""
-    found, first = [], 0
-    for x in fit.x:
-        own = slice(first, first + len(x))
-        first += len(x)
+    found = []
+    for x, own in zip(fit.x, slices_of(fit.members), strict=True):
         inverse = np.linalg.pinv(fit.covariance[own, own], hermitian=True)
         found.append(sqrt(max(float(x @ inverse @ x), 0.0)))
     return found

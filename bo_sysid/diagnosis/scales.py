@@ -25,7 +25,7 @@ def channel_noise(
         RecordingError: no joint's position was recorded, or none moves.
     """
     found: dict[str, float] = {}
-    moves = False
+    most = 0.0, ""  # [sigma] by which a channel moves, and which
     for name in (n for n in machine.channels if n.startswith("qpos.")):
         series = [r.channels[name] for r in recordings if name in r.channels]
         sigma = float(np.median([noise_sigma(c.time, c.values) for c in series]))
@@ -33,10 +33,17 @@ def channel_noise(
         moved = max(float(np.ptp(c.values)) for c in series)
         if moved > 0:
             found[name] = max(sigma, _LEAST, 1e-6 * moved)
-            moves |= moved > _MOVES * sigma
-    if not moves:
+            most = max(most, (moved / found[name], name))
+    recorded = ", ".join(r.name for r in recordings)
+    if not found:
         raise RecordingError(
-            "no joint of the model moves by more than its noise in the recordings: there is "
-            "nothing to diagnose; record motion of every joint (bo-sysid excite)"
+            f"{recorded}: no position of the model's joints that moves is recorded; a diagnosis "
+            "needs a channel qpos.<joint> (bo-sysid check says what was read)"
+        )
+    if most[0] <= _MOVES:
+        raise RecordingError(
+            f"{recorded}: no joint moves by more than its noise; {most[1]} moves most, by "
+            f"{most[0]:.3g} sigma, and {_MOVES:g} are needed; record motion of every joint "
+            "(bo-sysid excite)"
         )
     return found

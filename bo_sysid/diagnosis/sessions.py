@@ -8,10 +8,12 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy.linalg import hadamard
 
+from bo_sysid.diagnosis.findings import quantities
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import Effort, refit
+from bo_sysid.effects import Machine
 
 _LEAST = 4  # windows that a recording must have to be fitted alone
 _STRETCHES = 4  # of recordings in contact
@@ -25,7 +27,8 @@ class Sessions:
     """The magnitudes of a fit, recording by recording.
 
     Attributes:
-        table: columns recording, effect, site, value, deviation; one row each.
+        table: columns recording, effect, site, value, low, high, unit; one row each, as findings
+            have them.
         covariance: `p x p` of the joint magnitudes, with the spread between recordings.
     """
 
@@ -46,7 +49,9 @@ def by_recording(problem: Problem, fit: Fit) -> Sessions:
         return Sessions(_table([]), fit.covariance)
     alone = [_alone(problem, fit, problem.windows.recording == i) for i in used]
     rows = [
-        r for i, f in zip(used, alone, strict=True) for r in _rows(problem.recordings[i].name, f)
+        row
+        for i, f in zip(used, alone, strict=True)
+        for row in _rows(problem.recordings[i].name, f, problem.machine)
     ]
     return Sessions(_table(rows), _widened(fit, alone))
 
@@ -109,22 +114,21 @@ def _alone(
     )
 
 
-def _rows(recording: str, fit: Fit) -> list[dict[str, object]]:
-    deviation = np.sqrt(np.diag(fit.covariance))
-    first, rows = 0, []
-    for c, x in zip(fit.members, fit.x, strict=True):
-        rows.append(
-            {
-                "recording": recording,
-                "effect": c.effect.id,
-                "site": c.site.name,
-                "value": c.effect.value(c.full(x)),
-                "deviation": float(deviation[first]),
-            }
-        )
-        first += c.size
-    return rows
+def _rows(recording: str, fit: Fit, machine: Machine) -> list[dict[str, object]]:
+    return [
+        {
+            "recording": recording,
+            "effect": c.effect.id,
+            "site": c.site.name,
+            "value": q.value,
+            "low": q.interval[0],
+            "high": q.interval[1],
+            "unit": q.unit,
+        }
+        for c, q in zip(fit.members, quantities(fit, machine), strict=True)
+    ]
 
 
 def _table(rows: list[dict[str, object]]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=["recording", "effect", "site", "value", "deviation"])
+    columns = ["recording", "effect", "site", "value", "low", "high", "unit"]
+    return pd.DataFrame(rows, columns=columns)

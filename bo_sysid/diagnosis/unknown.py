@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.hypothesis import slices_of
 from bo_sysid.diagnosis.law import law_columns, lengths, scales, terms_of
 from bo_sysid.diagnosis.left_out import LeftOut
 from bo_sysid.diagnosis.linear import Linear, linearise, project
@@ -109,11 +110,10 @@ def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
     of_law, named = list(range(len(terms))), list(range(len(terms), A.shape[-1]))
     explained = LeftOut.of(A, y, problem.block).gain(of_law, named)[0] / problem.dof
     need = max(MARGIN**2, fit.excess - explained)
-    kept, first = [], 0
-    for c, x in zip(fit.members, fit.x, strict=True):
-        own = named[first : first + c.size]
-        before = y + S[..., first : first + c.size] @ x  # what is left without the member
-        first += c.size
+    kept = []
+    for x, at in zip(fit.x, slices_of(fit.members), strict=True):
+        own = named[at]
+        before = y + S[..., at] @ x  # what is left without the member
         rest = [k for k in named if k not in own]
         held = LeftOut.of(A, before, problem.block)
         gain = held.gain(of_law, [*own, *rest], _NAMED)[0] - held.gain(of_law, rest, _NAMED)[0]

@@ -34,6 +34,7 @@ from bo_sysid.effects.registry import (
     catalogue,
     chosen,
     effect,
+    extent_at,
     listing,
     load_effects,
 )
@@ -56,6 +57,7 @@ __all__ = [
     "catalogue",
     "chosen",
     "effect",
+    "extent_at",
     "listing",
     "load_effects",
     "survey",

@@ -22,6 +22,7 @@ from bo_sysid.effects.registry import CATALOGUE
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
+from bo_sysid.runs import atomic
 
 _VERSION = 1
 
@@ -126,7 +127,8 @@ class Beside:
                 "duration": m.duration,
             },
         }
-        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        with atomic(path) as unfinished:
+            unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 _TABLES: Mapping[str, type[Any]] = {

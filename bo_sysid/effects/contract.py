@@ -175,12 +175,14 @@ class Extent:
     variants: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        vectors = (self.probe, self.low, self.high, *self.grid, *self.starts, *self.secants)
-        sizes = {len(v) for v in vectors}
-        if len(sizes) != 1:
-            raise ValueError(
-                f"probe, low, high, grid and starts have different lengths {sorted(sizes)}"
-            )
+        named = {
+            "probe": (self.probe,), "low": (self.low,), "high": (self.high,),
+            "grid": self.grid, "starts": self.starts, "secants": self.secants,
+        }  # fmt: skip
+        for name, vectors in named.items():
+            for v in vectors:
+                if len(v) != len(self.probe):
+                    raise ValueError(f"{name} {v} has another length than probe {self.probe}")
         for low, high in zip(self.low, self.high, strict=True):
             if not low < high:
                 raise ValueError(f"the bounds {low} and {high} are not in order")

@@ -9,9 +9,9 @@ from typing import Any, get_args
 
 import pandas as pd
 
-from bo_sysid.effects.contract import Apply, Effect, Site, SiteKind
+from bo_sysid.effects.contract import Apply, Effect, Extent, Site, SiteKind
 from bo_sysid.effects.machine import Machine
-from bo_sysid.errors import StudyError, nearest
+from bo_sysid.errors import StudyError, UserError, nearest
 
 _FEW = 4  # components that a table names
 
@@ -28,7 +28,8 @@ def effect(id: str, **fields: Any) -> Callable[[Apply], Effect]:
         **fields: the other fields of `Effect`.
 
     Raises:
-        StudyError: an effect of this id exists.
+        StudyError: an effect of this id exists, its kind of site does not, or all its components
+            are shapes.
 
     Example:
         >>> @effect(
@@ -44,10 +45,23 @@ def effect(id: str, **fields: Any) -> Callable[[Apply], Effect]:
     def register(apply: Apply) -> Effect:
         if id in _EFFECTS:
             raise StudyError(_twice(id))
+        _require_valid(id, fields)
         _EFFECTS[id] = Effect(id=id, apply=apply, **fields)
         return _EFFECTS[id]
 
     return register
+
+
+def _require_valid(id: str, fields: Mapping[str, Any]) -> None:
+    kind, kinds = str(fields.get("kind")), get_args(SiteKind)
+    if kind not in kinds:
+        raise StudyError(f"effect {id!r}: unknown kind of site {kind!r}; {nearest(kind, kinds)}")
+    shapes, count = fields.get("shapes", 0), len(fields.get("components", ()))
+    if not 0 <= shapes < count:
+        raise StudyError(
+            f"effect {id!r}: shapes is {shapes} of {count} components; at least one of them must "
+            "be a magnitude"
+        )
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
@@ -148,7 +162,29 @@ def listing(effects: Iterable[Effect]) -> pd.DataFrame:
 def applicable(effect: Effect, machine: Machine) -> tuple[Site, ...]:
     """Return the sites of a machine at which an effect can act."""
     sites = [Site(effect.kind, name) for name in machine.names(effect.kind)]
-    return tuple(s for s in sites if effect.extent(s, machine) is not None)
+    return tuple(s for s in sites if extent_at(effect, s, machine) is not None)
+
+
+def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
+    """Return how large an effect can be at a site, None where it does not apply.
+
+    Raises:
+        StudyError: the effect's function raises, or tells of other components than the effect has.
+    """
+    try:
+        extent = effect.extent(site, machine)
+    except UserError:
+        raise
+    except Exception as error:  # whatever it is, it is for the effect's author
+        raise StudyError(
+            f"effect {effect.id!r} at {site}: its extent fails: {type(error).__name__}: {error}"
+        ) from error
+    if extent is not None and len(extent.probe) != len(effect.components):
+        raise StudyError(
+            f"effect {effect.id!r} at {site}: its extent has {len(extent.probe)} numbers; it needs "
+            f"one for each component, {', '.join(c.name for c in effect.components)}"
+        )
+    return extent
 
 
 def _file_of(effect: Effect) -> Path | None:

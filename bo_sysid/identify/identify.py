@@ -225,9 +225,11 @@ def _notes(problem: Problem) -> tuple[str, ...]:
         + [n for r in problem.recordings for n in r.notes]
         + list(problem.deviation.windows.notes)
     )
-    whitening = problem.deviation.whitening.frame()
+    w = problem.deviation.whitening
     notes += [
-        f"{r.channel} is compared in units of {r.scale:.4g} ({r.source})"
-        for r in whitening.itertuples()
+        f"{channel} is compared in units of {scale:.4g} ({source})"
+        if np.isfinite(scale)
+        else f"{channel} is not compared: it never moves in the recordings"
+        for channel, scale, source in zip(w.channels, w.scale, w.source, strict=True)
     ]
     return tuple(dict.fromkeys(notes))

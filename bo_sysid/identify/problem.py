@@ -51,7 +51,7 @@ class Problem:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what Δ depends on beside the study: recordings, compiled model, named files."""
+        """Hash of what Δ depends on beside the study: recordings, model, named files."""
         windows = self.deviation.windows
         start = windows.start
         arrays = {
@@ -66,6 +66,8 @@ class Problem:
         }
         if start.warmstart is not None:
             arrays["warmstart"] = start.warmstart
+        compiled = self.model.compile(visuals=True)
+        arrays |= {n: getattr(compiled, n) for n in ("mesh_vert", "mesh_face", "hfield_data")}
         digest = hashlib.sha256(self.model.spec().to_xml().encode())
         for name, array in arrays.items():
             digest.update(f"{name} {array.shape}".encode())

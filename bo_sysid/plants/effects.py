@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from bo_sysid.effects import Effect, Force, Machine, Part, Site, survey
+from bo_sysid.effects import Effect, Force, Machine, Part, Site, extent_at, survey
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.excitation import smooth_random
@@ -106,7 +106,7 @@ def magnitudes(
     for name in details:
         if name not in names:
             raise UserError(f"{effect.id} has no component {name!r}; {nearest(name, names)}")
-    extent = effect.extent(site, machine)
+    extent = extent_at(effect, site, machine)
     if extent is None:
         raise UserError(f"{effect.id} does not apply to {site}")
     x = np.zeros(len(names))

@@ -14,6 +14,7 @@ VERDICTS = {
     "numerics": "The physics is right; the time step is too coarse.",
     "nothing-missing": "Nothing is missing from the model.",
 }
+_SHOWN = 5  # of the other sets
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
 _MEASURES = {
     "forecast": "forecast from the past alone",
@@ -22,12 +23,17 @@ _MEASURES = {
 }
 
 
-def diagnosis_text(diagnosis: Mapping[str, Any], summary: Mapping[str, Any] | None = None) -> str:
+def diagnosis_text(
+    diagnosis: Mapping[str, Any],
+    summary: Mapping[str, Any] | None = None,
+    sessions: pd.DataFrame | None = None,
+) -> str:
     """Return a diagnosis in words and tables.
 
     Args:
         diagnosis: what `diagnosis.json` holds.
         summary: what `summary.json` holds: name, sentences, notes; None where it is missing.
+        sessions: what `sessions.parquet` holds: magnitudes by recording; None where it is missing.
     """
     summary = summary or {}
     parts = [VERDICTS.get(diagnosis["verdict"], str(diagnosis["verdict"])), ""]
@@ -38,6 +44,8 @@ def diagnosis_text(diagnosis: Mapping[str, Any], summary: Mapping[str, Any] | No
     errors = errors_table(diagnosis["holdout"])
     if len(errors):
         parts += ["", "Errors on recordings that were never used:", table(errors)]
+    if sessions is not None and len(sessions):
+        parts += ["", "Recording by recording:", table(sessions)]
     others = alternatives_table(diagnosis["alternatives"])
     if len(others):
         parts += ["", "Other explanations that were tried:", table(others)]
@@ -83,11 +91,11 @@ def errors_table(holdout: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
 
 
 def alternatives_table(alternatives: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Return the other sets with their probabilities."""
+    """Return the most probable of the other sets with their probabilities."""
     return pd.DataFrame(
         [
             {"explanation": set_text(a["findings"]), "probability": float(a["probability"])}
-            for a in alternatives
+            for a in alternatives[:_SHOWN]
         ]
     )
 

@@ -156,6 +156,8 @@ def explanations(found: Found) -> Section | None:
     tables = []
     if diagnosis["findings"]:
         tables.append(("Found", Table.of(findings_table(diagnosis["findings"]))))
+    if found.has("sessions.parquet") and len(each := read_frame(found.folder, "sessions.parquet")):
+        tables.append(("Recording by recording", Table.of(each)))
     plots = []
     if found.has("sets.parquet"):
         sets = top_sets(read_frame(found.folder, "sets.parquet"))

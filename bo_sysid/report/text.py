@@ -1,6 +1,6 @@
 """Results as text: what the command line prints, and `bo-sysid report` again later."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,10 @@ def run_text(folder: str | Path) -> str:
     if (folder / "diagnosis.json").is_file():
         from bo_sysid.report.diagnosis_text import diagnosis_text
 
-        there = (folder / "summary.json").is_file()
-        summary = read_json(folder, "summary.json") if there else None
-        return f"{head}\n{diagnosis_text(read_json(folder, 'diagnosis.json'), summary)}"
+        told = read_json(folder, "diagnosis.json")
+        summary = _if_there(folder, "summary.json", read_json)
+        sessions = _if_there(folder, "sessions.parquet", read_frame)
+        return f"{head}\n{diagnosis_text(told, summary, sessions)}"
     if (folder / "evaluations.parquet").is_file():
         frame = read_frame(folder, "evaluations.parquet")
         return (
@@ -46,6 +47,10 @@ def run_text(folder: str | Path) -> str:
             f"{frame['deviation'].min():.4g}. The same command goes on."
         )
     return f"{head}\nNothing was computed yet."
+
+
+def _if_there(folder: Path, name: str, read: Callable[[Path, str], Any]) -> Any:
+    return read(folder, name) if (folder / name).is_file() else None
 
 
 def identification_text(summary: Mapping[str, Any]) -> str:
