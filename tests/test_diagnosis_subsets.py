@@ -9,9 +9,9 @@ from bo_sysid.diagnosis.subsets import Unit, clashes, gram, groups, search
 from bo_sysid.effects import Component, Effect, Extent, Site
 
 
-def fake(effect: str, site: str, low: float = -1e6, **fields) -> Candidate:
+def fake(effect: str, site: str, low: float = -1e6, high: float = 1e6, **fields) -> Candidate:
     """A candidate with one magnitude."""
-    extent = Extent((1.0,), (low,), (1e6,))
+    extent = Extent((1.0,), (low,), (high,))
     made = Effect(
         id=effect, kind="joint", components=(Component("size", ""),), apply=lambda *_: None,
         extent=lambda *_: extent, noun="", sentence="", evidence="", separation="", **fields,
@@ -40,6 +40,15 @@ def test_gain_equals_the_drop_of_least_squares(problem) -> None:
     with_both, rss = np.linalg.lstsq(S[:, [0, 3, 8]], y, rcond=None)[:2]
     assert scored.gain == pytest.approx(without - rss[0], rel=1e-4)
     np.testing.assert_allclose(scored.x, with_both[:2], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [1.3, -1.3, 1.7, -1.7])
+def test_a_linear_estimate_may_lie_as_far_beyond_one_bound_as_beyond_the_other(share) -> None:
+    member = fake("spring", "a", low=-10.0, high=10.0)
+    S = np.array([1.0, -2.0, 0.5] * 4)[:, None]
+    y = share * 10.0 * S[:, 0]
+    table = gram([member], S.T @ S, S.T @ y, np.array([0]), {})
+    assert len(table.score([(Unit((0,)),)])) == (abs(share) < 1.5)
 
 
 def test_the_pair_is_found_where_greedy_selection_takes_the_decoy(problem) -> None:

@@ -251,7 +251,7 @@ def test_what_no_law_predicts_sits_where_everything_else_was_found(magnet, site,
     made = make_evidence(
         arm(), ready.problem.recordings, effects=[named.effect], noise={"qpos": SIGMA}, threads=1
     )
-    located = Located(replace(settled(nominal), best=best), ready, search, 0, made)
+    located = Located(replace(settled(nominal), best=best), ready, search, made)
     found = _placed(located, Unexplained(0.5, "world", "world"))
     assert found.site == where
     assert "Nothing stands for it" in found.sentences[0]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from bo_sysid.errors import ModelError
-from bo_sysid.mjcf import Address, Model, address_edit, inertial, parameter_edits
+from bo_sysid.mjcf import Address, Model, address_edit, inertial, nominal, parameter_edits
 from bo_sysid.mjcf.attributes import ATTRIBUTES
+from bo_sysid.parameters import Parameter
 
 # One element of every kind, called "x", with a neighbour or two; angles in radians.
 MACHINE = """
@@ -396,3 +397,18 @@ def test_inertial_of_the_edited_spec(machine):
     np.testing.assert_allclose(found.inertia, compiled.body("rod").inertia)
     with pytest.raises(ModelError, match="no body 'rood'; did you mean 'rod'"):
         inertial(spec, "rood")
+
+
+def test_the_nominal_value_of_tied_addresses_is_their_mean() -> None:
+    """A factor is 1 and a change 0 whatever the model has."""
+    text = """<mujoco><worldbody>
+      <body><joint name="a" damping="0.1"/><geom size=".1"/></body>
+      <body><joint name="b" damping="0.3"/><geom size=".1"/></body></worldbody></mujoco>"""
+    model = Model.from_xml(text)
+    both = ("joint[a].damping", "joint[b].damping")
+    told = {apply: nominal(model, Parameter("d", both, 0, 9, 3, apply)) for apply in APPLIES}
+    assert told == {"set": pytest.approx(0.2), "scale": 1.0, "add": 0.0}
+    assert nominal(model, Parameter("d", both[1:], 0, 9)) == 0.3
+
+
+APPLIES = ("set", "scale", "add")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import torch
 from botorch.models.model import Model
-from scipy.special import xlogy
+from scipy.special import entr
 from torch import Tensor
 
 from bo_sysid.acquisition.context import SelectionContext
@@ -72,7 +72,7 @@ def _count_minima(model: Model, candidates: Tensor, samples: int) -> Tensor:
 def table(context: SelectionContext) -> Values:
     """Return `−P log P` of each candidate."""
     P = context.belief.probabilities
-    return -xlogy(P, P)
+    return entr(P)
 
 
 def build(context: SelectionContext) -> ArgminEntropyContribution:

@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import entr
 from scipy.stats import norm
 
 from bo_sysid.acquisition.context import SelectionContext
@@ -62,7 +63,7 @@ def table(context: SelectionContext) -> Values:
     """Return the expected fall of the entropy in nats; 0 for candidates not looked ahead to."""
     members = _sampled(context)
     weights = np.array([m.weight for m in members])
-    now = _entropy(weights @ np.array([m.before for m in members]))
+    now = float(entr(weights @ np.array([m.before for m in members])).sum())
     means, deviations = context.moments()
     surrogate = context.surrogate
     means, deviations = surrogate.standardise(means), deviations / surrogate.scale
@@ -108,13 +109,8 @@ def _expected_entropy(
         P = sum(
             w * m.given(row, outcome) for w, m in zip(posterior, members, strict=True) if w > 1e-6
         )
-        expected += share * _entropy(np.asarray(P))
+        expected += share * float(entr(P).sum())
     return expected
-
-
-def _entropy(probabilities: Float[np.ndarray, " N"]) -> float:
-    p = probabilities[probabilities > 0]
-    return float(-(p * np.log(p)).sum())
 
 
 def build(context: SelectionContext) -> RowAcquisition:

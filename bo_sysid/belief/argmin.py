@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import entr
 
 from bo_sysid.arrays import Points, Probabilities
 from bo_sysid.belief.joint import EXACT, Contest, contest
@@ -34,8 +35,7 @@ class ArgminBelief:
     @property
     def entropy(self) -> float:
         """`−Σ P log P` in nats."""
-        p = self.probabilities[self.probabilities > 0]
-        return float(-(p * np.log(p)).sum())
+        return float(entr(self.probabilities).sum())
 
     @property
     def best(self) -> int:

@@ -46,7 +46,7 @@ def bootstrap_argmin(
         rows: the row of B of each of the surrogate's points, -1 where it is not in B.
         contributions: mean deviation of each evaluated candidate on each block, so that
             `Δ = contributions @ weights / weights.sum()`.
-        weights: number of transitions in each block.
+        weights: of each block in Δ: its number of transitions, or its share of the windows.
         samples: number of bootstraps.
         seed: of bootstraps and samples.
         groups: session of each block; None where all are of one session.

@@ -21,13 +21,13 @@ from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
-from bo_sysid.study.check import Check, nominal
+from bo_sysid.study.check import Check
 from bo_sysid.study.check import check as check_study
 from bo_sysid.study.inputs import load_model, load_train
 
@@ -149,8 +149,7 @@ def _windows(
         signals=study_signals(study, recordings),
         controlled=tuple(study.actuators),
     )
-    chosen = np.unique(np.linspace(0, len(windows) - 1, min(_WINDOWS, len(windows))).astype(int))
-    return windows.rows(chosen)
+    return windows.rows(windows.evenly(_WINDOWS))
 
 
 def _beside_flags(simulator: MujocoSimulator) -> list[Flag]:

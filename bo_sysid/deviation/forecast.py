@@ -1,7 +1,5 @@
 """Prediction errors on recordings that were set aside, in the channels' own units."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -54,24 +52,10 @@ def forecast_error(
         raise ValueError(
             f"past {past} must be between 1 and the horizon {windows.observed.shape[1]} - 1"
         )
-    known = first_instants(windows, past)
+    known = windows.beginning(past)
     start = fit_starts(deviation.simulator, point, known, 1.0 / deviation.whitening.scale).start
     residual, good = _residual(deviation, point, windows.with_start(start))
     return _table(windows, residual[good, past:], good)
-
-
-def first_instants(windows: Windows, count: int) -> Windows:
-    """Return the windows cut off after `count` instants."""
-    step, fraction = windows.step[:, :count], windows.fraction[:, :count]
-    steps = int((step + (fraction > 0)).max())
-    return replace(
-        windows,
-        ctrl=windows.ctrl[:, :steps],
-        signals={name: s[:, :steps] for name, s in windows.signals.items()},
-        observed=windows.observed[:, :count],
-        step=step,
-        fraction=fraction,
-    )
 
 
 def _residual(

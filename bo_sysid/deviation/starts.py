@@ -8,7 +8,7 @@ from bo_sysid.simulation import Simulator, State, Windows
 _STEP_POSITION = 1e-6  # finite-difference steps in [m] or [rad] and in [m/s] or [rad/s]
 _STEP_VELOCITY = 1e-4
 _ITERATIONS = 3
-_HALVINGS = 3
+_SHORTER, _TRIES = 0.3, 3  # factor by which a step that does not help is shortened
 _GAIN = 1e-4  # relative decrease below which a window has settled
 
 
@@ -63,7 +63,7 @@ def _search(
     scale = np.ones(len(cost))
     residual, cost = residual.copy(), cost.copy()
     taken = np.zeros(len(cost))
-    for _ in range(_HALVINGS):
+    for _ in range(_TRIES):
         waiting = taken == 0
         if not waiting.any():
             break
@@ -72,7 +72,7 @@ def _search(
         better = waiting & (new_cost < cost)
         residual[better], cost[better] = new_residual[better], new_cost[better]
         taken[better] = scale[better]
-        scale[~better] *= 0.3
+        scale[~better] *= _SHORTER
     return simulator.moved(start, taken[:, None] * step), residual, cost
 
 

@@ -74,7 +74,7 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
     sets = decision.fits[:_SETS]
     if len(sets) < 2:
         return ArgminSets(sets, np.ones(len(sets)), 0)
-    keep = np.unique(np.linspace(0, len(problem.windows) - 1, _WINDOWS).astype(int))
+    keep = problem.windows.evenly(_WINDOWS)
     part = problem.rows(keep)
     candidates, owner = _candidates(sets)
 

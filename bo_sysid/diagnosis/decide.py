@@ -122,7 +122,10 @@ def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]
 def _scored(
     held: Sequence[Fit], best: Fit, kappa: float, prior: Prior
 ) -> tuple[Fit, Float[np.ndarray, " f"]]:
-    """Return the leader by log posterior against itself, and the log posterior of each fit."""
+    """Return the leader and the log posterior of each fit against it.
+
+    The leader is compared with itself, or after some rounds with the one before it.
+    """
     for _ in range(_ROUNDS):
         score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
         leader = held[int(np.argmax(score))]
@@ -136,8 +139,8 @@ def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
     D = fit.cv - best.cv
     spread = float(D.var(ddof=1)) * len(D) if len(D) > 1 else 0.0
     usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
-    inflation = max(1.0, kappa * float(np.sqrt(max(spread / usual, 1.0))))
-    return -0.5 * float(D.sum()) / inflation + prior.log(fit)
+    widening = max(1.0, kappa * float(np.sqrt(max(spread / usual, 1.0))))
+    return -0.5 * float(D.sum()) / widening + prior.log(fit)
 
 
 def _levelled(

@@ -43,7 +43,6 @@ _VARY = {
     "speed": "run the joint at several constant speeds, in both directions",
     "control": "repeat one motion with other commands: another load, or another gain",
     "load": "repeat one motion with a known weight added",
-    "history": "reverse after short and after long strokes",
     "time": "run the same motion from cold to warm, and again after a pause",
     "other_joint": "hold the joint and move the others one at a time",
 }

@@ -29,7 +29,6 @@ _WORDS = {
     "speed": "how fast it moves",
     "control": "what is commanded",
     "load": "the torque it carries",
-    "history": "how it moved before",
     "time": "the time since the recording began",
     "other_joint": "where another joint is",
 }
@@ -43,7 +42,7 @@ class Unexplained:
         share: of what the nominal model left unexplained.
         kind: kind of site where it sits, None where nothing is flagged.
         site: name of the site.
-        depends_on: what it depends on: position, speed, control, load, history, time, other_joint.
+        depends_on: what it depends on: position, speed, control, load, time, other_joint.
         learned: whether a learned law stands for it, if it is known what it depends on.
     """
 

@@ -30,6 +30,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
+_ALIKE = 0.02  # by which two errors differ in words
 _AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
@@ -70,8 +71,8 @@ class Holdout:
         if before is None or after is None or floor is None:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
-        refitted = self.parameters and nominal > 1.02 * before  # they do some of it
-        verb = "falls" if after < 0.98 * max(nominal, before) else "goes"
+        refitted = self.parameters and nominal > (1 + _ALIKE) * before  # they do some of it
+        verb = "falls" if after < (1 - _ALIKE) * max(nominal, before) else "goes"
         first = _figure(nominal if refitted else before)
         if refitted and after != before:
             first += f" ({_figure(before)} with the study's parameters fitted)"
@@ -79,7 +80,7 @@ class Holdout:
             f"Forecast error on the unseen recording {verb} from {first} to "
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
-        if after > max(1.02 * before, _AT_FLOOR * floor):
+        if after > max((1 + _ALIKE) * before, _AT_FLOOR * floor):
             said = "The unseen recording does not confirm the repair."
         elif after > _AT_FLOOR * floor:
             said = "The floor is not reached: these recordings do not show all that is missing."
@@ -103,13 +104,13 @@ class Holdout:
         if self.table.empty:
             return {"forecast": {}, "fit": {}, "free_run": {}}
         out: dict[str, Any] = {}
-        for measure, unit in (("forecast", "sensor sigma"), ("fit", "sensor sigma")):
+        for measure in ("forecast", "fit"):
             rows = self.table[self.table.measure == measure]
             horizon = float(rows.horizon_s.min())
             errors = rows[rows.horizon_s == horizon].set_index("model").error
             names = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
             values = {n: _number(errors.get(n)) for n in names}
-            out[measure] = {"unit": unit, "horizon_s": horizon, **values}
+            out[measure] = {"unit": "sensor sigma", "horizon_s": horizon, **values}
         free = self.table[self.table.measure == "free_run"]
         if len(free):
             errors = free.set_index("model").error

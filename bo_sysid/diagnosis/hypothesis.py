@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable, extent_at
 from bo_sysid.errors import StudyError, UserError
-from bo_sysid.mjcf import Edit, Model, address_edit
-from bo_sysid.mjcf.address import Address
+from bo_sysid.mjcf import Edit, Model, address_edit, nominal
 from bo_sysid.parameters import Parameter
 
 _AT_BOUND = 1e-6  # of a parameter's range, within which it is at its end
@@ -179,22 +178,20 @@ def parameter_candidates(model: Model, parameters: Sequence[Parameter]) -> tuple
 
 
 def _parameter(model: Model, p: Parameter) -> Candidate:
-    nominal = {"scale": 1.0, "add": 0.0}.get(p.apply)
-    if nominal is None:
-        nominal = float(np.mean([Address.parse(a).read(model) for a in p.addresses]))
+    own = nominal(model, p)
 
     def apply(
         spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
     ) -> None:
-        address_edit(model, p.addresses, nominal + float(x[0]), p.apply)(spec)
+        address_edit(model, p.addresses, own + float(x[0]), p.apply)(spec)
 
     width = p.high - p.low
-    low, high = min(p.low - nominal, -1e-9 * width), max(p.high - nominal, 1e-9 * width)
+    low, high = min(p.low - own, -1e-9 * width), max(p.high - own, 1e-9 * width)
     extent = Extent((0.02 * width,), (low,), (high,))
     effect = Effect(
         id=PARAMETER, kind="world", components=(Component(p.name, p.unit),), apply=apply,
         extent=lambda s, m: extent, noun=p.name, sentence="", evidence="", separation="",
-        nominal=lambda s, m: nominal,
+        nominal=lambda s, m: own,
     )  # fmt: skip
     return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe))
 

@@ -17,7 +17,7 @@ from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force
 from bo_sysid.simulation import State
 
-_NAMED = 1e-8  # ridge on names beside a law
+_RIDGE = 1e-8  # on names, in a step of theirs beside a law: only so that it can be solved
 _ROUNDS = 8
 _SHARES = (1.0, 0.5, 0.2)  # of a step that are tried
 _SETTLED = 3  # steps of the starts after each
@@ -127,8 +127,8 @@ def _step(
     A = A / scale
     held = LeftOut.of(A, project(linear.Q, r) + A @ now, linear.problem.block)
     of_law, of_named = range(len(terms)), range(len(terms), A.shape[-1])
-    penalty = np.full(A.shape[-1], _NAMED)
-    penalty[: len(terms)] = held.gain(of_law, of_named, _NAMED)[1]
+    penalty = np.full(A.shape[-1], _RIDGE)
+    penalty[: len(terms)] = held.gain(of_law, of_named, _RIDGE)[1]
     found = np.linalg.solve(held.G.sum(axis=0) + np.diag(penalty), held.b.sum(axis=0)) / scale
     steps = found[len(terms) :]
     x = [

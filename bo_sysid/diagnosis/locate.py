@@ -32,14 +32,12 @@ class Located:
         decision: the posterior over sets.
         prepared: all training windows.
         search: the finished search, for what is asked of it later.
-        tried: number of sets fitted through the simulator.
         evidence: what it was made from.
     """
 
     decision: Decision
     prepared: Prepared
     search: Search
-    tried: int
     evidence: Evidence
 
 
@@ -76,8 +74,7 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     compare(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
-    tried = len(search.fits) + len(final.fits)
-    return Located(decision, final.prepared, final, tried, evidence)
+    return Located(decision, final.prepared, final, evidence)
 
 
 def _explored(

@@ -196,9 +196,9 @@ def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
         search.fit(f.members, f.x, start=f.start, guess=f.hypothesis, again=True, effort=FINAL)
 
 
-def _without_weak(search: Search, f: Fit, weak: Sequence[int]) -> list[int]:
+def _without_weak(search: Search, f: Fit, small: Sequence[int]) -> list[int]:
     """Leave out all weak members of groups at once, else the weakest member."""
     size = sizes(f, search.fits.values())
-    in_groups = [k for k in weak if f.groups[k] is not None]
-    out = in_groups or [min(weak, key=lambda k: size[k])]
+    in_groups = [k for k in small if f.groups[k] is not None]
+    out = in_groups or [min(small, key=lambda k: size[k])]
     return [k for k in range(len(f.members)) if k not in out]

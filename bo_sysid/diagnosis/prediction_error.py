@@ -41,8 +41,7 @@ class PredictionError:
             evidence.model, evidence.machine, evidence.recordings, evidence.sigma, past=PAST,
             ahead=AHEAD, timestep=timestep, engine=evidence.engine, laws=evidence.laws,
         )  # fmt: skip
-        rows = np.linspace(0, len(problem.windows) - 1, _WINDOWS).astype(int)
-        self._problem = problem.rows(np.unique(rows))
+        self._problem = problem.rows(problem.windows.evenly(_WINDOWS))
 
     def __call__(self, hypothesis: Hypothesis) -> float:
         """Return the geometric mean over windows of the rms of a forecast, in sigma.

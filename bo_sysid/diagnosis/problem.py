@@ -219,7 +219,7 @@ class Problem:
         return seen
 
     def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
-        """Return values in sigma, one row a window, 0 where nothing was observed."""
+        """Return values in sigma, one row a window; what is not finite counts as far away."""
         scaled = np.nan_to_num(values * self.weight, nan=_FAR, posinf=_FAR, neginf=-_FAR)
         return np.asarray(np.clip(scaled, -_FAR, _FAR)).reshape(len(values), -1)
 
@@ -259,7 +259,7 @@ def pose(
         signals=(*machine.inputs, ELAPSED),
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
-    windows = _observing(windows.rows(np.arange(0, len(windows), stride)), sigma)
+    windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
@@ -274,15 +274,6 @@ def pose(
         None,
         engine,
         tuple(laws),
-    )
-
-
-def _observing(windows: Windows, sigma: dict[str, float]) -> Windows:
-    keep = [k for k, name in enumerate(windows.channels) if name in sigma]
-    return replace(
-        windows,
-        channels=tuple(windows.channels[k] for k in keep),
-        observed=windows.observed[..., keep],
     )
 
 

@@ -1,7 +1,7 @@
 """The start of every window, estimated from what was recorded of it and a wide prior.
 
-The prior lies about a smoother's estimate. Every window is a least-squares problem of its own, and
-is simulated only as long as it has not settled.
+The prior lies about what a fit begins from: a smoother's estimate, or starts fitted before. Every
+window is a least-squares problem of its own, and is simulated only as long as it has not settled.
 """
 
 from dataclasses import replace

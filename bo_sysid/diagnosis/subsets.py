@@ -20,7 +20,7 @@ _PER_SITE = 3  # variants of one effect at one site that are combined
 _DEAD = 1e-3  # of a column's square that projection must leave
 _SILENT = 3.0  # [sigma, over all observations] that a candidate must be able to move
 _RIDGE, _TINY = 1e-7, 1e-12
-_OUTSIDE, _ABOVE = 0.02, 1.5  # tolerance of linear estimates outside their bounds
+_BEYOND = 1.5  # of a bound, up to which a linear estimate may lie
 _TOGETHER = 256  # sets solved at once, times their width
 
 
@@ -85,6 +85,14 @@ class Gram:
         """Return the candidates with a column that says something."""
         return [i for i, c in enumerate(self.columns) if self.alive[c].any()]
 
+    def inside(
+        self, x: Float[np.ndarray, "*s p"], index: Int[np.ndarray, "*s p"]
+    ) -> Bool[np.ndarray, "*s p"]:
+        """Return which linear estimates lie within their bounds, or not far beyond."""
+        low, high = self.low[index], self.high[index]
+        low, high = np.minimum(low, _BEYOND * low), np.maximum(high, _BEYOND * high)
+        return np.asarray((x >= low) & (x <= high))
+
     def score(self, sets: Sequence[tuple[Unit, ...]]) -> list[Scored]:
         """Return the sets whose linear fit is within bounds."""
         out: list[Scored] = []
@@ -102,8 +110,7 @@ class Gram:
         )
         G = self.G[index[:, :, None], index[:, None, :]]
         x = np.linalg.solve(G, self.b[index][..., None])[..., 0]
-        slack = _OUTSIDE * np.abs(x)
-        inside = (x >= self.low[index] - slack) & (x <= self.high[index] * _ABOVE + slack)
+        inside = self.inside(x, index)
         gain = (x * self.b[index]).sum(axis=1)
         return [
             Scored(float(gain[k]), tuple(sets[int(k)]), x[k] / self.scale[index[k]])
@@ -279,7 +286,10 @@ def _clash_matrix(table: Gram, units: Sequence[Unit]) -> Bool[np.ndarray, "u u"]
 
 
 def _within_bounds(table: Gram, unit: Unit) -> Unit | None:
-    """Return a group without the members whose estimates are beyond their bounds."""
+    """Return a group without the members whose estimates are beyond their bounds.
+
+    None where fewer than two of them remain.
+    """
     members = [
         i for i in unit.members if len(table.columns[i]) and table.alive[table.columns[i]].all()
     ]
@@ -287,8 +297,7 @@ def _within_bounds(table: Gram, unit: Unit) -> Unit | None:
         index = np.concatenate([table.columns[i] for i in members])
         x = np.linalg.solve(table.G[np.ix_(index, index)], table.b[index])
         ends = np.cumsum([len(table.columns[i]) for i in members])
-        inside = (x >= table.low[index]) & (x <= _ABOVE * table.high[index])
-        good = [bool(part.all()) for part in np.split(inside, ends[:-1])]
+        good = [bool(part.all()) for part in np.split(table.inside(x, index), ends[:-1])]
         if all(good):
             return replace(unit, members=tuple(members))
         members = [i for i, ok in zip(members, good, strict=True) if ok]

@@ -29,7 +29,7 @@ _LOOSE_IN_CONTACT = 1.5  # the same rms in contact, where 1.05 was left of nothi
 _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
-_NAMED = 1e-6  # ridge on names beside a law: they are believed, the law is not
+_RIDGE = 1e-6  # on names beside a law, where both are compared: they are believed, it is not
 _ALSO = 0.2  # of what a law leaves, that it must predict more to depend on something more
 _AT_LEAST = 0.02  # the same, of what there was to predict
 _MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
@@ -116,7 +116,7 @@ def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
         before = y + S[..., at] @ x  # what is left without the member
         rest = [k for k in named if k not in own]
         held = LeftOut.of(A, before, problem.block)
-        gain = held.gain(of_law, [*own, *rest], _NAMED)[0] - held.gain(of_law, rest, _NAMED)[0]
+        gain = held.gain(of_law, [*own, *rest], _RIDGE)[0] - held.gain(of_law, rest, _RIDGE)[0]
         kept.append(bool(gain / problem.dof >= need))
     return tuple(kept)
 
@@ -183,10 +183,9 @@ def _columns(
 
 def _some(problem: Problem, fit: Fit) -> tuple[Problem, Fit]:
     """Return a problem of at most `_WINDOWS` windows, evenly chosen, and the fit on them."""
-    count = len(problem.windows)
-    if count <= _WINDOWS:
+    if len(problem.windows) <= _WINDOWS:
         return problem, fit
-    keep = np.unique(np.linspace(0, count - 1, _WINDOWS).astype(int))
+    keep = problem.windows.evenly(_WINDOWS)
     return problem.rows(keep), replace(
         fit,
         start=fit.start.rows(keep),

@@ -38,12 +38,11 @@ class Prepared:
     """A problem with settled starts.
 
     Attributes:
-        problem: with its correction.
+        problem: with its correction, without windows that the time step decides.
         start: starts fitted to the hypothesis at which it was prepared.
         linear: that hypothesis linearised there.
         correction_rms: size of the correction in sigma.
         step_rms: the same without what other starts can make up for, as a forecast meets it.
-        dropped: windows left out because the time step decides what happens in them.
     """
 
     problem: Problem
@@ -51,7 +50,6 @@ class Prepared:
     linear: Linear
     correction_rms: float
     step_rms: float
-    dropped: int
 
 
 def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None = None) -> Prepared:
@@ -86,7 +84,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     if rms > _NEGLIGIBLE:
         problem = replace(problem, correction=correction)
         linear = replace(linear, problem=problem)
-    return Prepared(problem, start, linear, rms, unfitted, int((~keep).sum()))
+    return Prepared(problem, start, linear, rms, unfitted)
 
 
 def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:

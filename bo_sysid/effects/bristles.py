@@ -116,9 +116,10 @@ def _loads(
     qvel: Float[np.ndarray, "W nv"],
     ctrl: Float[np.ndarray, "W nu"],
 ) -> tuple[Float[np.ndarray, "W b"], Float[np.ndarray, "W b"]]:
-    """Return the forces that would hold some joints at rest, and the inertia each of them feels.
+    """Return the forces that friction must bear to hold some joints, and the inertia each feels.
 
-    With f = -(M⁻¹)ₛₛ⁻¹ q̈ₛ they do not accelerate, where q̈ is without friction of theirs.
+    Those are (M⁻¹)ₛₛ⁻¹ q̈ₛ, where q̈ is without friction of theirs: against them the joints s do not
+    accelerate.
     """
     data = mujoco.MjData(model)
     load, mass = np.zeros((len(qpos), len(dof))), np.zeros((len(qpos), len(dof)))

@@ -13,12 +13,11 @@ from bo_sysid.excite.fourier import Series, ranges
 from bo_sysid.excite.judge import Judge
 from bo_sysid.excite.limits import Limits
 from bo_sysid.execution import threads
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, State, Trajectory, cut
-from bo_sysid.study.check import nominal
 
 PROOF = 24
 """Drawn parameter vectors that must keep the limits at the end."""

@@ -10,7 +10,7 @@ from bo_sysid.deviation.forecast import fit_error, forecast_error, prediction_er
 from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import Recording
 
-PAST = 8  # a forecast's start uses as many instants as 1/8 of its horizon
+_PAST = 8  # a forecast's start uses as many instants as 1/8 of its horizon
 _TRACED = 4_000  # most instants of a trace
 
 
@@ -47,7 +47,7 @@ def instants_needed(problem: Problem) -> int:
 
 def past_of(horizon: int) -> int:
     """Return how many instants a forecast's start uses."""
-    return max(horizon // PAST, 2)
+    return max(horizon // _PAST, 2)
 
 
 def _by_kind(problem: Problem, recordings: Sequence[Recording], point: Point) -> pd.Series:

@@ -8,13 +8,13 @@ import numpy as np
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_signals
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set, nominal, require_known, require_scales
+from bo_sysid.study.check import candidate_set, require_known, require_scales
 from bo_sysid.study.inputs import load_model, load_train
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded

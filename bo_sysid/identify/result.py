@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from scipy.special import entr
 
 from bo_sysid.arrays import Point, Probabilities
 from bo_sysid.parameters import CandidateSet
@@ -111,17 +111,11 @@ class Identification:
             "deviation": float(self.evaluations["deviation"].min()),
             "evaluations": len(self.evaluations),
             "candidates": len(self.candidates),
-            "entropy": entropy(self.probabilities),
-            "entropy_bootstrap": entropy(self.bootstrap),
+            "entropy": float(entr(self.probabilities).sum()),
+            "entropy_bootstrap": float(entr(self.bootstrap).sum()),
             "stopped": self.reason,
             "identifiability": self.identifiability.to_dict(orient="records"),
             "unsure": list(self.unsure),
             "errors": self.errors.to_dict(orient="records"),
             "notes": list(self.notes),
         }
-
-
-def entropy(p: Float[np.ndarray, " N"]) -> float:
-    """Return -Σ p log p in nats."""
-    positive = p[p > 0]
-    return float(-(positive * np.log(positive)).sum())

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import entr
 
 from bo_sysid.arrays import Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin
@@ -13,7 +14,6 @@ from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Deviation
 from bo_sysid.execution import threads
 from bo_sysid.identify.problem import make_problem
-from bo_sysid.identify.result import entropy
 from bo_sysid.identify.search import History, Outcome, Rules, search
 from bo_sysid.learn.floor import Floor, floor_of
 from bo_sysid.learn.scene import Scene
@@ -66,8 +66,8 @@ class Identified:
         return {
             "evaluated": len(self.rows),
             "new": self.fresh,
-            "entropy": abs(entropy(self.probabilities)),
-            "entropy_bootstrap": abs(entropy(self.bootstrap)),
+            "entropy": float(entr(self.probabilities).sum()),
+            "entropy_bootstrap": float(entr(self.bootstrap).sum()),
             "search_stopped": self.reason.value,
             "search_values": dict(self.guided),
             "floor": {

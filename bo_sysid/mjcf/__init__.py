@@ -5,7 +5,7 @@ one in place; `Address` names a number in it.
 """
 
 from bo_sysid.mjcf.address import Address
-from bo_sysid.mjcf.edits import AddressEdit, address_edit, parameter_edits
+from bo_sysid.mjcf.edits import AddressEdit, address_edit, nominal, parameter_edits
 from bo_sysid.mjcf.inertia import Inertial, inertial, make_explicit, scale_mass
 from bo_sysid.mjcf.model import Edit, Model
 
@@ -18,6 +18,7 @@ __all__ = [
     "address_edit",
     "inertial",
     "make_explicit",
+    "nominal",
     "parameter_edits",
     "scale_mass",
 ]

@@ -91,6 +91,21 @@ def _applied(own: float, value: float, apply: Apply) -> float:
     return own + value if apply == "add" else float(value)
 
 
+def nominal(model: Model, parameter: ParameterLike) -> float:
+    """Return the value of a parameter that stands for the model as it is.
+
+    A factor of 1, a change of 0, or the model's own value; of tied addresses that differ in the
+    model the mean, since no one value leaves all of them as they are.
+
+    Raises:
+        ModelError: an address matches nothing.
+    """
+    neutral = {"scale": 1.0, "add": 0.0}
+    if parameter.apply in neutral:
+        return neutral[parameter.apply]
+    return float(np.mean([t.nominal for a in parameter.addresses for t in resolve(model, a)]))
+
+
 def parameter_edits(
     model: Model, parameters: Sequence[ParameterLike], values: Iterable[float]
 ) -> list[AddressEdit]:

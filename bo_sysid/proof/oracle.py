@@ -18,8 +18,7 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.effects import CATALOGUE, Machine, Site
-from bo_sysid.mjcf import Address, Model
-from bo_sysid.parameters import Parameter
+from bo_sysid.mjcf import nominal
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_holdout, load_train
 
@@ -69,18 +68,10 @@ def true_hypothesis(
         members.append(candidate)
         values.append(candidate.point[: candidate.size])
     off = tuple(
-        np.array([truth["parameters"][p.name] - _nominal(p, evidence.model)])
+        np.array([truth["parameters"][p.name] - nominal(evidence.model, p)])
         for p in study.parameter_set(evidence.model)
     )
     return Hypothesis(tuple(members), tuple(values), evidence.nuisances, off)
-
-
-def _nominal(parameter: Parameter, model: Model) -> float:
-    """Return what the nominal model has, from which changes are counted."""
-    fixed = {"scale": 1.0, "add": 0.0}.get(parameter.apply)
-    if fixed is not None:
-        return fixed
-    return float(np.mean([Address.parse(a).read(model) for a in parameter.addresses]))
 
 
 def _candidate(e: Mapping[str, Any], machine: Machine) -> Candidate | None:

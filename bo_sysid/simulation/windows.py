@@ -88,6 +88,10 @@ class Windows:
         names = tuple(self.channels[k] for k in kept)
         return replace(self, channels=names, observed=self.observed[..., kept])
 
+    def evenly(self, most: int) -> Int[np.ndarray, " k"]:
+        """Return the rows of at most so many windows, evenly spread over all."""
+        return np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
+
     def with_start(self, start: State) -> "Windows":
         """Return the same windows from other starts."""
         return replace(self, start=start)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.mjcf import Address, Model
+from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
@@ -142,14 +142,6 @@ def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
             "steps": [p.steps for p in parameters],
         }
     )
-
-
-def nominal(model: Model, parameter: Parameter) -> float:
-    """Return the value that leaves the model as it is: its own, a factor of 1, a change of 0."""
-    neutral = {"scale": 1.0, "add": 0.0}
-    if parameter.apply in neutral:
-        return neutral[parameter.apply]
-    return float(Address.parse(parameter.addresses[0]).read(model))
 
 
 def _known(model: Model) -> dict[str, tuple[str, ...]]:
