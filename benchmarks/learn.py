@@ -5,7 +5,7 @@ Arms, each with the same simulated steps a policy, on paired seeds:
 - true: TRPO on the plant's own parameters, the reference; its log is also that of TRPO straight on
   the plant, with every whole episode's time counted as a real trajectory.
 - worst: TRPO on the corner of B that predicts the plant worst.
-- method: `learn` as the study says: P sampled, the seed's stop rule.
+- method: `learn` as the study says: P sampled, the original stop rule.
 - zhu: argmax P, the search ended by values, the loop by time out: after as many real trajectories
   as the method needed with the same seed, so that both have the same data to spend.
 - uniform: TRPO with a model drawn from all of B in every episode (domain randomisation).

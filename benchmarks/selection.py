@@ -8,13 +8,13 @@ Every seed has a plant of its own.
 - cost: mean evaluations until the excess of Δ over its minimum on B is at most a level (in shares
   of the median excess), with bootstrap intervals; a run that does not get there counts as the
   longest one of the problem.
-- ratio: geometric mean of paired costs against the seed's rule, interval, Wilcoxon's p.
+- ratio: geometric mean of paired costs against the original rule, interval, Wilcoxon's p.
 - certain: the same ratio for evaluations until max P >= .95 at the full grid's arg-min, and the
   share of searches that get there. The tool's answer is P: its searches end when P is a point.
 - confirmed: that ratio again on thirty fresh seeds, for the one rule that won the first thirty.
 - agreement: share of seeds on which two rules take one and the same path.
 - reliability: how often argmax P is the full grid's arg-min where max P >= .8, on the searches of
-  the seed's rule: at every evaluation, and when it is first said in a search. With averaging as the
+  the original rule: at every evaluation, and when it is first said in a search. With averaging as the
   tool does it; and, on the same histories, without: one Gaussian process on log Δ whose
   hyperparameters are those of largest evidence (BoTorch's default).
 - coverage: share of the plants' parameters inside the 95 % intervals of P_boot.
@@ -149,7 +149,7 @@ def certain(found: Comparison, first: int = 0) -> dict[str, Any]:
 
 
 def agreement(found: Comparison) -> dict[str, Any]:
-    """Return on which share of seeds the seed's rule and greedy take one path, by problem."""
+    """Return on which share of seeds the original rule and greedy take one path, by problem."""
     both = found.agreement
     both = both[(both["arm"] == SEED_RULE) & (both["other"] == "greedy")]
     columns = ["identical", "identical_low", "identical_high", "pairs", "overlap"]

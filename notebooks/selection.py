@@ -78,7 +78,7 @@ regret_curves(paths, "evaluations")
 cost_bars(summary, "evaluations")
 
 # %% [markdown]
-# ## Against the seed's rule, seed by seed
+# ## Against the original rule, seed by seed
 #
 # The ratio is the geometric mean over pairs: below 1 the rule needs fewer evaluations than
 # $-P\log P$. `p` is Wilcoxon's signed-rank test.

@@ -9,7 +9,7 @@ from effect_machines import XML, case, cases, differ, edited, predict
 
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Force, Hidden, Reading, unit_at
 
-# DESIGN's table, and contact_restitution: every id and its kind of site
+# every id that a study can name and its kind of site
 KINDS = {
     "joint": """dry_friction viscous_damping quadratic_damping stribeck_friction
         load_dependent_friction asymmetric_friction asymmetric_damping joint_spring constant_force
@@ -26,7 +26,7 @@ OWN = [e for e in CATALOGUE.values() if e.apply.__module__.startswith("bo_sysid.
 TYPES = (Force, Filter, Reading, Hidden)
 
 
-def test_the_catalogue_has_every_id_of_the_design_at_its_kind_of_site() -> None:
+def test_the_catalogue_has_every_id_at_its_kind_of_site() -> None:
     assert {e.id: e.kind for e in OWN} == EFFECTS
 
 

@@ -1,4 +1,4 @@
-"""The sections of a study file about diagnosis, learning, comparison and plants (DESIGN.md)."""
+"""The sections of a study file about diagnosis, learning, comparison and plants."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal

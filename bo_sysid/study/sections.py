@@ -1,4 +1,4 @@
-"""The sections of a study file about the model, the recordings and the search (DESIGN.md)."""
+"""The sections of a study file about the model, the recordings and the search."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
