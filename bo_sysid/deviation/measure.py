@@ -149,6 +149,9 @@ class Evaluation:
 class Deviation:
     """Δ over the candidates, on fixed recordings.
 
+    The candidate in the middle of the bounds is simulated at once: the blocks of time follow from
+    how its errors correlate.
+
     Args:
         simulator: predicts.
         windows: what was recorded.
@@ -187,11 +190,9 @@ class Deviation:
             diverged.append(flags.mean())
         return Evaluation(np.array(deviation), np.array(contributions), np.array(diverged))
 
-    def residual(self, point: Float[np.ndarray, " d"]) -> tuple[Prediction, Windows]:
-        """Return the prediction at a point, and the windows with the starts it was made from."""
-        windows = self._started(point)
-        prediction = next(iter(self.simulator.predictions(point[None], windows)))
-        return prediction, windows
+    def prediction(self, point: Float[np.ndarray, " d"]) -> Prediction:
+        """Return what is predicted at a point, from the starts that are fitted there if asked."""
+        return next(iter(self.simulator.predictions(point[None], self._started(point))))
 
     def _started(self, point: Float[np.ndarray, " d"]) -> Windows:
         if not self.fitted_starts:
@@ -201,7 +202,7 @@ class Deviation:
     def _predictions(self, points: Points) -> Iterator[Prediction]:
         if not self.fitted_starts:
             return self.simulator.predictions(points, self.windows)
-        return (self.residual(point)[0] for point in points)
+        return (self.prediction(point) for point in points)
 
     def _norms(self, points: Points) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield for each point the `W` window norms and the `W` flags of divergence."""

@@ -15,7 +15,7 @@ from bo_sysid.effects import Hidden, Machine, Part
 from bo_sysid.effects.bristles import bristle_motors, loaded
 from bo_sysid.simulation import State, Trajectory
 
-_OFF = 0.1  # of a joint's travel and speed, by which an added joint's start may be off
+_OFF = 0.1  # of the spread of a joint's position and of its speed: prior of an added joint
 _ANY = 1e12
 _PLACES = (0.5, 0.0, -0.5)  # of where an added joint rests, tried as its start
 
@@ -185,7 +185,7 @@ class Coordinates:
         """Return how far each number of a start may be off, nominal ones as far as may be."""
         joints = {j.dof: j for j in machine.joints.values()}
         added = [joints[s.qvel] for s in self.second]
-        places = [_OFF * j.travel for j in added]
+        places = [_OFF * j.spread for j in added]
         speeds = [_OFF * j.speed for j in added]
         return np.array([_ANY] * 2 * len(self.qvel) + places + speeds)
 

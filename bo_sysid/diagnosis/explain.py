@@ -85,8 +85,8 @@ class Outcome:
         law_alone: the nominal model with nothing but a learned law, to compare with; None where
             no law says anything.
 
-    Hypotheses that are simulated from here on show the share of the correction of a time step that
-    is as coarse as it may be: an error of the step that is little beside what they leave.
+    From here on every hypothesis is stepped with the coarsest time step whose own error is below a
+    twentieth of what the hypothesis leaves; `Hypothesis.numerics` says which (`finer_step`).
     """
 
     fit: Fit

@@ -146,9 +146,17 @@ def assess(
     unique = _unique(hypothesis, total, scale, (low * scale, high * scale), dof)
     rms = float(np.sqrt(cost.sum() / dof))
     return Fit(
-        hypothesis, groups, start, residual, jacobian.astype(np.float32), rms, cv, cost, unique,
-        covariance,
-    )  # fmt: skip
+        hypothesis=hypothesis,
+        groups=groups,
+        start=start,
+        residual=residual,
+        jacobian=jacobian.astype(np.float32),
+        rms=rms,
+        cv=cv,
+        cost=cost,
+        unique=unique,
+        covariance=covariance,
+    )
 
 
 def by_block(

@@ -130,6 +130,11 @@ def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
 
 
 def _floor(problem: Problem, past: int, plain: Hypothesis, errors: Errors) -> float:
+    """Return √(1 + tr(Jₐ Cov Jₐᵀ)/n) over n observed values ahead, in sigma.
+
+    Cov = (JₚᵀJₚ + S⁻²)⁻¹ is that of the start, with Jₚ and Jₐ the responses of past and future to
+    it and S its prior. With QR = [Jₚ; S⁻¹] it is R⁻¹R⁻ᵀ, and the trace the squares of Jₐ R⁻¹.
+    """
     good = np.abs(errors.residual).max(axis=(1, 2)) < _DIVERGED
     linear = linearise(problem, plain, errors.start)
     J, spread = linear.J, prior(problem, linear.points.coordinates)
@@ -138,7 +143,6 @@ def _floor(problem: Problem, past: int, plain: Hypothesis, errors: Errors) -> fl
     if not seen:
         return 1.0
     known, ahead = np.split(J, [past * len(problem.windows.channels)], axis=1)
-    # what noise leaves of the start: ahead·(known'known + prior)⁻¹·ahead', by least squares
     about = np.broadcast_to(np.diag(1 / spread), (len(J), *[J.shape[-1]] * 2))
     R = np.linalg.qr(np.concatenate([known, about], axis=1), mode="r")
     noise = ahead @ np.linalg.pinv(R, rcond=1e-12)

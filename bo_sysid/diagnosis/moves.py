@@ -24,7 +24,10 @@ _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherev
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
-    """Go on until the leading set no longer changes, or leads nowhere; return the leader."""
+    """Return the leading set after rounds that end where it no longer changes.
+
+    They end as well where a leader that explains little came no nearer in a round (`_stuck`).
+    """
     near = search.best.members and search.best.rms < LOOSE
     if not (search.begun or near):
         round_at(search, search.nominal)

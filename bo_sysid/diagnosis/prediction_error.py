@@ -46,7 +46,8 @@ class PredictionError:
     def __call__(self, hypothesis: Hypothesis) -> float:
         """Return the geometric mean over windows of the rms of a forecast, in sigma.
 
-        A few windows end on the other side of an impact whatever is supposed.
+        Geometric, since a few windows end on the other side of an impact whatever is supposed, and
+        would decide an arithmetic one.
         """
         squares = (forecast(self._problem, self._past, hypothesis).residual ** 2).sum(axis=(1, 2))
         squares /= np.maximum((self._problem.weight[:, self._past :] > 0).sum(axis=(1, 2)), 1)

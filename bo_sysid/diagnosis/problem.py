@@ -263,17 +263,17 @@ def pose(
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
-        model,
-        machine,
-        tuple(recordings),
-        windows,
-        Layout.of(model, machine.model),
-        weight,
-        _blocks(len(windows)),
-        tuple(nuisances),
-        None,
-        engine,
-        tuple(laws),
+        model=model,
+        machine=machine,
+        recordings=tuple(recordings),
+        windows=windows,
+        layout=Layout.of(model, machine.model),
+        weight=weight,
+        block=_blocks(len(windows)),
+        nuisances=tuple(nuisances),
+        correction=None,
+        engine=engine,
+        laws=tuple(laws),
     )
 
 

@@ -31,8 +31,8 @@ _LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is f
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
-_TRAVEL = 1e-3  # of the joint's travel, beside the sigmas: real sensors are finer than models
-_ADDED = 0.1  # of the joint's travel: prior of a joint that the hypothesis added
+_ASIDE = 1e-3  # of the spread of the joint's position, beside the sigmas: models are coarser
+_ADDED = 0.1  # of that spread: prior of a joint that the hypothesis added
 _LEAST = 1e-12  # of that prior
 _STILL = 1e-6  # of the prior, of a joint that is kept at rest
 _SLOW = 1.0  # of the joint's typical speed: below, friction may hold it
@@ -117,18 +117,18 @@ def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]
     nv = problem.machine.model.nv
     position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
     layout, windows = problem.layout, problem.windows
-    travel = np.zeros(nv)
+    spread = np.zeros(nv)
     for joint in problem.machine.joints.values():
-        speed[joint.dof], travel[joint.dof] = _SPEED * joint.speed, _TRAVEL * joint.travel
+        speed[joint.dof], spread[joint.dof] = _SPEED * joint.speed, joint.spread
     scale = 1 / np.maximum(problem.weight.reshape(-1, len(windows.channels)).max(axis=0), 1e-300)
     for k, name in enumerate(windows.channels):
         if name in layout.qpos:
             dof = int(layout.velocity[layout.qpos[name]])
             if dof >= 0:
-                position[dof] = _POSITION * scale[k] + travel[dof]
+                position[dof] = _POSITION * scale[k] + _ASIDE * spread[dof]
     own = [s.qvel for s in coordinates.second]
     most = np.array([s.most for s in coordinates.second])
-    places = np.minimum(travel[own] / _TRAVEL * _ADDED, np.maximum(most, _LEAST))
+    places = np.minimum(_ADDED * spread[own], np.maximum(most, _LEAST))
     return np.concatenate([position, speed, places, speed[own]])
 
 
@@ -218,10 +218,10 @@ class _Starts:
             if not moved.size:
                 break
             busy = moved if fresh else busy
-        self._catch_up()
+        self._fit_stragglers()
 
-    def _catch_up(self) -> None:
-        """Go on with windows that are left far behind the others, by differences of simulations.
+    def _fit_stragglers(self) -> None:
+        """Fit windows that are left far behind the others on, by differences of simulations.
 
         Where friction reverses right after the start, no slope along one motion tells of the next.
         """

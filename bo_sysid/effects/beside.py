@@ -24,7 +24,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import atomic
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)

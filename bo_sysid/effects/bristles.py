@@ -16,7 +16,7 @@ BENT_FINER = (0.6, 1.6)
 
 _STIFFNESS = 5  # place in `dynprm` of a motor with LuGre friction
 _STEADY = slice(3, 6)  # place in `biasprm` of sliding level, level at standstill and their speed
-_BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the joint's travel
+_BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _LEAST = 1e-30  # [J] that bristles store
 _RESOLVED = 0.1  # of the stiffest spring that a step can follow
@@ -29,7 +29,7 @@ def most_bent(joint: JointScale) -> float:
 
 def bends(joint: JointScale) -> tuple[float, ...]:
     """Return the bends that are tried at a joint, in [rad] or [m]."""
-    return tuple(bend * joint.travel for bend in _BENDS)
+    return tuple(bend * joint.spread for bend in _BENDS)
 
 
 def add_bristles(

@@ -19,13 +19,13 @@ from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.strip import stripped
 
-_GAPS = (0.01, 0.1)  # of a joint's travel, tried as play
-_SOFT = (0.003, 0.02, 0.1, 0.4)  # of the travel, by which the typical force bends a joint
+_GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
+_SOFT = (0.003, 0.02, 0.1, 0.4)  # of that spread, by which the typical force bends a joint
 _LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
-_TIGHT = 1e-3  # of the travel, by which the typical force bends a gear that plays
+_TIGHT = 1e-3  # of that spread, by which the typical force bends a gear that plays
 _EVENLY = 0.5  # share of a joint's damping that acts on the link, to begin with
 _MOST = 10.0  # of a joint's typical force: what bends the ends of a gap
 _SOFTEST = 0.01  # impedance of the ends of a gap
@@ -127,13 +127,13 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     if _servos(site, machine):  # no search reached a gap in a loop that is closed at the link
         sides = (_MOTOR_SIDE,)
     joint = machine.joints[site.name]
-    most = joint.travel / joint.force
+    most = joint.spread / joint.force
     tight = _TIGHT * most
     return Extent(
-        (_GAPS[0] * joint.travel, tight, _EVENLY, sides[0]),
+        (_GAPS[0] * joint.spread, tight, _EVENLY, sides[0]),
         (0.0, 0.0, 0.0, -1e-9),
-        (joint.travel, _SOFT[-1] * most, 1.0, 1.0),
-        tuple((gap * joint.travel, tight, _EVENLY, side) for side in sides for gap in _GAPS),
+        (joint.spread, _SOFT[-1] * most, 1.0, 1.0),
+        tuple((gap * joint.spread, tight, _EVENLY, side) for side in sides for gap in _GAPS),
     )
 
 
@@ -200,7 +200,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     if not sides:
         return None
     joint = machine.joints[site.name]
-    most = joint.travel / joint.force
+    most = joint.spread / joint.force
     return Extent(
         (_SOFT[0] * most, _LAG, _EVENLY, sides[0]),
         (0.0, 0.0, 0.0, -1e-9),

@@ -15,7 +15,7 @@ _OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPAR
 Signal = Float[np.ndarray, "..."]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointScale:
     """A hinge or slide joint.
 
@@ -25,7 +25,7 @@ class JointScale:
         hinge: whether it turns.
         force: typical force along it in [N m] or [N].
         speed: root mean square of its velocity.
-        travel: standard deviation of its position.
+        spread: standard deviation of its position.
         span: range of its position.
         inertia: mean effective inertia in [kg m²] or [kg].
         actuators: names of the actuators that drive it.
@@ -37,14 +37,14 @@ class JointScale:
     hinge: bool
     force: float
     speed: float
-    travel: float
+    spread: float
     span: float
     inertia: float
     actuators: tuple[str, ...]
     middle: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ActuatorScale:
     """An actuator.
 

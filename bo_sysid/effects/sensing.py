@@ -20,7 +20,7 @@ from bo_sysid.effects.filters import shifted
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
-_OFFSET = 0.01  # of a turn's radian, or of the range of a slide
+_OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
 _MOST_DELAY = 0.06
 
 

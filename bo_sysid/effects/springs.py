@@ -40,7 +40,7 @@ def _stiffness(site: Site, machine: Machine) -> float:
 
 def _spring_extent(site: Site, machine: Machine) -> Extent:
     joint = machine.joints[site.name]
-    stiffness = joint.force / joint.travel
+    stiffness = joint.force / joint.spread
     return Extent(
         (0.05 * stiffness, 0.05 * joint.force),
         (-_stiffness(site, machine) - 1e-12, -9 * joint.force),

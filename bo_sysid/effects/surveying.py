@@ -122,13 +122,22 @@ def _actuator(
     top = max(float(np.abs(force).max()), _FLOOR)
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
     return ActuatorScale(
-        name, a, joint, gear, gain, (float(b[0]), float(b[1]), float(b[2])), bool(b[1] != 0),
-        float(np.abs(u).max()), float(u.std()), top, float(force.std()),
-        tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
-        int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        name=name,
+        index=a,
+        joint=joint,
+        gear=gear,
+        gain=gain,
+        bias=(float(b[0]), float(b[1]), float(b[2])),
+        servo=bool(b[1] != 0),
+        ctrl_max=float(np.abs(u).max()),
+        ctrl_std=float(u.std()),
+        force_max=top,
+        force_std=float(force.std()),
+        levels=tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
+        plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
-        _jumps(recordings, key),
-    )  # fmt: skip
+        jumps=_jumps(recordings, key),
+    )
 
 
 def _jumps(recordings: Sequence[Recording], channel: str) -> tuple[float, ...]:
@@ -153,16 +162,16 @@ def _joint(
     moved = inertia[dof] * float(np.sqrt(np.mean(motion.a**2)))
     force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * a.force_std for a in drives)])
     return JointScale(
-        name,
-        dof,
-        int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
-        force,
-        max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
-        max(float(motion.q.std()), _FLOOR),
-        max(float(np.ptp(motion.q)), _FLOOR),
-        float(inertia[dof]),
-        tuple(a.name for a in drives),
-        0.5 * float(motion.q.min() + motion.q.max()),
+        name=name,
+        dof=dof,
+        hinge=int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
+        force=force,
+        speed=max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
+        spread=max(float(motion.q.std()), _FLOOR),
+        span=max(float(np.ptp(motion.q)), _FLOOR),
+        inertia=float(inertia[dof]),
+        actuators=tuple(a.name for a in drives),
+        middle=0.5 * float(motion.q.min() + motion.q.max()),
     )
 
 

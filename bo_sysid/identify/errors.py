@@ -75,8 +75,8 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
     deviation = problem.on(recordings[:1])
     windows = deviation.windows
     keep = slice(0, max(_TRACED // windows.observed.shape[1], 1))
-    nominal = deviation.residual(problem.nominal)[0].values[keep]
-    identified = deviation.residual(best)[0].values[keep]
+    nominal = deviation.prediction(problem.nominal).values[keep]
+    identified = deviation.prediction(best).values[keep]
     observed = windows.observed[keep]
     instants = (windows.step + windows.fraction)[keep] * windows.timestep
     time = windows.time[keep][:, None] + instants

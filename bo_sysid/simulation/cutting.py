@@ -98,17 +98,17 @@ def _cut_one(
     ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
     return Windows(
-        start,
-        ctrl,
-        {n: _signal(recording, n, time[first], steps, dt) for n in signals},
-        tuple(channels),
-        table[first[:, None] + np.arange(1, horizon + 1)],
-        step,
-        fraction,
-        time[first],
-        np.full(len(first), number),
-        dt,
-        notes + note,
+        start=start,
+        ctrl=ctrl,
+        signals={n: _signal(recording, n, time[first], steps, dt) for n in signals},
+        channels=tuple(channels),
+        observed=table[first[:, None] + np.arange(1, horizon + 1)],
+        step=step,
+        fraction=fraction,
+        time=time[first],
+        recording=np.full(len(first), number),
+        timestep=dt,
+        notes=notes + note,
     )
 
 
@@ -290,15 +290,15 @@ def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> 
         np.concatenate(warm) if len(warm) == len(pieces) else None,
     )
     return Windows(
-        start,
-        np.concatenate([p.ctrl for p in pieces]),
-        {n: np.concatenate([p.signals[n] for p in pieces]) for n in pieces[0].signals},
-        channels,
-        np.concatenate([p.observed for p in pieces]),
-        np.concatenate([p.step for p in pieces]),
-        np.concatenate([p.fraction for p in pieces]),
-        np.concatenate([p.time for p in pieces]),
-        np.concatenate([p.recording for p in pieces]),
-        dt,
-        tuple(n for p in pieces for n in p.notes),
+        start=start,
+        ctrl=np.concatenate([p.ctrl for p in pieces]),
+        signals={n: np.concatenate([p.signals[n] for p in pieces]) for n in pieces[0].signals},
+        channels=channels,
+        observed=np.concatenate([p.observed for p in pieces]),
+        step=np.concatenate([p.step for p in pieces]),
+        fraction=np.concatenate([p.fraction for p in pieces]),
+        time=np.concatenate([p.time for p in pieces]),
+        recording=np.concatenate([p.recording for p in pieces]),
+        timestep=dt,
+        notes=tuple(n for p in pieces for n in p.notes),
     )
