@@ -243,7 +243,7 @@ def test_user_added_acquisition(context, monkeypatch):
     acquisition = build_acquisition("last-row", context)
     assert pick(acquisition, context.candidates, context.evaluated) == len(context.candidates) - 1
     for taken in ("last-row", "greedy"):
-        with pytest.raises(ValueError, match="exists already"):
+        with pytest.raises(StudyError, match="exists already"):
             register_acquisition(taken)
 
 

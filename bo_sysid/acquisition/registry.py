@@ -41,10 +41,10 @@ def register_acquisition(name: str) -> Callable[[Factory], Factory]:
     `forward` maps `b x 1 x d` rows of B to `b` values; the largest value is evaluated next.
 
     Raises:
-        ValueError: the name is taken.
+        StudyError: the name is taken.
     """
     if name in acquisition_names():
-        raise ValueError(f"acquisition {name!r} exists already")
+        raise StudyError(f"acquisition {name!r} exists already; choose another name")
 
     def add(factory: Factory) -> Factory:
         _ADDED[name] = factory

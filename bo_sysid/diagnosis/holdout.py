@@ -137,7 +137,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     if outcome.law_alone is not None:
         models["learned_residual"] = outcome.law_alone
     rows: list[dict[str, Any]] = []
-    free_runs: dict[str, Mapping[str, float]] = {}
+    free_runs: Mapping[str, Mapping[str, float]] = {}
     traced = pd.DataFrame()
     length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
@@ -150,7 +150,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     except RecordingError as error:
         return Holdout(_table([]), {}, traced, f"The hold-out is too short to judge: {error}.")
     if length > PAST + free:
-        made, longer = _free_runs(evidence, outcome, recordings, models, free, free_runs)
+        made, free_runs, longer = _free_runs(evidence, outcome, recordings, models, free)
         rows, traced = rows + made, traced if longer.empty else longer
     return Holdout(
         _table(rows), free_runs, traced, parameters=bool(evidence.nuisances),
@@ -217,22 +217,22 @@ def _free_runs(
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
     free: float,
-    channels: dict[str, Mapping[str, float]],
-) -> tuple[list[dict[str, Any]], pd.DataFrame]:
+) -> tuple[list[dict[str, Any]], dict[str, Mapping[str, float]], pd.DataFrame]:
+    """Return the errors of runs of seconds as rows, by model and channel, and their traces."""
     try:
         problem, past = _cut(evidence, outcome, recordings, PAST, free)
     except RecordingError:
-        return [], pd.DataFrame()
-    rows, residuals = [], {}
-    for name, errors in _each(models, partial(forecast, problem, past)).items():
-        channels[name], residuals[name] = errors.channel, errors.residual
+        return [], {}, pd.DataFrame()
+    made, rows = _each(models, partial(forecast, problem, past)), []
+    for name, errors in made.items():
         hinges = {
             j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
         }
         unit = "rad" if hinges == {True} else "m" if hinges == {False} else "SI"
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
         rows.append({**_row("free_run", free, name, error), "unit": unit})
-    return rows, traces(problem, past, residuals)
+    shown = traces(problem, past, {name: errors.residual for name, errors in made.items()})
+    return rows, {name: errors.channel for name, errors in made.items()}, shown
 
 
 def _each(

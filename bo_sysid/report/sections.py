@@ -22,6 +22,7 @@ from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.runs import read_frame, read_json
+from bo_sysid.runs.files import inside
 
 _PAIRS = 6
 _LARGEST = 300_000  # bytes of a picture in the page
@@ -84,7 +85,7 @@ def robot(found: Found) -> Section | None:
     diagnosis = read_json(found.folder, "diagnosis.json")
     pose = read_json(found.folder, "pose.json")
     try:
-        posed, sites = marked_robot(found.folder / diagnosis["model"], pose, diagnosis)
+        posed, sites = marked_robot(inside(found.folder, str(diagnosis["model"])), pose, diagnosis)
     except BoSysidError as error:
         raise RunError(f"the robot cannot be drawn: {error}") from None
     said = "; ".join(w.replace("\n", " ") for _, w in sites) or "no site is marked"
