@@ -190,7 +190,7 @@ def vary(search: Search, base: Fit) -> None:
         base = search.fit(*subset(base, keep), guess=base.hypothesis)
     for effect in dict.fromkeys(c.effect for c in base.members if c.bendable):
         own = [c for c in base.members if c.effect is effect]
-        # a site with fewer shapes, as one that bends already has, ends the list for all
+        # the site with the fewest shapes, one that does not bend yet, ends the list for all
         for shapes in zip(*map(_other_shapes, own), strict=False):
             changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
             members = [changed.get(c, c) for c in base.members]
