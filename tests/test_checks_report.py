@@ -202,6 +202,14 @@ def test_weak_combinations_are_put_into_words() -> None:
     assert found.table()["determined"].tolist() == ["weakly", "weakly", "yes"]
 
 
+@pytest.mark.parametrize(("told", "verdict"), [(0.0, "not"), (1e-3, "not"), (10.0, "weakly")])
+def test_a_parameter_of_which_nothing_is_told_is_not_determined(told: float, verdict: str) -> None:
+    parameter = Parameter("a", ("joint[x].damping",), 0.0, 1.0)
+    table = Information((parameter,), np.array([[told]])).table()
+    assert table["of_range"].iloc[0] == pytest.approx((12 + told) ** -0.5)
+    assert table["determined"].tolist() == [verdict]
+
+
 ARM = Path(__file__).parent.parent / "studies" / "diagnosis" / "two_link_arm.xml"
 
 

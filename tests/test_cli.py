@@ -163,7 +163,7 @@ def test_a_file_that_cannot_be_read_gives_one_message(folder: Path, say: Say) ->
         (FileNotFoundError(2, "No such file", "x.csv"), 2, "x.csv: No such file\n"),
         (OSError(28, "No space left on device"), 1, "bo-sysid: No space left on device\n"),
         (PermissionError(13, "Permission denied", "new"), 1, "new: Permission denied\n"),
-        (KeyboardInterrupt(), 130, "bo-sysid: interrupted; the same command goes on"),
+        (KeyboardInterrupt(), 130, "bo-sysid: interrupted\n"),  # a check begins anew
         (ZeroDivisionError("division by zero"), 1, "Traceback"),
     ],
 )

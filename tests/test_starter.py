@@ -169,9 +169,30 @@ def test_a_urdf_gets_motors_and_a_joint_without_a_column_is_held(tmp_path: Path)
     assert started.rules.held == ("wrist",)
     study = Study.load(started.path)
     assert study.model.hold == ("wrist",)
-    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "arm_motors.xml"))
     assert [exported.actuator(a).name for a in range(exported.nu)] == ["elbow", "wrist"]
     assert "continuous" not in str(check(study).flags)
+
+
+def test_a_model_without_actuators_stays_as_it_was_written(tmp_path: Path) -> None:
+    """A study beside it gets a model with motors of another name, and nothing where it fails."""
+    model = tmp_path / "arm.xml"
+    model.write_text("<!-- mine -->" + HAND.replace("yaw", "base"))
+    time = np.arange(0.0, 4.0, 0.005)
+    names = ("base", "shoulder", "elbow", "gripper")
+    log = pd.DataFrame({"time": time, **{f"{n}_pos": np.sin(3 * time + len(n)) for n in names}})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    log[["time"]].assign(other=1.0).to_csv(tmp_path / "empty.csv", index=False)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    with pytest.raises(UserError):
+        init(model, [tmp_path / "empty.csv"], tmp_path / "arm.yaml")
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    study = Study.load(init(model, [tmp_path / "log.csv"], tmp_path / "arm.yaml").path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir() if p.name in before} == before
+    assert study.model.file == "arm_motors.xml"
+    (tmp_path / "arm.yaml").unlink()
+    with pytest.raises(UserError, match=r"arm_motors\.xml: exists"):
+        init(model, [tmp_path / "log.csv"], tmp_path / "arm.yaml")
 
 
 def test_rates_are_told_from_positions_by_behaviour() -> None:

@@ -204,10 +204,23 @@ def test_a_pattern_of_no_files_is_told_what_it_is(folder: Path, pattern: str, to
         _ = study.train_files
 
 
-def test_a_file_for_training_and_holdout_is_refused(folder: Path) -> None:
-    study = load(folder, recordings__holdout=["data/*.csv"])
-    with pytest.raises(StudyError, match=r"holdout: arm-1.csv is among the files of train"):
+@pytest.mark.parametrize("spelled", ["data/*.csv", "data/../data/arm-1.csv", "linked.csv"])
+def test_a_file_for_training_and_holdout_is_refused(folder: Path, spelled: str) -> None:
+    (folder / "linked.csv").symlink_to(folder / "data" / "arm-1.csv")
+    study = load(folder, recordings__holdout=[spelled])
+    with pytest.raises(StudyError, match=r"holdout: \S+.csv is among the files of train"):
         _ = study.holdout_files
+
+
+def test_a_file_that_is_named_twice_is_read_once(folder: Path) -> None:
+    study = load(folder, recordings__train=["data/arm-1.csv", "data/../data/arm-1.csv"])
+    assert [p.name for p in study.train_files] == ["arm-1.csv"]
+
+
+def test_a_name_with_brackets_is_that_of_a_file(folder: Path) -> None:
+    (folder / "data" / "arm-1.csv").rename(folder / "data" / "arm [1].csv")
+    study = load(folder, recordings__train=["data/arm [1].csv"])
+    assert [p.name for p in study.train_files] == ["arm [1].csv"]
 
 
 def test_recordings_are_mapped_as_the_study_says(folder: Path) -> None:
@@ -316,6 +329,11 @@ def test_code_is_loaded_by_name(folder: Path) -> None:
     assert load_function(study, "servo.py:duty")(3) == 3
     with pytest.raises(StudyError, match=r"law: servo.py has no function 'dutty'; did you mean 'd"):
         load_function(study, "servo.py:dutty")
+    (folder / "servo.py").write_text(
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n\n\n"
+        "@dataclass\nclass Gain:\n    kp: float\n\n\ndef duty(x):\n    return Gain(2.0).kp * x\n"
+    )
+    assert load_function(study, "servo.py:duty")(3) == 6
     (folder / "servo.py").write_text("1 / 0\n")
     with pytest.raises(StudyError, match=r"law: servo.py fails: ZeroDivisionError: division"):
         load_function(study, "servo.py:duty")

@@ -19,7 +19,9 @@ from bo_sysid.simulation import Simulator, State, Windows
 
 _STEP = 1e-3  # of a parameter's range
 _MOVE = (1e-6, 1e-4)  # of positions in [rad] or [m], of velocities
-_WEAK, _UNKNOWN = 0.1, 0.5  # of the range: a standard deviation that is weak, that says nothing
+_PRIOR = 1 / np.sqrt(12)  # of the range: standard deviation of what is uniform within it
+_WEAK = 0.1  # of the range: a standard deviation that is weak
+_SAYS_NOTHING = 0.9  # of the prior: so little do the recordings narrow it
 _DEAD = 1e-9
 
 
@@ -37,7 +39,7 @@ class Information:
 
     @property
     def sigma(self) -> Float[np.ndarray, " d"]:
-        """Least standard deviation of each parameter, in units of its range; at most 1."""
+        """Least standard deviation of each parameter, in units of its range; at most 1/√12."""
         # the range itself is known: a uniform prior has a variance of 1/12
         return np.asarray(
             np.sqrt(np.diag(np.linalg.inv(self.fisher + 12 * np.eye(len(self.fisher)))))
@@ -48,7 +50,7 @@ class Information:
         share = self.sigma
         width = np.array([p.high - p.low for p in self.parameters])
         verdict = np.where(
-            share < _WEAK, "determined", np.where(share < _UNKNOWN / np.sqrt(3), "weakly", "not")
+            share < _WEAK, "determined", np.where(share < _SAYS_NOTHING * _PRIOR, "weakly", "not")
         )
         return pd.DataFrame(
             {

@@ -50,6 +50,9 @@ VERBS = (
 )
 """The verbs, in the order of the help."""
 
+RESUMED = ("identify", "learn", "compare", "record", "conceal", "reveal")
+"""Verbs that go on where they were interrupted."""
+
 DONE, DEFECT, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -70,7 +73,7 @@ def make_parser() -> argparse.ArgumentParser:
         "(Ctrl-C), 1 anything else.",
     )
     parser.add_argument("--version", action="version", version=f"bo-sysid {__version__}")
-    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for verb in VERBS:
         verb.add_parser(verbs)
     return parser
@@ -88,6 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="replace")  # type: ignore[union-attr] # names may hold any letter
+    args = None
     try:
         args = make_parser().parse_args(argv)
         args.run(args)
@@ -106,7 +110,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = WRONG_INPUT if is_input_error(error) else DEFECT
         return _say(f"{where}{error.strerror or error}", code)
     except KeyboardInterrupt:
-        return _say("interrupted; the same command goes on where it was", INTERRUPTED)
+        goes_on = args is not None and args.verb in RESUMED
+        how = "; the same command goes on where it was" if goes_on else ""
+        return _say(f"interrupted{how}", INTERRUPTED)
     except Exception:
         traceback.print_exc()
         return _say("this is a defect of bo-sysid: please report the lines above", DEFECT)

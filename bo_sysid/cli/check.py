@@ -93,9 +93,12 @@ def write(found: "Checked", folder: Path) -> None:
     for name, table in tables.items():
         with atomic(folder / f"{name}.csv") as place:
             table.to_csv(place, index=False)
+    proposed = folder / "recordings.yaml"
     if found.proposal:
-        with atomic(folder / "recordings.yaml") as place:
+        with atomic(proposed) as place:
             place.write_text(found.proposal + "\n", encoding="utf-8")
+    else:  # that of an earlier check is no longer proposed
+        proposed.unlink(missing_ok=True)
     flagged = {n for f in found.flags if f.level != "note" for n in f.channels}
     titles = _titles([recording.name for recording in found.recordings])
     for recording, title in zip(found.recordings, titles, strict=True):

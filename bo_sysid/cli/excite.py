@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from bo_sysid.cli.common import Verbs, add_study, load_study
+from bo_sysid.cli.common import Verbs, add_study, load_study, run_folder
 from bo_sysid.cli.progress import shown
 
 
@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.report.check_figures import recording_figure
     from bo_sysid.report.figures import save
     from bo_sysid.report.text import table
+    from bo_sysid.runs import atomic
 
     with use_threads(args.threads), shown("excite") as progress:
         found = excite(
@@ -45,11 +46,12 @@ def run(args: argparse.Namespace) -> None:
             effects=args.effects,
             report=lambda done, cost: progress(Progress(min(done, args.budget), args.budget)),
         )
-    folder: Path = args.out or Path("runs") / f"{args.study.stem}-excite"
-    folder.mkdir(parents=True, exist_ok=True)
-    found.controls.to_csv(folder / "controls.csv", index=False)
-    found.parameters.to_csv(folder / "parameters.csv", index=False)
-    save(recording_figure(found.predicted, set()), folder / "predicted.png")
+    folder = run_folder(args, "excite")
+    for name, frame in (("controls.csv", found.controls), ("parameters.csv", found.parameters)):
+        with atomic(folder / name) as path:
+            frame.to_csv(path, index=False)
+    with atomic(folder / "predicted.png") as path:
+        save(recording_figure(found.predicted, set()), path)
     shown_columns = {"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
     print("What a recording of this trajectory would tell at best:")
     print(table(found.parameters.rename(columns=shown_columns)))

@@ -1,6 +1,7 @@
 """`bo-sysid report`: what a run found, as text and as one page."""
 
 import argparse
+import contextlib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -67,7 +68,8 @@ def _serve(folder: Path, port: int) -> None:
 
     with make_server(folder, port) as server:
         print(f"http://{HOST}:{server.server_port} (Ctrl-C ends)")
-        server.serve_forever()
+        with contextlib.suppress(KeyboardInterrupt):
+            server.serve_forever()
 
 
 def _able() -> bool:

@@ -19,7 +19,7 @@ from bo_sysid.runs import plain
 
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
-_LISTED = 0.005  # probability from which another set is an alternative
+_FEW, _LISTED = 4, 0.005  # other sets that are always told; probability of further ones
 _EQUIVALENTS = 3
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
@@ -117,7 +117,10 @@ def make_answer(
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)
-        if f.key != kept.key and p >= _LISTED
+        if f.key != kept.key
+    ]
+    alternatives = [
+        a for k, a in enumerate(alternatives) if k < _FEW or a["probability"] >= _LISTED
     ]
     alternatives.append({"findings": [_STRANGER], "probability": none_of_these})
     alternatives.sort(key=lambda a: -a["probability"])

@@ -193,6 +193,9 @@ def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> 
     ).probabilities
 
 
+_AT_BOUND = 1e-9  # of the range between the bounds
+
+
 def _parameters(
     problem: Problem, points: Points, cells: Points, best: Point, bootstrap: Probabilities
 ) -> pd.DataFrame:
@@ -208,7 +211,7 @@ def _parameters(
         value=best,
         low95=np.maximum(low95, bounds[0]),
         high95=np.minimum(high95, bounds[1]),
-        at_bound=np.isclose(best, bounds[0]) | np.isclose(best, bounds[1]),
+        at_bound=(abs(best - bounds) < _AT_BOUND * (bounds[1] - bounds[0])).any(axis=0),
     )
 
 

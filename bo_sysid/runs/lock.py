@@ -1,5 +1,6 @@
 """One process writes to a run folder at a time."""
 
+import errno
 import os
 import platform
 import sys
@@ -9,6 +10,7 @@ from typing import IO
 from bo_sysid.errors import RunError
 
 NAME = ".lock"
+_HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)  # by another process
 
 
 def locked(folder: Path) -> IO[str]:
@@ -16,7 +18,10 @@ def locked(folder: Path) -> IO[str]:
     lock = open(folder / NAME, "a+", encoding="utf-8")  # noqa: SIM115 - held as long as the run
     try:
         _lock_file(lock)
-    except OSError:
+    except OSError as error:
+        if error.errno not in _HELD:  # a file system without locks: nothing is known of others
+            lock.close()
+            raise
         lock.seek(0)
         holder = lock.read().strip() or "another process"
         lock.close()

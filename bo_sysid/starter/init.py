@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -12,7 +14,7 @@ from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
-from bo_sysid.recording import Recording, read_tables
+from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.runs import atomic
 from bo_sysid.starter.guess import Rules, by_behaviour, guess_rules, read
 from bo_sysid.starter.write import relative, study_text
@@ -51,7 +53,54 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     if out.exists():
         raise UserError(f"{out}: exists; name another file with --out, or remove it")
     files = [Path(log) for log in logs]
-    tables = [t for f in files for t in read_tables(f)]
+    tables = _alike([t for f in files for t in read_tables(f)])
+    whole, notes, fixed = _held_base(source, tables[0].columns)
+    motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
+    if edits:
+        notes.append(
+            f"{source.name} has no actuators: {motors.name} has a motor of 1 N m (N) for every "
+            "joint."
+        )
+        if motors.exists():
+            raise UserError(
+                f"{motors}: exists; the model with motors belongs there: remove it, or name another "
+                "study with --out"
+            )
+    with TemporaryDirectory() as spare:
+        read_from = source
+        if edits:
+            read_from = Path(spare) / motors.name
+            whole.export(read_from, edits)
+        nominal = Model.from_file(read_from) if edits else whole
+        rules = guess_rules(nominal, tables[0])
+        if rules.held:
+            base: Literal["free", "fixed"] = "fixed" if fixed else "free"
+            nominal = Model.from_file(read_from, base=base, hold=rules.held)
+        rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
+        if rules.unmatched:
+            notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
+        scales = _scales(nominal, read(tables[0], rules))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    holdout = files[-max(len(files) // 4, 1) :] if len(files) > 1 else []
+    text = study_text(
+        source.stem,
+        relative(motors if edits else source, out.parent),
+        [relative(f, out.parent) for f in files[: len(files) - len(holdout)]],
+        [relative(f, out.parent) for f in holdout],
+        rules,
+        scales,
+        base_fixed=fixed,
+        notes=notes,
+    )
+    if edits:  # not before all else is known to fit
+        whole.export(motors, edits)
+    with atomic(out) as beside:
+        beside.write_text(text, encoding="utf-8")
+    return Started(out, rules, tuple(notes))
+
+
+def _alike(tables: list[RawTable]) -> list[RawTable]:
+    """Return the tables, which must have the columns of the first."""
     for table in tables[1:]:
         missing = set(tables[0].columns) ^ set(table.columns)
         if missing:
@@ -59,31 +108,7 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
                 f"{table.source}: its columns differ from those of {tables[0].source} "
                 f"({', '.join(sorted(missing)[:6])}); init takes logs of one format"
             )
-    nominal, notes, fixed = _held_base(source, tables[0].columns)
-    nominal, written, more = _driven(nominal, source, out)
-    rules = guess_rules(nominal, tables[0])
-    if rules.held:
-        nominal = Model.from_file(written, base="fixed" if fixed else "free", hold=rules.held)
-    rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
-    if rules.unmatched:
-        more.append(f"No column was found for: {', '.join(rules.unmatched)}.")
-    recording = read(tables[0], rules)
-    holdout = files[-max(len(files) // 4, 1) :] if len(files) > 1 else []
-    train = files[: len(files) - len(holdout)]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    text = study_text(
-        source.stem,
-        relative(written, out.parent),
-        [relative(f, out.parent) for f in train],
-        [relative(f, out.parent) for f in holdout],
-        rules,
-        _scales(nominal, recording),
-        base_fixed=fixed,
-        notes=[*notes, *more],
-    )
-    with atomic(out) as beside:
-        beside.write_text(text, encoding="utf-8")
-    return Started(out, rules, (*notes, *more))
+    return tables
 
 
 def _held_base(source: Path, columns: object) -> tuple[Model, list[str], bool]:
@@ -98,16 +123,12 @@ def _held_base(source: Path, columns: object) -> tuple[Model, list[str], bool]:
     return Model.from_file(source, base="fixed"), [note], True
 
 
-def _driven(model: Model, source: Path, out: Path) -> tuple[Model, Path, list[str]]:
-    """Return a model with actuators: one that has none (as every URDF) gets a motor a joint."""
+def _motors(model: Model) -> list[MotorEdit]:
+    """Return edits that give a model without actuators (as every URDF) a motor for each joint."""
     if model.actuators:
-        return model, source, []
+        return []
     compiled = model.compile()
-    edits = [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
-    path = out.with_suffix(".xml")
-    model.export(path, edits)
-    note = f"{source.name} has no actuators: {path.name} has a motor of 1 N m (N) for every joint."
-    return Model.from_file(path), path, [note]
+    return [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
 
 
 def _scales(model: Model, recording: Recording) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -138,11 +139,14 @@ def load_module(study: Study, file: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise study.error(key, f"{file} is not a Python file")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except UserError:
-        raise
-    except Exception as error:  # whatever it is, it is for the file's author
+    except BaseException as error:
+        del sys.modules[spec.name]
+        if isinstance(error, UserError) or not isinstance(error, Exception):
+            raise
+        # whatever it is, it is for the file's author
         raise study.error(key, f"{file} fails: {type(error).__name__}: {error}") from error
     return module
 

@@ -84,6 +84,8 @@ def matching(folder: Path, pattern: str) -> list[Path]:
     root = Path(anchor) if anchor else folder
     if parts in ((), (anchor,)):  # the folder itself
         return [root]
+    if (named := folder / pattern).exists():  # such as "run [1].csv", which is no pattern
+        return [named]
     if any("**" in part and part != "**" for part in parts):
         raise StudyError(
             f"{pattern!r} is no pattern: ** stands for folders and must be alone between slashes, "

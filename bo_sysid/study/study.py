@@ -154,10 +154,11 @@ class Study(Section):
             StudyError: a name or glob matches no file, or a file is used for training as well.
         """
         files = self._files("holdout")
-        both = set(files) & set(self._files("train"))
+        trained = {file.resolve() for file in self._files("train")}
+        both = [file.name for file in files if file.resolve() in trained]
         if both:
             raise self.error(
-                ("recordings", "holdout"), f"{min(both).name} is among the files of train as well"
+                ("recordings", "holdout"), f"{min(both)} is among the files of train as well"
             )
         return files
 
@@ -288,7 +289,7 @@ class Study(Section):
             self.file(file, key)
 
     def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
-        found: dict[Path, None] = {}
+        found: dict[Path, Path] = {}
         for i, pattern in enumerate(getattr(self.recordings, part) or ()):
             key = ("recordings", part, i)
             try:
@@ -300,8 +301,9 @@ class Study(Section):
                 raise self.error(
                     key, f"{pattern!r} matches no file; {_near(self._folder / pattern)}{made}"
                 )
-            found.update(dict.fromkeys(files))
-        return tuple(found)
+            for file in files:
+                found.setdefault(file.resolve(), file)  # one file, however it is spelled
+        return tuple(found.values())
 
 
 def _is_log(path: Path) -> bool:
