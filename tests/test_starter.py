@@ -1,5 +1,6 @@
 """`init`: studies from a model and nothing but raw logs."""
 
+import re
 from math import pi
 from pathlib import Path
 
@@ -177,9 +178,9 @@ def test_a_urdf_gets_motors_and_a_joint_without_a_column_is_held(tmp_path: Path)
 def test_a_model_without_actuators_stays_as_it_was_written(tmp_path: Path) -> None:
     """A study beside it gets a model with motors of another name, and nothing where it fails."""
     model = tmp_path / "arm.xml"
-    model.write_text("<!-- mine -->" + HAND.replace("yaw", "base"))
+    model.write_text("<!-- mine -->" + re.sub("<actuator>.*</actuator>", "", HAND, flags=re.S))
     time = np.arange(0.0, 4.0, 0.005)
-    names = ("base", "shoulder", "elbow", "gripper")
+    names = ("yaw", "shoulder", "elbow", "gripper")
     log = pd.DataFrame({"time": time, **{f"{n}_pos": np.sin(3 * time + len(n)) for n in names}})
     log.to_csv(tmp_path / "log.csv", index=False)
     log[["time"]].assign(other=1.0).to_csv(tmp_path / "empty.csv", index=False)

@@ -119,10 +119,9 @@ def make_answer(
         for f, p in zip(decision.fits, posterior, strict=True)
         if f.key != kept.key
     ]
-    alternatives = [
-        a for k, a in enumerate(alternatives) if k < _FEW or a["probability"] >= _LISTED
-    ]
-    alternatives.append({"findings": [_STRANGER], "probability": none_of_these})
+    likely = [a for a in alternatives[_FEW:] if a["probability"] >= _LISTED]
+    stranger = {"findings": [_STRANGER], "probability": none_of_these}
+    alternatives = [*alternatives[:_FEW], *likely, stranger]
     alternatives.sort(key=lambda a: -a["probability"])
     return Answer(
         verdict({c.effect.family for c in kept.members}, outcome.unexplained),
