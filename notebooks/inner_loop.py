@@ -12,9 +12,11 @@
 # have recordings, and a discrete set $B$ of candidates $\beta = (\text{mass}, \text{damping})$.
 #
 # For each candidate the deviation $\Delta(\beta)$ says how far the model predicts from what was
-# recorded. A Gaussian process over $\log\Delta$ gives $P(\beta)$, the probability that $\beta$ is
-# the arg-min of $\Delta$ over $B$; the next candidate is the one that contributes most to the
-# entropy of that distribution, $\arg\max_\beta -P(\beta)\log P(\beta)$.
+# recorded. A Gaussian process over a power of $\Delta$ (log, root or as it is) gives $P(\beta)$,
+# the probability that $\beta$ is the arg-min of $\Delta$ over $B$. Here the next candidate is the
+# one that contributes most to the entropy of that distribution,
+# $\arg\max_\beta -P(\beta)\log P(\beta)$; `bo-sysid identify` takes max-value entropy unless the
+# study says otherwise.
 
 # %%
 import matplotlib.pyplot as plt

@@ -160,6 +160,20 @@ def test_figures_are_plotly_objects_of_what_was_stored() -> None:
     assert np.nanmax(np.abs(np.asarray(error.y, float))) == pytest.approx(1e-3, rel=1e-2)
 
 
+def test_each_held_out_recording_has_a_figure_of_its_own() -> None:
+    one, two = (traces("elbow", seconds, 1).assign(recording=r) for r, seconds in HELD_OUT.items())
+    drawn = interactive.all_held_out(pd.concat([one, two]), {}, 12)
+    assert set(drawn) == {f"qpos.elbow, {r}" for r in HELD_OUT}
+    for name, seconds in HELD_OUT.items():
+        line = next(t for t in drawn[f"qpos.elbow, {name}"].data if t.name == "recorded")
+        time = np.asarray(line.x, float)
+        assert (np.diff(time) >= 0).all()
+        assert time.max() == pytest.approx(seconds, abs=0.1)
+
+
+HELD_OUT = {"morning": 4.0, "evening": 6.0}
+
+
 def test_a_long_run_of_six_joints_stays_below_six_megabytes(tmp_path: Path) -> None:
     path = write_page(write_run(tmp_path / "run", "elbow", seconds=60.0, joints=6))
     assert path.stat().st_size < 6e6

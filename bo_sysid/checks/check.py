@@ -51,6 +51,7 @@ class Checked:
         parameters: one row a parameter: what these recordings can say about it at best.
         step: one row a channel: change of predictions with half the step.
         recordings: as they should be read, for pictures.
+        dataset: name of the public data set that the study reads; its rules are its own.
     """
 
     summary: Check
@@ -62,6 +63,7 @@ class Checked:
     parameters: pd.DataFrame
     step: pd.DataFrame
     recordings: tuple[Recording, ...]
+    dataset: str | None = None
 
     @property
     def proposal(self) -> str:
@@ -114,6 +116,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
         known,
         step,
         right,
+        study.recordings.dataset,
     )
 
 

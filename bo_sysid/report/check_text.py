@@ -36,7 +36,13 @@ def checked_text(found: Checked) -> str:
             parts += ["", _TITLES[level], *_listed(flags)]
     if found.proposal:
         indented = "\n".join(f"  {line}" for line in found.proposal.splitlines())
-        parts += ["", "Put this into the study:", "recordings:", indented]
+        where = "Put this into the study:"
+        if found.dataset is not None:
+            where = (
+                f"The data set {found.dataset} brings its own rules; in a study of your own files, "
+                "write:"
+            )
+        parts += ["", where, "recordings:", indented]
     elif not any(f.level == "wrong" for f in found.flags) and _tested(found):
         parts += ["", "Signs, units, order, zeros and clocks: nothing to correct."]
     return "\n".join(parts)

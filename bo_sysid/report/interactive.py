@@ -1,6 +1,6 @@
 """Figures of a diagnosis as Plotly objects, for the page and notebooks; they compute nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -18,6 +18,7 @@ from bo_sysid.report.look import (
     set_colour,
     sure,
     with_gaps,
+    worst_channels,
 )
 from bo_sysid.report.plotly_style import dressed, in_unit, light, said
 from bo_sysid.report.robot import Posed, Site, ball, view
@@ -29,15 +30,16 @@ _MARK = 0.09  # of the robot's size: radius of a mark
 _STEEL = "#9FB0C3"
 
 
-def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad") -> go.Figure:
+def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int = 0) -> go.Figure:
     """Return recorded, nominal, refitted and repaired of one channel, and the residuals.
 
     Args:
-        traces: recording, time [s], window, channel, recorded, nominal, refitted, repaired.
+        traces: time [s], window, channel, recorded, nominal, refitted, repaired; of one recording.
         channel: which.
         unit: of the channel.
+        beside: how many figures share the page's points; otherwise one a channel.
     """
-    most = max(_POINTS // traces["channel"].nunique(), _LEAST_POINTS)
+    most = max(_POINTS // (beside or traces["channel"].nunique()), _LEAST_POINTS)
     part = with_gaps(_thinned(traces[traces["channel"] == channel], most))
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.06)
     time, recorded = light(part["time"]), part["recorded"]
@@ -55,6 +57,30 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad") -> go.Figure
     figure.update_yaxes(title=f"recorded - forecast{in_unit(unit)}", row=2)
     figure.update_xaxes(title="time [s]", row=2)
     return dressed(figure, 520)
+
+
+def all_held_out(traces: pd.DataFrame, units: Mapping[str, str], most: int) -> dict[str, go.Figure]:
+    """Return a figure of each channel, the worst first; of each recording where there are several.
+
+    Recordings begin at time 0 each: in one figure their lines would cross.
+
+    Args:
+        traces: recording and what `held_out` takes.
+        units: of the channels.
+        most: how many figures a page may have.
+    """
+    recordings = list(dict.fromkeys(traces["recording"]))[:most]
+    chosen = worst_channels(traces)[: max(most // len(recordings), 1)]
+    parts = {
+        (c, r): own
+        for c in chosen
+        for r in recordings
+        if len(own := traces[(traces["channel"] == c) & (traces["recording"] == r)])
+    }
+    return {
+        c if len(recordings) == 1 else f"{c}, {r}": held_out(own, c, units.get(c, ""), len(parts))
+        for (c, r), own in parts.items()
+    }
 
 
 def forces(pieces: pd.DataFrame, joint: str) -> go.Figure:

@@ -115,9 +115,7 @@ def proof(found: Found) -> Section | None:
     if found.has("traces.parquet"):
         traces = read_frame(found.folder, "traces.parquet")
         if len(traces):
-            units = _units(found)
-            chosen = worst_channels(traces)[:_CHANNELS]
-            figures = {c: interactive.held_out(traces, c, units.get(c, "")) for c in chosen}
+            figures = interactive.all_held_out(traces, _units(found), _CHANNELS)
             words = (
                 "Above: what was recorded (grey), and what the nominal, the refitted and the "
                 "repaired model forecast; each piece starts from the moment before it, nothing "

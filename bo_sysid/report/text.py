@@ -46,7 +46,16 @@ def run_text(folder: str | Path) -> str:
             f"{head}\n{len(frame)} evaluations so far, lowest deviation "
             f"{frame['deviation'].min():.4g}. The same command goes on."
         )
+    recorded = sorted(p.name for p in folder.glob("*.parquet"))
+    if record["command"] == "record" and recorded:
+        return f"{head}\nRecordings of the plant: {', '.join(recorded)}. Study: {_study(folder)}."
     return f"{head}\nNothing was computed yet."
+
+
+def _study(folder: Path) -> str:
+    """Return the study that `record` wrote beside its recordings."""
+    written = [p.name for p in folder.glob("*.yaml") if p.name != "study.yaml"]
+    return min(written, default="not written yet")
 
 
 def _if_there(folder: Path, name: str, read: Callable[[Path, str], Any]) -> Any:

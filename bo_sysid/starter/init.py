@@ -63,8 +63,8 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
         )
         if motors.exists():
             raise UserError(
-                f"{motors}: exists; the model with motors belongs there: remove it, or name another "
-                "study with --out"
+                f"{motors}: exists, where the model with motors belongs; remove it, or name "
+                "another study with --out"
             )
     with TemporaryDirectory() as spare:
         read_from = source

@@ -45,12 +45,7 @@ def study_text(
         *(f"# {n}" for n in notes),
         "version: 1",
         f"name: {flow_text(name)}",
-        f"model: {flow_text(model) if len(source) == 1 else flow(source)}"
-        + (
-            f"  # not recorded, so held where the model puts them: {', '.join(held)}"
-            if held
-            else ""
-        ),
+        f"model: {flow_text(model) if len(source) == 1 else flow(source)}" + _held(held),
         "recordings:",
         f"  train: [{', '.join(map(flow_text, train))}]",
     ]
