@@ -4,7 +4,7 @@ import pytest
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import ClockRule, ColumnRule, RawTable
 from bo_sysid.recording.mapping import to_recording
-from bo_sysid.recording.units import UNITS, unit
+from bo_sysid.recording.units import _ALIASES, UNITS, unit
 
 TIME = np.arange(50) * 0.01
 WAVE = np.sin(2 * TIME)
@@ -46,6 +46,53 @@ def test_units_are_converted_to_si(channel, written, si, factor):
     assert recording.channels[channel].unit == si
     np.testing.assert_allclose(recording.channels[channel].values, factor * WAVE, rtol=1e-14)
     assert any("raw" in note and written in note for note in recording.notes)
+
+
+def stated(channel, written, columns=None):
+    """Read a channel from a file that states its unit."""
+    table = {"time": TIME, "qpos.a": WAVE, channel: WAVE}
+    recording = to_recording(RawTable("log.h5", table, units={channel: written}), columns)
+    return recording.channels[channel], " ".join(recording.notes)
+
+
+@pytest.mark.parametrize("alias", _ALIASES)
+def test_another_name_of_a_unit_means_the_same_in_a_rule_and_in_the_file(alias):
+    short = unit(alias, "here")
+    channel, notes = stated("sensor.b", alias)
+    assert channel.unit == short.si
+    np.testing.assert_allclose(channel.values, short.factor * WAVE, rtol=1e-14)
+    assert (f"converted from {alias}" in notes) == (short.factor != 1)
+    ruled = read({"sensor.b": {"from": "raw", "unit": alias}}, raw=WAVE).channels["sensor.b"]
+    np.testing.assert_array_equal(channel.values, ruled.values)
+
+
+def test_degrees_and_turns_a_minute_that_the_file_states_are_converted():
+    position, notes = stated("qpos.b", "degrees")
+    np.testing.assert_allclose(position.values, np.deg2rad(WAVE), rtol=1e-14)
+    assert "converted from degrees to rad" in notes
+    speed, _ = stated("qvel.b", "RPM")
+    np.testing.assert_allclose(speed.values, WAVE * 2 * np.pi / 60, rtol=1e-14)
+
+
+def test_a_unit_that_nobody_knows_is_kept_as_the_file_says_it():
+    channel, _ = stated("aux.b", "furlong")
+    assert channel.unit == "furlong"
+    np.testing.assert_array_equal(channel.values, WAVE)
+
+
+def test_a_unit_of_the_file_that_does_not_fit_is_refused():
+    with pytest.raises(
+        RecordingError,
+        match=r"log.h5: qpos.b, column 'qpos.b', as the file says: unit 'deg/s' measures angular "
+        r"velocity, but qpos must be angle or length; did you mean 'deg'",
+    ):
+        stated("qpos.b", "deg/s")
+    with pytest.raises(RecordingError, match="as the file says: unit 'ticks' needs `scale`"):
+        stated("qpos.b", "ticks")
+    scaled, _ = stated("qpos.b", "ticks", {"qpos.b": {"scale": 0.25}})
+    np.testing.assert_array_equal(scaled.values, WAVE / 4)
+    ruled, _ = stated("qpos.b", "deg/s", {"qpos.b": {"unit": "deg"}})
+    np.testing.assert_allclose(ruled.values, np.deg2rad(WAVE), rtol=1e-14)
 
 
 def test_every_unit_is_its_own_name_and_its_si_unit_has_factor_one():

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.recording.units import unit_of_kind
+from bo_sysid.recording.units import require_scale, unit_of_kind
 from bo_sysid.recording.value import KINDS, Hold
 
 Missing = Literal["error", "skip"]
@@ -88,12 +88,7 @@ class ColumnRule:
         if channel == "time":
             _require_clock(rule, where)
         if rule.unit is not None:
-            unit = unit_of_kind(rule.unit, kind, where)
-            if unit.factor is None and rule.scale == 1.0:
-                raise RecordingError(
-                    f"{where}: unit {rule.unit!r} needs `scale`, the SI value of one (an encoder "
-                    f"of 4096 ticks a turn has scale: {2 * pi / 4096:.6g})"
-                )
+            require_scale(unit_of_kind(rule.unit, kind, where), rule.unit, rule.scale, where)
         return rule
 
     @property

@@ -22,7 +22,7 @@ from bo_sysid.recording.cleaning import (
 )
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.table import RawTable
-from bo_sysid.recording.units import UNITS, unit, unit_of_kind
+from bo_sysid.recording.units import is_unit, require_scale, unit_of_kind
 from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
 
 
@@ -193,8 +193,10 @@ class _Mapper:
     ) -> tuple[np.ndarray, str]:
         """Return samples in SI units and the unit, and note what was done."""
         written = rule.unit if rule.unit is not None else self.table.units.get(column, "")
-        if written and (rule.unit is not None or written in UNITS):
-            found = unit(written, where)
+        if written and (rule.unit is not None or is_unit(written)):
+            where += "" if rule.unit is not None else ", as the file says"
+            found = unit_of_kind(written, _kind(name), where)
+            require_scale(found, written, rule.scale, where)
             si, factor = found.si, found.factor or 1.0
         else:
             si, factor = written, 1.0

@@ -1,7 +1,8 @@
 """Units of recorded columns, and their SI equivalents.
 
 Angles and lengths, their rates, forces and torques, and the electrical quantities that logs carry.
-A unit names a quantity, so that a velocity given for a position is refused and not rescaled.
+A unit names a quantity, so that a velocity given for a position is refused and not rescaled,
+whether a rule gives it or the file.
 """
 
 from dataclasses import dataclass
@@ -109,14 +110,18 @@ def unit(name: str, where: str) -> Unit:
     Raises:
         RecordingError: the unit is unknown.
     """
-    plain = " ".join(name.replace("*", " ").replace("·", " ").split())
-    plain = _ALIASES.get(plain, plain)
+    plain = _plain(name)
     if plain not in UNITS:
         raise RecordingError(
             f"{where}: unknown unit {name!r} ({nearest(name, UNITS)}). For any other unit leave "
             "`unit` out and give `scale`, the SI value of one"
         )
     return UNITS[plain]
+
+
+def is_unit(name: str) -> bool:
+    """Whether `unit` knows a unit called `name`."""
+    return _plain(name) in UNITS
 
 
 def unit_of_kind(name: str, kind: str, where: str) -> Unit:
@@ -135,3 +140,17 @@ def unit_of_kind(name: str, kind: str, where: str) -> Unit:
             f"{nearest(name, valid)}"
         )
     return found
+
+
+def require_scale(found: Unit, name: str, scale: float, where: str) -> None:
+    """Raise `RecordingError` where only the user knows what one `name` is, and did not say it."""
+    if found.factor is None and scale == 1.0:
+        raise RecordingError(
+            f"{where}: unit {name!r} needs `scale`, the SI value of one (an encoder of 4096 ticks "
+            f"a turn has scale: {2 * pi / 4096:.6g}; a number that is meant as it is has unit: '1')"
+        )
+
+
+def _plain(name: str) -> str:
+    plain = " ".join(name.replace("*", " ").replace("·", " ").split())
+    return _ALIASES.get(plain, plain)
