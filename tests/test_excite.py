@@ -33,6 +33,12 @@ ROD = """
   <actuator><motor name="m" joint="hinge" ctrlrange="-2 2"/></actuator>
 </mujoco>
 """
+MOTOR = '<motor name="m" joint="hinge" ctrlrange="-2 2"/>'
+BRISTLES = (  # friction, as a diagnosis writes it
+    '<general name="stuck" joint="hinge" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" input="none" '
+    'gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" actdim="1" '
+    'actearly="true"/>'
+)
 PARAMETERS = (
     Parameter("mass", ("geom[rod].mass",), 0.4, 0.6),
     Parameter("damping", ("joint[hinge].damping",), 0.0, 0.1),
@@ -298,3 +304,33 @@ def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:
     np.testing.assert_allclose(high, [3.0, 0.6, 1.0])
     low, high = Limits.of(model, {}).commands(compiled)
     np.testing.assert_allclose([low, high], [[-np.inf, -np.inf, -2], [np.inf, np.inf, 1]])
+
+
+def test_friction_that_is_an_actuator_without_a_control_is_planned_through(tmp_path: Path) -> None:
+    text = ROD.replace(MOTOR, BRISTLES + MOTOR)
+    (tmp_path / "rod.xml").write_text(text)
+    data = {
+        "model": "rod.xml",
+        "recordings": {"train": "later.csv"},
+        "parameters": [{"name": "mass", "address": "geom[rod].mass", "low": 0.4, "high": 0.6}],
+        "limits": {"hinge": {"position": [-0.8, 0.6], "velocity": 4, "effort": 1.5}},
+    }
+    found = excite(Study.from_dict(data, tmp_path), seconds=2.0, interval=0.02, budget=30)
+    assert list(found.controls) == ["time", "ctrl.m"]
+    assert set(found.predicted.channels) == {"qpos.hinge", "qvel.hinge", "ctrl.m"}
+    ctrl = np.repeat(found.controls["ctrl.m"].to_numpy(), 4)[None, :, None]
+    rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    real = Engine(1).rollout(Model.from_xml(text).compile(), rest, ctrl)
+    shown = found.predicted.channels["qpos.hinge"].values
+    np.testing.assert_allclose(shown, real.qpos[0, :-1:4, 0], atol=1e-9)
+    assert np.abs(found.controls["ctrl.m"]).max() <= 1.5
+
+
+def test_efforts_are_those_of_the_actuators_that_have_a_control() -> None:
+    model = Model.from_xml(ROD.replace(MOTOR, BRISTLES + MOTOR.replace("/>", ' gear="3"/>')))
+    compiled, limits = model.compile(), Limits.of(model, LIMIT)
+    np.testing.assert_allclose(limits.commands(compiled), [[-0.5], [0.5]])
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    ctrl = np.full((1, 2, 1), 0.6)
+    run = Engine(1).rollout(compiled, start, ctrl)
+    assert limits.violation(compiled, run, ctrl, 0.0)[0] == pytest.approx(3 * 0.6 / 1.5)

@@ -421,3 +421,15 @@ def test_compiling_for_simulation_is_cheap():
         return float(np.median(times))
 
     assert median(False, 50) < 0.1 * median(True, 5)
+
+
+def test_actuators_without_a_control_are_no_controls() -> None:
+    friction = (
+        '<general name="friction" joint="shoulder" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" '
+        'input="none" gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" actdim="1" '
+        'biasprm="0 0 0 .1 .15 .1" actearly="true"/>'
+    )
+    model = Model.from_xml(ARM.replace("<actuator>", f"<actuator>{friction}"))
+    assert model.actuators == ("friction", "actuator_1", "valve", "actuator_3")
+    assert model.controlled == ("actuator_1", "valve", "actuator_3")
+    assert model.ctrl_channels == tuple(f"ctrl.{name}" for name in model.controlled)

@@ -31,6 +31,13 @@ ARM = """
 """
 
 
+STUCK = (  # friction, as a diagnosis writes it: an actuator without a control
+    '<general name="stuck" joint="shoulder" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" input="none"'
+    ' gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" actdim="1" '
+    'actearly="true"/>'
+)
+
+
 def study(tmp_path, limits):
     (tmp_path / "arm.xml").write_text(ARM)
     data = {"model": "arm.xml", "recordings": {"train": ["none.csv"]}, "limits": limits}
@@ -46,6 +53,16 @@ def test_commands_are_narrowed_to_what_the_limits_allow(tmp_path):
     np.testing.assert_allclose(high, [0.5, 1.0])
     np.testing.assert_allclose(made.actuator_forcerange[1], [-5.0, 5.0])
     assert not limit_edits(study(tmp_path, {}), model)
+
+
+def test_an_actuator_without_a_control_is_not_limited(tmp_path):
+    limits = {"shoulder": {"effort": 2.0}, "elbow": {"position": [-0.5, 1.0]}}
+    model = Model.from_xml(ARM.replace("<actuator>", f"<actuator>{STUCK}"))
+    made = model.compile(limit_edits(study(tmp_path, limits), model))
+    np.testing.assert_allclose(control_range(made), [[-0.5, -0.5], [0.5, 1.0]])
+    without = ARM.replace("<actuator>", f"<actuator>{STUCK}").replace(' ctrlrange="-3 3"', "", 1)
+    with pytest.raises(ModelError, match="actuator 'shoulder' has no control range"):
+        control_range(Model.from_xml(without).compile())
 
 
 def test_a_plant_keeps_to_them_whatever_is_commanded(tmp_path):

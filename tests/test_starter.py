@@ -251,6 +251,14 @@ def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control(
     assert rules.columns["ctrl.ma"] == {}
     assert rules.columns["ctrl.md"] == {"from": "grip"}
     assert rules.guesses["ctrl.md"].confidence == pytest.approx(0.3)
+    friction = (
+        '<general name="stuck" joint="yaw" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" input="none" '
+        'gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" '
+        'actdim="1" actearly="true"/></actuator>'
+    )
+    stuck = Model.from_xml(HAND.replace("</actuator>", friction))
+    table = RawTable("log", {"time": TIMES, **told, **ctrl})
+    assert guess_rules(stuck, table).columns == rules.columns  # friction waits for no column
 
 
 def test_a_model_without_hinges_and_slides_is_refused_in_words() -> None:

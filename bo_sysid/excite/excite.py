@@ -95,9 +95,8 @@ def excite(
         notes.append(f"No limits are stated for: {', '.join(unlimited)}.")
     limits = Limits.of(model, study.limits)
     ends = np.stack(limits.commands(model.compile()))
-    free = [
-        a for a, bound in zip(model.actuators, np.isfinite(ends).all(0), strict=True) if not bound
-    ]
+    bounded = np.isfinite(ends).all(axis=0)
+    free = [a for a, bound in zip(model.controlled, bounded, strict=True) if not bound]
     if free:
         notes.append(
             f"Controls within ±1: neither range nor effort is stated for {', '.join(free)}."
@@ -108,8 +107,7 @@ def excite(
     )  # fmt: skip
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
-    names = [f"ctrl.{a}" for a in model.actuators]
-    frame = pd.DataFrame(controls, columns=names)
+    frame = pd.DataFrame(controls, columns=list(model.ctrl_channels))
     frame.insert(0, "time", trial.series.time)
     predicted = trial.recorded(controls)
     return Excitation(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import command_bounds
+from bo_sysid.mjcf.commands import command_bounds, controlled
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
@@ -80,12 +80,12 @@ class Limits:
             np.asarray(model.actuator_ctrllimited, bool)[:, None],
             model.actuator_ctrlrange, [-np.inf, np.inf],
         )  # fmt: skip
-        for a in range(model.nu):
+        for k, a in enumerate(controlled(model)):
             if int(model.actuator_trntype[a]) in _OF_JOINT:
                 j = int(model.actuator_trnid[a, 0])
                 low, high = self.position[j]
-                ends[a] = command_bounds(model, a, (low, high), float(self.effort[j]))
-                if not ends[a, 0] < ends[a, 1]:
+                ends[k] = command_bounds(model, a, (low, high), float(self.effort[j]))
+                if not ends[k, 0] < ends[k, 1]:
                     raise StudyError(
                         f"limits: {self.joints[j]}: they leave actuator {model.actuator(a).name!r} "
                         f"no command within its ctrlrange"
@@ -133,13 +133,13 @@ class Limits:
         Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g.
         """
         torque = np.zeros((*ctrl.shape[:2], model.nv))
-        for a in range(model.nu):
+        for k, a in enumerate(controlled(model)):
             dof = int(model.jnt_dofadr[model.actuator_trnid[a, 0]])
             gear, gain, bias = (
                 model.actuator_gear[a, 0], model.actuator_gainprm[a, 0], model.actuator_biasprm[a],
             )  # fmt: skip
             q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
-            force = gain * ctrl[..., a] + bias[0] + gear * (bias[1] * q + bias[2] * v)
+            force = gain * ctrl[..., k] + bias[0] + gear * (bias[1] * q + bias[2] * v)
             torque[..., dof] += gear * force
         return np.asarray((np.abs(torque) / self.effort).max(axis=(1, 2)))
 

@@ -122,7 +122,7 @@ class Trial:
             }
             for kind, values in (("qpos", trajectory.qpos), ("qvel", trajectory.qvel))
         )
-        ctrl = {n: controls[:, a] for a, n in enumerate(self.model.actuators)}
+        ctrl = {n: controls[:, a] for a, n in enumerate(self.model.controlled)}
         return Recording.from_arrays(self.series.time, ctrl=ctrl, qpos=qpos, qvel=qvel)
 
     def judge(self, rows: tuple[int, ...]) -> Judge:

@@ -61,7 +61,7 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
     seconds = scene.task.time_limit
     about = {
         "observations": policy.policy.network.sizes[0],
-        "actuators": list(scene.model.actuators),
+        "actuators": list(scene.model.controlled),
         "low": low,
         "high": high,
         "control_timestep": scene.task.control_timestep,
@@ -76,7 +76,7 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
             f"it did into {run.path(stem)}.parquet (or .csv, .npz, .mat).",
             f"- The module takes the {about['observations']} observations of the task every "
             f"{scene.task.control_timestep:g} s and gives the commands of "
-            f"{', '.join(scene.model.actuators)}, clipped to {_ranges(low, high)}.",
+            f"{', '.join(scene.model.controlled)}, clipped to {_ranges(low, high)}.",
             f"- Record {_length(seconds)}: time, qpos.<joint> of every joint, "
             f"{', '.join(scene.model.ctrl_channels)}; velocities where there are some.",
             *_warning(float(policy.about.get("share_beyond", 0.0))),

@@ -5,10 +5,15 @@ import numpy as np
 from jaxtyping import Bool
 
 
+def controlled(model: mujoco.MjModel) -> list[int]:
+    """Return the actuator of each control; friction may be an actuator without one."""
+    return [a for a, n in enumerate(model.actuator_ctrlnum.tolist()) for _ in range(n)]
+
+
 def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
     """Return which controls do nothing: those of actuators with a bias alone."""
     deaf = ~model.actuator_gainprm.any(axis=1)
-    return np.repeat(deaf, model.actuator_ctrlnum)  # friction may be an actuator without a control
+    return np.repeat(deaf, model.actuator_ctrlnum)
 
 
 def command_bounds(
@@ -24,13 +29,14 @@ def command_bounds(
 
     Args:
         model: the compiled model.
-        actuator: its number; it drives one joint.
+        actuator: its number; it drives one joint and has a control.
         position: least and largest of the joint in [rad] or [m], None where it has no limit.
         effort: largest of what acts along the joint in [N m] or [N], None where it has no limit.
     """
     low, high = -np.inf, np.inf
-    if model.actuator_ctrllimited[actuator]:
-        low, high = model.actuator_ctrlrange[actuator]
+    control = int(model.actuator_ctrladr[actuator])
+    if model.actuator_ctrllimited[control]:
+        low, high = model.actuator_ctrlrange[control]
     gear = float(model.actuator_gear[actuator, 0])
     scale = abs(gear * float(model.actuator_gainprm[actuator, 0]))
     if is_position_servo(model, actuator):

@@ -10,6 +10,7 @@ import mujoco
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import sources
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.compiling import compile_spec, coordinates, keep_delays, refit_keyframes
 from bo_sysid.mjcf.export import write_mjcf
 from bo_sysid.mjcf.inertia import release_total_mass, same_inertia
@@ -213,6 +214,11 @@ class Model:
     def actuators(self) -> tuple[str, ...]:
         """Names of the actuators in MuJoCo's order."""
         return self._names("actuator", self._forms.model.nactuator)
+
+    @property
+    def controlled(self) -> tuple[str, ...]:
+        """Name of the actuator of each entry of `ctrl`; one that is told nothing has none."""
+        return tuple(self.actuators[a] for a in controlled(self._forms.model))
 
     @property
     def bodies(self) -> tuple[str, ...]:

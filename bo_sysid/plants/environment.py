@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import ModelError, UserError
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.simulation.lockstep import ForceLaw
@@ -299,7 +300,7 @@ def control_range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """
     free = np.flatnonzero(model.actuator_ctrllimited == 0)
     if free.size:
-        name: Any = model.actuator(int(free[0])).name
+        name: Any = model.actuator(controlled(model)[int(free[0])]).name
         raise ModelError(
             f"actuator {name!r} has no control range; give it a ctrlrange in the model, or an "
             "effort under limits"

@@ -10,7 +10,7 @@ import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.mjcf.commands import command_bounds, is_position_servo
+from bo_sysid.mjcf.commands import command_bounds, controlled, is_position_servo
 from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
@@ -36,7 +36,7 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
             raise study.error(("limits", joint), f"no such joint; {nearest(joint, model.joints)}")
     bounds: dict[str, tuple[float, float]] = {}
     forces: dict[str, float] = {}
-    for a, name in enumerate(model.actuators):
+    for a, name in zip(controlled(compiled), model.controlled, strict=True):
         limit = study.limits.get(_joint_of(compiled, a))
         if limit is None:
             continue

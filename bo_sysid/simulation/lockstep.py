@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.effects.contract import Force, Part
+from bo_sysid.mjcf.commands import controlled
 
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
@@ -109,7 +110,7 @@ class LockStep:
             for n, j in zip(names, scalar, strict=True)
         }
         self._qvel = {n: views["qvel"][:, k] for n, k in self._dof.items()}
-        self._actuator = {model.actuator(i).name: i for i in range(model.nu)}
+        self._actuator = {model.actuator(a).name: i for i, a in enumerate(controlled(model))}
         self._ctrl = {n: views["ctrl"][:, i] for n, i in self._actuator.items()}
         self._memories: list[dict[str, Any]] = [{} for _ in laws]
 

@@ -90,7 +90,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         {},
         guesses,
         tuple(j for j in joints if f"qpos.{j}" not in guesses),
-        tuple(a for a in model.actuators if f"ctrl.{a}" not in guesses),
+        tuple(a for a in model.controlled if f"ctrl.{a}" not in guesses),
         tuple(c.name for c in columns if c.kind != "time"
               and c.name not in {g.column for g in guesses.values()}
               and c.name not in (*model.qpos_channels, *model.qvel_channels)),
@@ -151,8 +151,8 @@ def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column])
     """Match controls: goals for position servos, efforts for motors."""
     servos: list[str] = []
     motors: list[str] = []
-    for a, name in enumerate(model.actuators):
-        (servos if compiled.actuator_biasprm[a, 1] else motors).append(name)
+    for name in model.controlled:
+        (servos if compiled.actuator(name).biasprm[1] else motors).append(name)
     found: list[Guess] = []
     for names, wanted in ((servos, _is_goal), (motors, _is_effort)):
         also = [_driven(compiled, model, n) for n in names]
@@ -170,7 +170,7 @@ def _last_one(
 ) -> list[Guess]:
     """Match the only column that is left and changes with the only actuator that has none."""
     used, told = {g.column for g in known}, {g.channel for g in known}
-    without = [a for a in model.actuators if f"ctrl.{a}" not in told]
+    without = [a for a in model.controlled if f"ctrl.{a}" not in told]
     left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     if len(without) != 1 or len(left) != 1:
