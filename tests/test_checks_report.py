@@ -115,6 +115,32 @@ def test_an_angle_that_wraps(period: float) -> None:
     assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
 
 
+@pytest.mark.parametrize("turn", [1.0, 2 * pi])
+def test_a_drop_out_is_no_wrap(turn: float) -> None:
+    """While nothing is recorded for 0.1 s, the joint moves by as much as a turn."""
+    lost = (TIME > 3.995) & (TIME < 4.095)
+    true = 0.2 * np.sin(TIME) + turn * np.clip((TIME - 3.99) / 0.11, 0.0, 1.0)
+    log = Recording.from_arrays(TIME[~lost], qpos={"x": true[~lost]})
+    assert np.abs(np.diff(log.channels["qpos.x"].values)).max() == pytest.approx(turn, rel=0.1)
+    assert find_wraps([log]) == {}
+
+
+def test_a_turn_that_wraps_beside_a_drop_out_is_found() -> None:
+    lost = (TIME > 3.6) & (TIME < 3.9)  # between wraps, 0.6 of a turn
+    true = 2.0 * TIME
+    log = Recording.from_arrays(TIME[~lost], qpos={"x": (true % 1.0)[~lost]})
+    wrap = find_wraps([log])["qpos.x"]
+    assert wrap.period == 1.0
+    assert wrap.jumps == 15
+
+
+def test_one_knock_by_one_is_no_wrap() -> None:
+    true = 0.2 * np.sin(TIME) + (TIME >= 4.0)
+    assert find_wraps([Recording.from_arrays(TIME, qpos={"x": true})]) == {}
+    whole = Recording.from_arrays(TIME, qpos={"x": (0.5 * TIME) % 1.0})
+    assert find_wraps([whole])["qpos.x"].jumps == 3
+
+
 @pytest.mark.parametrize(("unit", "fits"), [("m", True), ("", True), ("rad", False)])
 def test_an_angle_on_a_slide_is_refused(unit: str, fits: bool) -> None:
     ctrl = {"m": np.zeros(len(TIME))}

@@ -8,10 +8,14 @@ import numpy as np
 
 from bo_sysid.checks.flags import Flag
 from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.mapping import twos_complement
 
 PERIODS = (2 * pi, pi, 360.0, 1.0, 256.0, 1024.0, 4096.0, 65536.0)
-"""Jumps that are a turn: in radians, degrees, turns, encoder ticks."""
+"""Jumps that are a turn: in radians, degrees, turns, encoder ticks.
+
+A jump of 1.0 must come twice: a joint in rad or m may be knocked as far once.
+"""
 _NEAR = 0.12  # relative difference of a jump from a turn
 _CLEAR = 4.0  # times the largest step that is no jump
 _WORDS = (16, 32)  # bits; of eight, 0 and 255 alone may be a motor switched on and off
@@ -48,13 +52,18 @@ def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:
         if word is not None:
             found[name] = word
     for name in dict.fromkeys(n for r in recordings for n in r.channels if n.startswith("qpos.")):
-        steps = np.concatenate(
-            [np.diff(r.channels[name].values) for r in recordings if name in r.channels]
-        )
+        steps = np.concatenate([_steps(r.channels[name]) for r in recordings if name in r.channels])
         wrap = _wrap(steps)
         if wrap is not None:
             found[name] = wrap
     return found
+
+
+def _steps(channel: Channel) -> np.ndarray:
+    """Return the steps between neighbouring samples; over a gap a joint may move by anything."""
+    intervals = np.diff(channel.time)
+    whole = intervals <= GAP * np.median(intervals)
+    return np.asarray(np.diff(channel.values)[whole])
 
 
 def _wrap(steps: np.ndarray) -> Wrap | None:
@@ -62,7 +71,8 @@ def _wrap(steps: np.ndarray) -> Wrap | None:
     for period in PERIODS:
         jump = np.abs(size - period) < _NEAR * period
         rest = size[~jump]
-        if jump.any() and (not rest.size or rest.max() * _CLEAR < period):
+        least = 2 if period == 1.0 else 1
+        if jump.sum() >= least and (not rest.size or rest.max() * _CLEAR < period):
             return Wrap(period, int(jump.sum()))
     return None
 
