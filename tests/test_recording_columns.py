@@ -153,6 +153,28 @@ def test_a_kind_or_a_channel_can_have_a_clock_of_its_own():
     np.testing.assert_array_equal(channels["qpos.a"].time, TIME)
 
 
+@pytest.mark.parametrize("clock", [{"unit": "ms"}, {"from": "time", "unit": "ms"}])
+def test_the_unit_of_a_clock_is_used_also_where_it_is_the_time_of_the_recording(clock):
+    arrays = {"time": 1000 * TIME, "ctrl__m": WAVE}
+    recording = read({"ctrl.m": {"clock": "seconds"}}, {"qpos": clock}, seconds=TIME, **arrays)
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, TIME, atol=1e-15)
+    np.testing.assert_array_equal(recording.channels["ctrl.m"].time, TIME)
+    assert "Time stamps in column 'time' converted from ms to s." in recording.notes
+    own = read(None, {"ctrl": {"unit": "ms"}}, ctrl__m=WAVE, time__ctrl=1000 * TIME)
+    np.testing.assert_allclose(own.channels["ctrl.m"].time, TIME, atol=1e-15)
+    np.testing.assert_array_equal(own.channels["qpos.a"].time, TIME)
+
+
+def test_the_unit_of_a_clock_goes_with_its_column():
+    clocks = {"ctrl": {"from": "t_ms", "unit": "ms"}}
+    columns = {"ctrl.m": {"clock": "t_ms"}, "ctrl.n": {"clock": "t_s"}}
+    channels = read(
+        columns, clocks, ctrl__m=WAVE, ctrl__n=WAVE, t_ms=1000 * TIME, t_s=TIME
+    ).channels
+    np.testing.assert_allclose(channels["ctrl.m"].time, TIME, atol=1e-15)
+    np.testing.assert_array_equal(channels["ctrl.n"].time, TIME)
+
+
 def test_a_column_called_time_of_a_kind_is_its_clock_and_may_be_shorter():
     clock = np.append(TIME[:20] * 2, np.full(30, np.nan))
     values = np.append(WAVE[:20], np.full(30, np.nan))

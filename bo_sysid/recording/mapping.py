@@ -147,6 +147,8 @@ class _Mapper:
             stated = ColumnRule(own)
         else:
             stated = self.rules.get("time", ColumnRule("time"))
+        if clock_rule is not None and rule.clock in (None, clock_rule.source or rule.clock):
+            stated = replace(stated, unit=clock_rule.unit or stated.unit)
         if clock_rule is not None and clock_rule.shift:
             stated = replace(stated, offset=stated.offset + clock_rule.shift)
             self.notes.append(f"{name}: stamps shifted by {1e3 * clock_rule.shift:g} ms.")
