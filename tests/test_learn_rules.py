@@ -1,5 +1,7 @@
 """Choices, stop rules, values and the floor, against answers worked out by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from learning import pendulum
@@ -182,6 +184,7 @@ def test_physics_is_missing_where_a_converged_floor_is_high(
     assert lacks_physics(floor, reason) is expected
 
 
+@pytest.mark.parametrize("rates", [True, False])
 @pytest.mark.parametrize(
     ("effects", "high"),
     [
@@ -190,8 +193,9 @@ def test_physics_is_missing_where_a_converged_floor_is_high(
     ],
 )
 def test_the_expected_floor_is_that_of_a_plant_without_effects(
-    effects: list[dict[str, object]], high: bool
+    effects: list[dict[str, object]], high: bool, rates: bool
 ) -> None:
+    """Where rates are not recorded starts are fitted, and take over much of the noise."""
     plain = pendulum()
     plain["plant"] = {
         "parameters": {"mass": 1.23, "damping": 0.84},
@@ -201,7 +205,12 @@ def test_the_expected_floor_is_that_of_a_plant_without_effects(
     study = Study.from_dict(plain)
     plant = build_plant(study, seed=3)
     controls = np.sin(np.arange(600)[:, None] * 0.11)
-    problem = make_problem(study, [plant.record(controls)])
+    recording = plant.record(controls)
+    if not rates:
+        kept = {n: c for n, c in recording.channels.items() if not n.startswith("qvel")}
+        recording = replace(recording, channels=kept)
+    problem = make_problem(study, [recording])
+    assert problem.deviation.fitted_starts is not rates
     points = problem.candidates.points
     found = problem.deviation(points).deviation
     best = int(found.argmin())

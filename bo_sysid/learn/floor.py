@@ -4,7 +4,8 @@ Were the machine one of the model's family, the least Δ over B would be that of
 and of B's resolution:
 
 - noise: the best candidate's predictions from starts that are moved by the sensors' noise, plus
-  that noise, against its own predictions;
+  that noise, against its own predictions; where starts are fitted, those predictions with that
+  noise as if they had been recorded;
 - resolution: the truth may lie half a step of B off the best candidate, in every parameter.
 
 Both are measured through the simulator, in the units of Δ. A floor clearly above their root sum of
@@ -12,7 +13,7 @@ squares, under a belief that has converged, means that no β will do: physics is
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -20,10 +21,11 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.belief.stopping import StopReason
+from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import sensor_noise
 
-ABOVE = 1.15  # times the expected floor; without effects the ratio was .95 to 1.05
+ABOVE = 1.15  # times the expected floor; where nothing lacked the ratio was .95 to 1.05
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
@@ -102,6 +104,10 @@ def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, 
 def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: int) -> float:
     deviation, windows = problem.deviation, problem.deviation.windows
     rng = np.random.default_rng((seed, 3))
+    if deviation.fitted_starts:
+        seen = np.array([sigma[name] for name in windows.channels])
+        noise = seen * rng.standard_normal(windows.observed.shape)
+        return _were_recorded(problem, best, deviation.prediction(best).values + noise)
     scale = _start_noise(problem, sigma)
     moved = deviation.simulator.moved(
         windows.start, scale * rng.standard_normal((len(windows), len(scale)))
@@ -122,10 +128,24 @@ def _resolution_part(problem: Problem, best: Point) -> float:
     for k in range(len(best)):
         inward = -step[k] if best[k] + step[k] > high[k] + 1e-12 else step[k]
         points.append(best + inward * np.eye(len(best))[k])
+    if problem.deviation.fitted_starts:
+        recorded = problem.deviation.prediction(best).values
+        return sum(0.5 * _were_recorded(problem, point, recorded) for point in points[1:])
     own, *others = problem.deviation.simulator.predictions(
         np.array(points), problem.deviation.windows
     )
     return sum(0.5 * _mean_norm(problem, o.values - own.values) for o in others)
+
+
+def _were_recorded(problem: Problem, point: Point, values: Float[np.ndarray, "W H c"]) -> float:
+    """Return Δ of a candidate, starts fitted, if other values had been recorded."""
+    d = problem.deviation
+    observed = np.where(np.isfinite(d.windows.observed), values, np.nan)
+    windows = fit_starts(
+        d.simulator, point, replace(d.windows, observed=observed), 1.0 / d.whitening.scale
+    )
+    predicted = next(iter(d.simulator.predictions(point[None], windows)))
+    return _mean_norm(problem, windows.residual(predicted.values)[~predicted.diverged])
 
 
 def _mean_norm(problem: Problem, difference: Float[np.ndarray, "W H c"]) -> float:
