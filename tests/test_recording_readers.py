@@ -196,6 +196,27 @@ def test_time_stamps_of_a_date_become_seconds(ending, zone, tmp_path):
     assert "Dates in column 'time' converted to seconds since 1970." in recording.notes
 
 
+@pytest.mark.parametrize("resolution", ["ns", "us", "ms"])
+def test_durations_become_seconds(resolution, tmp_path):
+    seconds = 3.0 + np.arange(20) * 0.25
+    spans = pd.Series((1e9 * seconds).astype("timedelta64[ns]")).astype(
+        f"timedelta64[{resolution}]"
+    )
+    delays = spans.where(np.arange(20) % 4 != 1)
+    frame = pd.DataFrame({"time": spans, "qpos.a": np.arange(20.0), "aux.delay": delays})
+    frame.to_parquet(tmp_path / "log.parquet")
+    rules = {"aux.delay": {"missing": "skip"}}
+    recording = read_recording(tmp_path / "log.parquet", rules)
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, seconds, atol=1e-9)
+    delay = recording.channels["aux.delay"]
+    np.testing.assert_allclose(delay.values, seconds[np.arange(20) % 4 != 1], atol=1e-9)
+    np.testing.assert_allclose(delay.time, delay.values, atol=1e-9)
+    assert "Durations in column 'time' converted to seconds." in recording.notes
+    rules["time"] = {"unit": "ns"}
+    with pytest.raises(RecordingError, match=r"'time' are durations.* in s; unit is 'ns'"):
+        read_recording(tmp_path / "log.parquet", rules)
+
+
 def test_lists_of_several_lengths_are_left_out_of_parquet(tmp_path):
     states = [np.array([0.1 * k, 2.0]) if k != 3 else None for k in range(20)]
     frame = pd.DataFrame(COLUMNS).head(20)

@@ -243,6 +243,13 @@ def test_columns_between_known_ones_are_matched_by_their_order() -> None:
     assert guess_rules(Model.from_xml(HAND), other).held == ("shoulder", "gripper")
 
 
+def test_a_clock_of_durations_needs_no_unit() -> None:
+    seconds = np.arange(200) * 1.0
+    spans = (1e9 * seconds).astype("timedelta64[ns]")
+    table = RawTable("log", {"stamp": spans, "yaw": np.sin(seconds)})
+    assert guess_rules(Model.from_xml(HAND), table).columns["time"] == {"from": "stamp"}
+
+
 def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control() -> None:
     joints = ("yaw", "shoulder", "elbow", "gripper")
     told = {f"qpos.{j}": (k + 1) * WAVE for k, j in enumerate(joints)}

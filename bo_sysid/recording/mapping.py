@@ -25,6 +25,11 @@ from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.units import is_unit, require_scale, unit_of_kind
 from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
 
+_DATES = {
+    "M": "Dates in column {} converted to seconds since 1970",
+    "m": "Durations in column {} converted to seconds",
+}
+
 
 def to_recording(
     table: RawTable,
@@ -169,8 +174,13 @@ class _Mapper:
         where = f"{table.source}: time stamps in column {column!r}"
         named = stated.unit or table.units.get(column) or "s"
         factor = unit_of_kind(named, "time", where).factor or 1.0
-        if table.columns[column].dtype.kind == "M":
-            self.notes.append(f"Dates in column {column!r} converted to seconds since 1970.")
+        kind = table.columns[column].dtype.kind
+        if kind == "m" and factor != 1.0:
+            raise RecordingError(
+                f"{where} are durations, which are read in s; unit is {named!r}, leave it out"
+            )
+        if kind in _DATES:
+            self.notes.append(f"{_DATES[kind].format(repr(column))}.")
         if factor != 1.0:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
         raw = table.column(column)

@@ -45,7 +45,7 @@ class RawTable:
             object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
 
     def column(self, name: str, wanted_by: str = "") -> np.ndarray:
-        """Return one column as floats; dates as seconds since 1970.
+        """Return one column as floats; dates as seconds since 1970, durations in seconds.
 
         Args:
             name: name of the column.
@@ -64,6 +64,9 @@ class RawTable:
             return values.astype(float)
         if values.dtype.kind == "M":
             seconds = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
+            return np.where(np.isnat(values), np.nan, seconds)
+        if values.dtype.kind == "m":
+            seconds = values.astype("timedelta64[ns]").astype(np.int64) * 1e-9
             return np.where(np.isnat(values), np.nan, seconds)
         return _numbers(values, f"{self.source}: column {name!r}")
 
