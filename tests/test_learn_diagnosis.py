@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -12,16 +13,19 @@ import yaml
 from learning import learned, pendulum
 
 import bo_sysid.diagnosis
-import bo_sysid.learn.scene
+import bo_sysid.excite.beside
 from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.sources import MachineSource
 from bo_sysid.learn.values import values
 from bo_sysid.mjcf import address_edit
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.load import make_environment
 from bo_sysid.plants.tasks import Start
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
@@ -127,16 +131,23 @@ def test_a_diagnosis_that_fails_is_said_once(
     assert set(told.chosen) == {"mass", "damping"}
 
 
-def beside(folder: Path, effect: str, value: float) -> Study:
+def beside(
+    folder: Path,
+    effect: str,
+    value: float,
+    site: Site = Site("joint", "hinge"),  # noqa: B008 - a frozen value
+    **changed: Any,
+) -> Study:
     """Return a study with an effect of the catalogue beside its model's file."""
     plain = Study.from_dict(pendulum(), folder)
     model = load_model(plain)
     model.export(folder / "model.xml", [])
     motion = build_plant(plain).record(np.sin(np.arange(200)[:, None] * 0.1))
     machine = survey(model.compile(), [motion])
-    placed = Placed(effect, Site("joint", "hinge"), (value,))
+    placed = Placed(effect, site, (value,))
     Beside(machine, (placed,)).write(folder / "model.json")
-    return Study.from_dict(pendulum(model={"file": "model.xml", "beside": ["model.json"]}), folder)
+    data = pendulum(model={"file": "model.xml", "beside": ["model.json"]}, **changed)
+    return Study.from_dict(data, folder)
 
 
 def test_forces_beside_the_model_are_stepped_where_a_policy_is_learned(tmp_path: Path) -> None:
@@ -171,6 +182,34 @@ def test_a_law_that_reads_what_is_recorded_only_is_refused(
 ) -> None:
     study = beside(tmp_path, "asymmetric_damping", 0.2)
     law = ForceLaw("hinge", lambda m: m.signals["aux.voltage"])
-    monkeypatch.setattr(bo_sysid.learn.scene, "study_laws", lambda *_: (law,))
+    monkeypatch.setattr(bo_sysid.excite.beside, "study_laws", lambda *_: (law,))
     with pytest.raises(StudyError, match=r"beside.*depends on 'aux.voltage'"):
         Scene.of(study)
+
+
+def test_what_changes_commands_beside_the_model_is_refused(tmp_path: Path) -> None:
+    study = beside(tmp_path, "actuator_deadzone", 0.02, Site("actuator", "torque"))
+    with pytest.raises(StudyError, match=r"model.beside: a policy cannot .* commands of torque"):
+        Scene.of(study)
+
+
+def test_recordings_of_policies_are_corrected_as_the_first_ones(tmp_path: Path) -> None:
+    sensor = Site("channel", "qvel.hinge")
+    study = beside(tmp_path, "sensor_scale", 0.25, sensor, plant=None,
+                   recordings={"train": ["first.csv"], "holdout": ["first.csv"]})  # fmt: skip
+    shown = build_plant(Study.from_dict(pendulum(), tmp_path)).record(np.full((100, 1), 0.2))
+    write_recording(shown, tmp_path / "first.csv")
+    any_policy = Mock(spec=LearnedPolicy)
+    scene = Scene.of(study)
+    with Run.open(tmp_path / "run", study.resolved(relative_to=tmp_path), "learn") as run:
+        source = MachineSource(scene, run)
+        write_recording(shown, run.path("recordings/trajectory-01.csv"))
+        assert source.take(2, any_policy) is None
+        truth = shown.channels["qvel.hinge"].values / 1.25
+        for recording in source.recordings(study):
+            np.testing.assert_allclose(recording.channels["qvel.hinge"].values, truth, atol=1e-9)
+        (tmp_path / "later").mkdir()
+        later = beside(tmp_path / "later", "sensor_scale", -0.2, sensor)  # as a repair may say
+        for recording in source.recordings(later):
+            np.testing.assert_allclose(recording.channels["qvel.hinge"].values, truth * 1.25 / 0.8)
+        assert len(source.recordings(later)) == 2

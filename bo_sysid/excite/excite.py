@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from bo_sysid.effects import Filter, Reading
+from bo_sysid.effects import Reading
 from bo_sysid.errors import UserError
+from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.trial import Trial
@@ -15,7 +16,6 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import ForceLaw
-from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
 
@@ -144,22 +144,8 @@ def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]
     Raises:
         StudyError: a force depends on what is only recorded, or a command is changed on its way.
     """
-    key, parts = ("model", "beside"), load_parts(study, model)
-    changed = dict.fromkeys(p.actuator for p in parts if isinstance(p, Filter))
-    if changed:
-        raise study.error(
-            key,
-            f"excite cannot plan through what changes the commands of {', '.join(changed)} beside "
-            "the model, such as a delay; leave that effect out",
-        )
-    forces = tuple(law for law in study_laws(study, model) if isinstance(law, ForceLaw))
-    missing = recorded_input(model, forces)
-    if missing is not None:
-        raise study.error(
-            key,
-            f"a force beside the model depends on {missing!r}, which is recorded and not "
-            "simulated: excite cannot plan under it; leave it out",
-        )
+    forces = simulated_forces(study, model, "excite cannot plan")
+    parts = load_parts(study, model)
     shown = dict.fromkeys(p.channel for p in parts if isinstance(p, Reading))
     if not shown:
         return forces, []

@@ -101,7 +101,7 @@ def _believed(
         def settled(probabilities: np.ndarray) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
 
-    found = identified(scene, source.recordings, known, settled, source.noise)
+    found = identified(scene, source.recordings(scene.study), known, settled, source.noise)
     found.write(run, folder, scene.candidates)
     return found
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.arrays import Point
+from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
@@ -17,7 +18,6 @@ from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
-from bo_sysid.simulation.of_study import recorded_input, study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set, require_scales
 from bo_sysid.study.inputs import load_model
@@ -84,7 +84,7 @@ class Scene:
             parameters,
             candidate_set(study, parameters),
             limit_edits(study, model),
-            _forces(study, model),
+            simulated_forces(study, model, "a policy cannot be learned"),
         )
         scene.environment(scene.compiled(scene.candidates.points[0]), 1)  # the task must fit
         return scene
@@ -204,20 +204,3 @@ def _require_a_step(study: Study, task: Task) -> None:
             ("policy", "episode"),
             f"{seconds:g} s is no control step of the task; it must be at least {step:g} s",
         )
-
-
-def _forces(study: Study, model: Model) -> tuple[ForceLaw, ...]:
-    """Return the forces beside the model.
-
-    Raises:
-        StudyError: one of them depends on what was recorded beside state and controls.
-    """
-    forces = tuple(law for law in study_laws(study, model) if isinstance(law, ForceLaw))
-    missing = recorded_input(model, forces)
-    if missing is not None:
-        raise study.error(
-            ("model", "beside"),
-            f"a force beside the model depends on {missing!r}, which is recorded and not "
-            "simulated: a policy cannot be learned under it",
-        )
-    return forces

@@ -21,7 +21,8 @@ from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import READERS, Recording, read_recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
-from bo_sysid.study.inputs import load_train, read_files
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import corrected, read_files, read_train
 
 _WHOLE = 0.95  # share of an episode that a recording of it should have
 _LONGEST = 20.0  # [s] of the first excitation, where a task has no end
@@ -45,9 +46,8 @@ class Source(Protocol):
         """Have the recordings of iteration `number`, under the policy of the one before."""
         ...
 
-    @property
-    def recordings(self) -> tuple[Recording, ...]:
-        """All recordings so far."""
+    def recordings(self, study: Study) -> tuple[Recording, ...]:
+        """All recordings so far, as the model of a study is to see them."""
         ...
 
     @property
@@ -120,11 +120,11 @@ class PlantSource:
         duration = min(scene.task.time_limit, _LONGEST)
         return smooth_random(compiled, duration, self._plant.control_timestep, seed=scene.seed)
 
-    @property
-    def recordings(self) -> tuple[Recording, ...]:
-        """What was recorded, read back from the run folder."""
+    def recordings(self, study: Study) -> tuple[Recording, ...]:
+        """What was recorded, read back from the run folder, as a study's model is to see it."""
         count = len(self._plant.trajectories)
-        return tuple(read_recording(self._run.path(_file(k + 1))) for k in range(count))
+        read = [read_recording(self._run.path(_file(k + 1))) for k in range(count)]
+        return corrected(study, read)
 
     @property
     def training(self) -> Mapping[str, Any]:
@@ -179,7 +179,7 @@ class MachineSource:
         self._scene, self._run, self._strict = scene, run, strict
         self._first = _first_recordings(scene, strict)
         self._files: list[Path] = []
-        digest = _digest(self._first)
+        digest = _digest(corrected(scene.study, self._first))
         if run.has("first_recordings.json"):
             if run.read_json("first_recordings.json")["sha256"] != digest:
                 raise RunError(
@@ -207,10 +207,14 @@ class MachineSource:
         self._files.append(found[0])
         return None
 
+    def recordings(self, study: Study) -> tuple[Recording, ...]:
+        """The first recordings and those of policies, as a study's model is to see them."""
+        return corrected(study, (*self._first, *self._further))
+
     @property
-    def recordings(self) -> tuple[Recording, ...]:
-        """The first recordings and those of policies."""
-        return self._first + read_files(self._scene.study, self._files, self._strict)
+    def _further(self) -> tuple[Recording, ...]:
+        """Those of policies, as the machine told them."""
+        return read_files(self._scene.study, self._files, self._strict)
 
     @property
     def training(self) -> Mapping[str, Any]:
@@ -227,7 +231,6 @@ class MachineSource:
     @property
     def trajectories(self) -> pd.DataFrame:
         """One row a recording of a policy; its reward is not known here."""
-        read = self.recordings[len(self._first) :]
         step = self._scene.task.control_timestep
         rows = [
             {
@@ -238,7 +241,7 @@ class MachineSource:
                 "reward": np.nan,
                 "fault": self._silence(r),
             }
-            for k, r in enumerate(read)
+            for k, r in enumerate(self._further)
         ]
         return pd.DataFrame(rows, columns=["number", "name", "steps", "seconds", "reward", "fault"])
 
@@ -259,7 +262,7 @@ def _file(number: int) -> str:
 
 def _first_recordings(scene: Scene, strict: bool) -> tuple[Recording, ...]:
     try:
-        return load_train(scene.study, strict=strict)
+        return read_train(scene.study, strict=strict)
     except StudyError as error:
         raise StudyError(
             f"{error}. Learning for a machine begins with a recording of it (bo-sysid excite makes "

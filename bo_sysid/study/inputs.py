@@ -84,12 +84,22 @@ def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
         RecordingError: a file cannot be read or is wrong.
         StudyError: a pattern matches no file.
     """
+    return corrected(study, read_train(study, strict=strict))
+
+
+def read_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
+    """Return the recordings of `load_train` as the machine told them, see `corrected`.
+
+    Raises:
+        RecordingError: a file cannot be read or is wrong.
+        StudyError: a pattern matches no file.
+    """
     if study.recordings.dataset is not None:
-        return _corrected(study, load_dataset(study.recordings.dataset).train)
+        return load_dataset(study.recordings.dataset).train
     whole = read_files(study, study.train_files, strict)
-    if study.recordings.holdout is None:
-        whole = tuple(_part(r, train=True) for r in whole)
-    return _corrected(study, whole)
+    if study.recordings.holdout is not None:
+        return whole
+    return tuple(_part(r, train=True) for r in whole)
 
 
 def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
@@ -100,11 +110,26 @@ def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]
         StudyError: a pattern matches no file.
     """
     if study.recordings.dataset is not None:
-        return _corrected(study, load_dataset(study.recordings.dataset).holdout)
+        return corrected(study, load_dataset(study.recordings.dataset).holdout)
     if study.recordings.holdout is not None:
-        return _corrected(study, read_files(study, study.holdout_files, strict))
+        return corrected(study, read_files(study, study.holdout_files, strict))
     whole = read_files(study, study.train_files, strict)
-    return _corrected(study, [_part(r, train=False) for r in whole])
+    return corrected(study, [_part(r, train=False) for r in whole])
+
+
+def corrected(study: Study, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return recordings as the model is to see them: after what stands beside it.
+
+    Commands are filtered and readings undone; without either they are returned as they are.
+
+    Raises:
+        ModelError: a file beside the model is none that a diagnosis wrote.
+    """
+    if not study.model.beside:
+        return tuple(recordings)
+    model = load_model(study)
+    parts, step = load_parts(study, model), float(model.compile().opt.timestep)
+    return tuple(as_commanded_and_measured(r, parts, step) for r in recordings)
 
 
 def load_function(study: Study, reference: str) -> Callable[..., Any]:
@@ -160,15 +185,6 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
     return tuple(r for f in files for r in read_recordings(f, columns, clocks, strict))
-
-
-def _corrected(study: Study, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Return recordings after the filters and readings that stand beside the model."""
-    if not study.model.beside:
-        return tuple(recordings)
-    model = load_model(study)
-    parts, step = load_parts(study, model), float(model.compile().opt.timestep)
-    return tuple(as_commanded_and_measured(r, parts, step) for r in recordings)
 
 
 def _rule(section: Any) -> Mapping[str, Any]:
