@@ -243,11 +243,12 @@ def test_columns_between_known_ones_are_matched_by_their_order() -> None:
     assert guess_rules(Model.from_xml(HAND), other).held == ("shoulder", "gripper")
 
 
-def test_a_clock_of_durations_needs_no_unit() -> None:
+@pytest.mark.parametrize("name", ["stamp", "stamp_ns"])
+def test_a_clock_of_durations_needs_no_unit(name: str) -> None:
     seconds = np.arange(200) * 1.0
     spans = (1e9 * seconds).astype("timedelta64[ns]")
-    table = RawTable("log", {"stamp": spans, "yaw": np.sin(seconds)})
-    assert guess_rules(Model.from_xml(HAND), table).columns["time"] == {"from": "stamp"}
+    table = RawTable("log", {name: spans, "yaw": np.sin(seconds)})
+    assert guess_rules(Model.from_xml(HAND), table).columns["time"] == {"from": name}
 
 
 def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control() -> None:

@@ -226,8 +226,9 @@ def _time(table: RawTable, columns: Sequence[Column]) -> Rule:
     clock = clocks[0]
     values = table.column(clock.name)
     step = float(np.median(np.diff(values[np.isfinite(values)])))
-    unit = clock.unit if clock.unit in ("ms", "us", "ns") else ""
-    if not unit and table.columns[clock.name].dtype.kind not in "mM":
+    dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
+    unit = clock.unit if clock.unit in ("ms", "us", "ns") and not dated else ""
+    if not unit and not dated:
         unit = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
     rule: Rule = {} if clock.name == "time" else {"from": clock.name}
     if unit:
