@@ -143,3 +143,32 @@ def test_a_value_without_a_stamp_is_an_error():
 def test_one_stamp_over_and_over_is_an_error():
     with pytest.raises(RecordingError, match="50 rows hold 1 different time stamps"):
         read(np.zeros(50), qpos__a=WAVE)
+
+
+def test_a_merged_log_with_a_row_for_each_channel_loses_nothing():
+    """Row 2k holds the position; row 2k + 1, with the same stamp, at times a control."""
+    stamps, sent = np.repeat(TIME, 2), np.arange(0, 50, 2)
+    position, control = np.full(100, np.nan), np.full(100, np.nan)
+    position[::2], control[2 * sent + 1] = WAVE, 7.0 + sent
+    skip = {"qpos.a": {"missing": "skip"}, "ctrl.m": {"missing": "skip"}}
+    recording = read(stamps, skip, strict=True, qpos__a=position, ctrl__m=control)
+    a, m = recording.channels["qpos.a"], recording.channels["ctrl.m"]
+    np.testing.assert_array_equal(a.values, WAVE)
+    np.testing.assert_array_equal(a.time, TIME)
+    np.testing.assert_array_equal(m.values, 7.0 + sent)
+    np.testing.assert_array_equal(m.time, TIME[sent])
+    notes = " ".join(recording.notes)
+    assert "ctrl.m: 25 empty cells skipped" in notes
+    assert "qpos.a" not in notes
+    assert "duplicate" not in notes
+
+
+def test_of_two_values_at_one_stamp_the_first_that_is_not_empty_is_kept_and_said():
+    stamps = np.repeat(TIME, 3)
+    control = np.tile([np.nan, 1.0, 2.0], 50)
+    recording = read(stamps, {"ctrl.m": {"missing": "skip"}}, ctrl__m=control)
+    assert recording.channels["ctrl.m"].values.tolist() == [1.0] * 50
+    assert any("100 duplicate stamps" in n and "rows 1, 2, 4" in n for n in recording.notes)
+    control[1] = np.inf
+    with pytest.raises(RecordingError, match="row 1 is inf"):
+        read(stamps, {"ctrl.m": {"missing": "skip"}}, ctrl__m=control)

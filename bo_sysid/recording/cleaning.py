@@ -1,9 +1,10 @@
 """Messy but usable logs: what is dropped, what is kept, and what is refused.
 
-Duplicate stamps: the first sample is kept. Gaps, dropped samples and jitter: kept as recorded, for
-predictions are compared at the recorded instants. A measurement is never invented: nothing is
-interpolated, resampled or filled. Time that runs backwards, a value that is not finite and an empty
-cell that no rule explains are errors. Rows count from 0.
+Duplicate stamps: the first sample is kept; where a rule skips empty cells, the first that is not
+empty, for a merged log may write its channels in rows of their own. Gaps, dropped samples and
+jitter: kept as recorded, for predictions are compared at the recorded instants. A measurement is
+never invented: nothing is interpolated, resampled or filled. Time that runs backwards, a value that
+is not finite and an empty cell that no rule explains are errors. Rows count from 0.
 """
 
 from collections.abc import Mapping, Sequence
@@ -109,14 +110,13 @@ def usable_rows(
             f"{clock.column!r}"
         )
     rows = clock.rows[clock.rows < size]
-    missing = np.isnan(values[rows])
-    bad = rows[~np.isfinite(values[rows])]
     if skip_missing:
-        bad = rows[np.isinf(values[rows])]
-        rows = rows[~missing]
-        if missing.any():
+        filled = _first_filled(values[:size], rows)
+        missing, rows = rows.size - filled.size, filled
+        if missing:
             kept = "the value before it is held" if held else "no measurement was made up"
-            notes.append(f"{_counted(int(missing.sum()), 'empty cell')} skipped; {kept}")
+            notes.append(f"{_counted(missing, 'empty cell')} skipped; {kept}")
+    bad = rows[~np.isfinite(values[rows])]
     if bad.size:
         remedy = (
             ". Where an empty cell means that nothing new was recorded, say `missing: skip` for "
@@ -132,15 +132,27 @@ def usable_rows(
     return rows, notes
 
 
-def clock_flaws(clock: Clock, *, measured: bool) -> list[str]:
+def _first_filled(values: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Return the first row with a value of each run of equal stamps, given their first rows."""
+    filled = np.flatnonzero(~np.isnan(values))
+    runs = np.searchsorted(first, filled, side="right")
+    return filled[np.unique(runs, return_index=True)[1]]
+
+
+def clock_flaws(clock: Clock, dropped: np.ndarray, *, measured: bool) -> list[str]:
     """Return a sentence for each thing that is messy about a clock.
 
     A clock of held channels only may repeat stamps and pause: a command was not sent again.
+
+    Args:
+        clock: the clock.
+        dropped: rows with a sample that was dropped, for it repeats a stamp.
+        measured: whether a measured channel has this clock.
     """
     if not measured:
         return []
     sentences = []
-    name, dropped = f"Clock {clock.column!r}", clock.duplicates
+    name = f"Clock {clock.column!r}"
     if dropped.size:
         sentences.append(
             f"{name}: {_counted(dropped.size, 'duplicate stamp')}; the first sample of each was "

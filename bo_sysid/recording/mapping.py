@@ -85,6 +85,7 @@ class _Mapper:
         self.clock_rules = clock_rules
         self.notes: list[str] = []
         self._clocks: dict[ColumnRule, Clock] = {}
+        self._dropped: dict[ColumnRule, np.ndarray] = {}
         self._measured: set[ColumnRule] = set()
         for key in clock_rules:
             if not any(channel == key or _kind(channel) == key for channel in rules):
@@ -99,10 +100,15 @@ class _Mapper:
         where = f"{table.source}: {name}, column {column!r}"
         raw = table.column(column, name)
         hold = self._hold(name, rule, column)
-        clock = self._clock(name, rule, column, measured=hold == "none")
-        rows, notes = usable_rows(
-            raw, clock, where, held=hold == "zero", skip_missing=rule.missing == "skip"
-        )
+        stated = self._stated_clock(name, rule, column)
+        clock = self._clock(stated)
+        skip = rule.missing == "skip"
+        rows, notes = usable_rows(raw, clock, where, held=hold == "zero", skip_missing=skip)
+        filled = np.flatnonzero(~np.isnan(raw))
+        dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
+        self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
+        if hold == "none":
+            self._measured.add(stated)
         self.notes += [f"{name}: {note}." for note in notes]
         values, si = self._converted(name, rule, column, raw[rows], where)
         return Channel(clock.stamps[rows], values, si, f"{table.source}: {column}", hold)
@@ -112,7 +118,7 @@ class _Mapper:
         return [
             sentence
             for key, clock in self._clocks.items()
-            for sentence in clock_flaws(clock, measured=key in self._measured)
+            for sentence in clock_flaws(clock, self._dropped[key], measured=key in self._measured)
         ]
 
     def summary(self, channels: Mapping[str, Channel]) -> list[str]:
@@ -137,8 +143,8 @@ class _Mapper:
     def _clock_rule(self, name: str) -> ClockRule | None:
         return self.clock_rules.get(name, self.clock_rules.get(_kind(name)))
 
-    def _clock(self, name: str, rule: ColumnRule, column: str, *, measured: bool) -> Clock:
-        """Return the clock of a channel; the most specific statement about it wins."""
+    def _stated_clock(self, name: str, rule: ColumnRule, column: str) -> ColumnRule:
+        """Return the rule for a channel's clock; the most specific statement about it wins."""
         table, clock_rule = self.table, self._clock_rule(name)
         own = next(
             (c for c in (f"time.{name}", f"time.{_kind(name)}") if c in table.columns),
@@ -157,10 +163,12 @@ class _Mapper:
         if clock_rule is not None and clock_rule.shift:
             stated = replace(stated, offset=stated.offset + clock_rule.shift)
             self.notes.append(f"{name}: stamps shifted by {1e3 * clock_rule.shift:g} ms.")
-        if measured:
-            self._measured.add(stated)
+        return stated
+
+    def _clock(self, stated: ColumnRule) -> Clock:
         if stated not in self._clocks:
             self._clocks[stated] = self._read_clock(stated)
+            self._dropped[stated] = np.empty(0, int)
         return self._clocks[stated]
 
     def _read_clock(self, stated: ColumnRule) -> Clock:
