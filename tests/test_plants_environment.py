@@ -1,5 +1,7 @@
 """Episodes in lock-step: limits, starts, other models, interruption."""
 
+from copy import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.tasks import find_task
+from bo_sysid.simulation import ForceLaw
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +119,44 @@ def test_an_interrupted_environment_goes_on_exactly():
         np.testing.assert_array_equal(a.observation, b.observation)
         np.testing.assert_array_equal(a.reward, b.reward)
         np.testing.assert_array_equal(a.truncated, b.truncated)
+
+
+def pushing(motion):
+    """A force that depends on how often it was asked and on the time since the start."""
+    asked = motion.memory.get("asked", np.zeros(len(motion.time))) + 1
+    motion.memory["asked"] = asked
+    return 5 * np.sin(0.05 * asked) + 3 * np.sin(8 * motion.time)
+
+
+def short_cheetah(n, **options):
+    """Episodes of 0.3 s that begin with 2 s of settling."""
+    task = copy(find_task("cheetah", "run"))
+    task.time_limit = 0.3
+    model = Model.from_dm_control("cheetah", "run").compile()
+    environment = BatchEnvironment(
+        task, model, n, seed=4, laws=[ForceLaw("bthigh", pushing)], **options
+    )
+    environment.reset()
+    return environment
+
+
+def test_a_law_with_a_memory_acts_on_each_simulation_as_on_one_alone():
+    actions = np.random.default_rng(2).uniform(-1, 1, (100, 3, 6))
+    alone, together = short_cheetah(1), short_cheetah(3, stagger=True)
+    ended = np.zeros(3, int)
+    for a in actions:
+        one, all_three = alone.step(a[:1]), together.step(a)
+        np.testing.assert_array_equal(all_three.final[0], one.final[0])
+        ended += all_three.truncated
+    assert ended.min() >= 3
+
+
+def test_an_interrupted_environment_goes_on_exactly_under_a_law_with_a_memory():
+    whole, resumed = short_cheetah(3, stagger=True), short_cheetah(3, stagger=True)
+    roll(whole, 17)
+    resumed.set_state(whole.get_state())
+    for a, b in zip(roll(whole, 40, seed=1), roll(resumed, 40, seed=1), strict=True):
+        np.testing.assert_array_equal(a.final, b.final)
 
 
 def test_a_model_is_drawn_for_every_episode_and_survives_an_interruption(reacher):

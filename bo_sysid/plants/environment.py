@@ -13,6 +13,8 @@ from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.simulation.lockstep import ForceLaw
 
+_LAW = "law"  # begins the names of what laws know, in a state
+
 # Draws the model of one simulation for its next episode.
 ModelDraw = Callable[[np.random.Generator], mujoco.MjModel]
 
@@ -232,6 +234,7 @@ class BatchEnvironment:
             "steps": self._steps.copy(),
             "episodes": self._episodes.copy(),
             "observation": self._observation.copy(),
+            **{f"{_LAW} {name}": x for name, x in self.sims.law_state().items()},
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> np.ndarray:
@@ -241,6 +244,8 @@ class BatchEnvironment:
         self._steps[:] = state["steps"]
         self._episodes[:] = state["episodes"]
         self._observation = np.array(state["observation"])
+        laws = {n.removeprefix(f"{_LAW} "): x for n, x in state.items() if n.startswith(_LAW)}
+        self.sims.set_law_state(laws)
         if self._draw is not None:
             for i, episode in enumerate((self._episodes - 1).tolist()):
                 self._models[i] = self._draw(self._generator(i, episode, purpose=1))

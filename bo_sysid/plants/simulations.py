@@ -1,6 +1,6 @@
 """Many simulations of one task, with their fields by name."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -43,7 +43,7 @@ class Simulations:
         self._views: dict[tuple[str, str, str], np.ndarray] = {}
         self._laws: tuple[ForceLaw, ...] = ()
         self._lockstep: LockStep | None = None
-        self._lockstep_count = 0
+        self._lockstep_counts = np.zeros(n, np.int64)
 
     def __len__(self) -> int:
         return int(self._batch.nsim)
@@ -77,16 +77,33 @@ class Simulations:
         self.begin_laws()
 
     def begin_laws(self) -> None:
-        """Let the laws forget: those with a memory share one start for all simulations."""
+        """Let the laws forget all simulations."""
         if self._laws:
             views = {name: self._batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
             views["qfrc_applied"] = self._batch.bind("qfrc_applied")
             self._lockstep = LockStep(self.model, self._laws, {}, views, None)
-            self._lockstep_count = 0
+            self._lockstep_counts[:] = 0
+
+    def law_state(self) -> dict[str, np.ndarray]:
+        """Return copies of what laws know beside the state; nothing without laws."""
+        if self._lockstep is None:
+            return {}
+        return {"steps": self._lockstep_counts.copy(), **self._lockstep.remembered()}
+
+    def set_law_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from `law_state`'s result; the laws forget where it is empty."""
+        self.begin_laws()
+        if self._lockstep is not None and state:
+            self._lockstep_counts[:] = state["steps"]
+            self._lockstep.remember({k: x for k, x in state.items() if k != "steps"})
 
     def restart(self, rows: np.ndarray) -> None:
-        """Put simulations `rows` at the model's defaults, without computing anything yet."""
+        """Put simulations `rows` at the model's defaults, without computing anything yet.
+
+        Laws forget them.
+        """
         self._batch.reset(ids=rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._lockstep_counts[rows] = 0
 
     def forward(self, rows: np.ndarray | None = None) -> None:
         """Compute every field at the present state."""
@@ -105,9 +122,10 @@ class Simulations:
         if self._lockstep is None:
             self._batch.step(ids=rows, nstep=steps, stage=int(stage))
             return
+        stepped = np.arange(len(self)) if rows is None else rows
         for _ in range(steps):
-            self._lockstep.apply(self._lockstep_count)
-            self._lockstep_count += 1
+            self._lockstep.apply_to(stepped, self._lockstep_counts[stepped])
+            self._lockstep_counts[stepped] += 1
             self._batch.step(ids=rows, nstep=1, stage=int(stage))
 
     def trace(self, steps: int, fields: Sequence[str]) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bo_sysid.effects.contract import Force, Part
 from bo_sysid.mjcf.commands import controlled
@@ -18,6 +18,9 @@ from bo_sysid.mjcf.commands import controlled
 _SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 Signal = Float[np.ndarray, " W"]
+Rows = slice | Int[np.ndarray, " r"]
+
+_ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -121,11 +124,73 @@ class LockStep:
         signals = {name: values[:, step] for name, values in self._signals.items()}
         time = np.full(len(applied), step * self._timestep)
         for law, memory in zip(self._laws, self._memories, strict=True):
-            inputs = LawInputs(
-                time, self._qpos, self._qvel, self._ctrl, signals, self._timestep, memory
-            )
-            value = law.law(inputs)
-            if isinstance(law, Controller):
-                self._views["ctrl"][:, self._actuator[law.actuator]] = value
-            else:
-                applied[:, self._dof[law.joint]] += value
+            self._evaluate(law, _ALL, time, signals, memory)
+
+    def apply_to(self, rows: Int[np.ndarray, " r"], steps: Int[np.ndarray, " r"]) -> None:
+        """Evaluate every law in some simulations, which need not have begun together.
+
+        Nothing changes in the others. There are no recorded inputs.
+
+        Args:
+            rows: numbers of the simulations.
+            steps: of each since it began; at 0 the laws remember nothing of it.
+        """
+        count = len(self._views["qfrc_applied"])
+        self._views["qfrc_applied"][rows] = 0.0
+        for some, begun in ((steps == 0, False), (steps > 0, True)):
+            if not some.any():
+                continue
+            at = _ALL if np.count_nonzero(some) == count else rows[some]
+            time = steps[some] * self._timestep
+            for law, memory in zip(self._laws, self._memories, strict=True):
+                own = {k: _taken(x, at, count) for k, x in memory.items()} if begun else {}
+                self._evaluate(law, at, time, {}, own)
+                memory.update({k: _put(x, at, memory.get(k), count) for k, x in own.items()})
+
+    def remembered(self) -> dict[str, np.ndarray]:
+        """Return copies of the arrays that laws keep."""
+        return {
+            f"{i} {name}": np.array(value)
+            for i, memory in enumerate(self._memories)
+            for name, value in memory.items()
+        }
+
+    def remember(self, kept: Mapping[str, np.ndarray]) -> None:
+        """Give laws the arrays that `remembered` returned."""
+        self._memories = [{} for _ in self._laws]
+        for key, value in kept.items():
+            number, name = key.split(" ", 1)
+            self._memories[int(number)][name] = np.array(value)
+
+    def _evaluate(
+        self,
+        law: Controller | ForceLaw,
+        at: Rows,
+        time: Signal,
+        signals: Mapping[str, Signal],
+        memory: dict[str, Any],
+    ) -> None:
+        qpos, qvel, ctrl = (
+            group if at is _ALL else {name: x[at] for name, x in group.items()}
+            for group in (self._qpos, self._qvel, self._ctrl)
+        )
+        value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, self._timestep, memory))
+        if isinstance(law, Controller):
+            self._views["ctrl"][at, self._actuator[law.actuator]] = value
+        else:
+            self._views["qfrc_applied"][at, self._dof[law.joint]] += value
+
+
+def _taken(value: Any, at: Rows, count: int) -> Any:
+    """Return the rows of what a law keeps; what is not an array over all simulations is shared."""
+    return value[at] if np.shape(value)[:1] == (count,) else value
+
+
+def _put(value: Any, at: Rows, kept: Any, count: int) -> Any:
+    """Return what a law keeps of all simulations, those of `at` replaced."""
+    if isinstance(at, slice) or np.shape(value)[:1] != at.shape:
+        return value
+    value = np.asarray(value)
+    whole = np.zeros((count, *value.shape[1:]), value.dtype) if kept is None else np.array(kept)
+    whole[at] = value
+    return whole
