@@ -127,6 +127,52 @@ def test_a_channel_with_its_own_clock_is_observed_at_its_own_instants(arm: Model
     assert np.isfinite(windows.observed[..., 0]).all()
 
 
+def two_rates(arm: Model, phase: float) -> Recording:
+    """Positions at 50 Hz and a velocity at 500 Hz, all of them the model's own."""
+    whole = simulated(arm)
+    late = whole.channels["qvel.elbow"]
+    slow = {n: Channel(c.time[::10], c.values[::10]) for n, c in whole.channels.items()
+            if n.startswith("qpos")}  # fmt: skip
+    fast = {"qvel.elbow": Channel(late.time + phase, late.values)}
+    ctrl = {n: c for n, c in whole.channels.items() if n.startswith("ctrl")}
+    return Recording("two rates", slow | fast | ctrl)
+
+
+def test_windows_start_wherever_clocks_that_interleave_let_them(arm: Model) -> None:
+    """Of 11 instants one has the positions: a window of 10 starts at each of them, not at a few."""
+    windows = cut(arm, [two_rates(arm, 0.001)], horizon=10)
+    np.testing.assert_allclose(windows.time, np.arange(40) * 0.02)
+    assert any("39 of 442 instants are predicted by no window" in n for n in windows.notes)
+    wide = cut(arm, [two_rates(arm, 0.001)], horizon=10, stride=12)
+    np.testing.assert_allclose(wide.time, np.arange(20) * 0.04)
+    dense = cut(arm, [two_rates(arm, 0.001)], horizon=25, stride=1)
+    np.testing.assert_allclose(dense.time, np.arange(38) * 0.02)
+    assert not any("by no window" in n for n in dense.notes)
+
+
+@pytest.mark.parametrize("stride", [None, 3, 20])
+def test_where_every_instant_is_complete_windows_start_every_stride(
+    arm: Model, stride: int | None
+) -> None:
+    whole = simulated(arm)
+    windows = cut(arm, [whole], horizon=10, stride=stride)
+    rows = np.arange(0, 401 - 10, stride or 10)
+    np.testing.assert_array_equal(windows.time, whole.channels["qpos.elbow"].time[rows])
+    assert windows.notes == ()
+
+
+def test_positions_that_end_before_a_sensor_are_told(arm: Model) -> None:
+    whole = simulated(arm)
+    channels = {n: Channel(c.time[:201], c.values[:201]) if n.startswith("qpos") else c
+                for n, c in whole.channels.items()}  # fmt: skip
+    windows = cut(arm, [Recording("ends", channels)], horizon=10)
+    np.testing.assert_allclose(windows.time, np.arange(21) * 0.02)
+    assert windows.notes == (
+        "ends: 181 of 401 instants are predicted by no window, for one starts only where every "
+        "joint position was recorded",
+    )
+
+
 def test_windows_do_not_span_gaps(arm: Model) -> None:
     whole = simulated(arm)
     keep = np.r_[0:150, 250:401]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
@@ -81,14 +81,8 @@ def _cut_one(
     measured = [n for n in layout.qpos if n not in layout.unrecorded]
     _require(recording, [n for n in measured if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
-    first = np.arange(0, len(time) - horizon, stride)
     complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
-    first = first[complete[first]]
-    if not first.size:
-        raise RecordingError(
-            f"{recording.name}: {len(time)} instants are too few for a window of {horizon}, or no "
-            "instant has every joint position"
-        )
+    first, uncovered = _starts(recording.name, complete, horizon, stride)
     first, notes = _without_gaps(recording.name, time, first, horizon)
     instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
     step = np.floor(instants / dt + _ON_STEP).astype(int)
@@ -108,7 +102,7 @@ def _cut_one(
         time=time[first],
         recording=np.full(len(first), number),
         timestep=dt,
-        notes=notes + note,
+        notes=notes + uncovered + note,
     )
 
 
@@ -157,6 +151,32 @@ def _merged(
         channel = recording.channels[name]
         table[np.searchsorted(time, channel.time), k] = channel.values
     return time, table
+
+
+def _starts(
+    name: str, complete: Bool[np.ndarray, " T"], horizon: int, stride: int
+) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
+    """Return the instants where windows start: complete ones, as soon as `stride` allows."""
+    limit = len(complete) - horizon
+    there = np.flatnonzero(complete[: max(limit, 0)])
+    following = np.searchsorted(there, there + stride)
+    picked, k = [], 0
+    while k < len(there):
+        picked.append(k)
+        k = int(following[k])
+    first = there[picked]
+    if not first.size:
+        raise RecordingError(
+            f"{name}: {len(complete)} instants are too few for a window of {horizon}, or no "
+            "instant has every joint position"
+        )
+    reach = max(stride, horizon)
+    lost = int(np.maximum(np.diff(first, prepend=-reach, append=limit) - reach, 0).sum())
+    note = (
+        f"{name}: {lost} of {len(complete)} instants are predicted by no window, for one starts "
+        "only where every joint position was recorded"
+    )
+    return first, (note,) if lost else ()
 
 
 def _without_gaps(
