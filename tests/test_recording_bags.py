@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 from mcap_ros2.writer import Writer as McapWriter
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -191,6 +192,26 @@ def test_a_ros_2_bag_is_read_as_a_folder_or_by_its_file(tmp_path: Path) -> None:
     (folder / "metadata.yaml").unlink()
     with pytest.raises(RecordingError, match=r"without its metadata.yaml.*reindex"):
         read_table(inner)
+
+
+def test_a_part_of_a_split_bag_is_not_the_whole(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "run", [START + k * 10**7 for k in range(10)])
+    (inner,) = folder.glob("*.db3")
+    (inner.parent / "run_1.db3").write_bytes(inner.read_bytes())
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text()
+    about = yaml.safe_load(text)
+    about["rosbag2_bagfile_information"]["relative_file_paths"].append("run_1.db3")
+    metadata.write_text(yaml.safe_dump(about))
+    told = r"one part of 2 of a ROS 2 bag.*name the folder, .*run"
+    for part in (inner.name, "run_1.db3"):
+        with pytest.raises(RecordingError, match=f"{part}: {told}"):
+            read_table(folder / part)
+    assert len(read_tables(folder)[0].columns["/joint_states.time"]) == 20
+    for damaged in ("", "{", text.replace("relative_file_paths", "paths")):
+        metadata.write_text(damaged)
+        with pytest.raises(RecordingError, match="damaged or truncated bag"):
+            read_table(inner)
 
 
 def test_a_study_names_the_folder_of_a_bag(tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.registry import folder_reader, needs, reader, require_content
 from bo_sysid.recording.formats.ros import Message, messages_to_table, readable
@@ -49,10 +51,17 @@ def _mcap_messages(bag: Any, topics: list[str]) -> Iterator[Message]:
 def read_bag(path: Path) -> RawTable:
     """Read a ROS 1 bag, or the SQLite file of a ROS 2 bag with its metadata beside it."""
     if path.suffix == ".db3":
-        if not (path.parent / "metadata.yaml").is_file():
+        metadata = path.parent / "metadata.yaml"
+        if not metadata.is_file():
             raise RecordingError(
                 f"{path}: a part of a ROS 2 bag without its metadata.yaml; keep them in one "
                 "folder (`ros2 bag reindex` writes it anew)"
+            )
+        parts = _parts(metadata)
+        if parts > 1:
+            raise RecordingError(
+                f"{path}: one part of {parts} of a ROS 2 bag, which is read as a whole; name the "
+                f"folder, {path.parent}"
             )
         path = path.parent
     return _read(path)
@@ -62,6 +71,15 @@ def read_bag(path: Path) -> RawTable:
 def read_bag_folder(path: Path) -> tuple[RawTable, ...]:
     """Read the folder of a ROS 2 bag."""
     return (_read(path),)
+
+
+def _parts(metadata: Path) -> int:
+    """Return how many files a bag was split into; 0 where its metadata cannot be read."""
+    try:
+        found = yaml.safe_load(metadata.read_text(encoding="utf-8"))
+        return len(found["rosbag2_bagfile_information"]["relative_file_paths"])
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
+        return 0  # the bag's reader says what is wrong
 
 
 def _read(path: Path) -> RawTable:
