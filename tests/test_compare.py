@@ -364,3 +364,42 @@ def test_a_defect_in_a_job_is_not_laid_to_the_study(
     told = capsys.readouterr().err
     assert "2 of 2 runs failed" in told
     assert "ZeroDivisionError: division by zero" in told
+
+
+@pytest.mark.parametrize("changed", ["model.xml", "ball.obj", "first.csv"])
+def test_a_comparison_does_not_go_on_with_another_model_or_other_logs(
+    tmp_path: Path, changed: str
+) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1
+    faces = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    files = {
+        "ball.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + faces,
+        "model.xml": '<mujoco><asset><mesh name="b" file="ball.obj"/></asset><worldbody><body>'
+        '<joint name="hinge" damping=".01"/><geom name="ball" type="mesh" mesh="b" pos="0 .5 0"/>'
+        '</body></worldbody><actuator><motor name="torque" joint="hinge"/></actuator></mujoco>',
+        "first.csv": "time,qpos.hinge,ctrl.torque\n"
+        + "".join(f"{k * 0.02:.2f},{0.1 * np.sin(k):.5f},{np.cos(k):.5f}\n" for k in range(40)),
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    damping = {"name": "d", "address": "joint[hinge].damping", "low": 0.0, "high": 0.3, "steps": 5}
+    data = small(model="model.xml", recordings={"train": "*.csv"}, parameters=[damping],
+                 compare={"arms": ["random"], "seeds": 1}, search={"budget": 5})  # fmt: skip
+    del data["plant"]
+    study = Study.from_dict(data, tmp_path)
+    place = tmp_path / "run"
+    with Run.open(place, study.resolved(relative_to=place), "compare") as run:
+        first = compare(study, run)
+        pd.testing.assert_frame_equal(compare(study, run).paths, first.paths)
+        text = files[changed].replace(".01", ".02").replace("0.1 ", "0.2 ").replace("0.04", "0.05")
+        assert text != files[changed]
+        (tmp_path / changed).write_text(text)
+        what = "first.csv" if changed == "first.csv" else "the model"
+        with pytest.raises(RunError, match=rf"'small' changed .*\({what} is another\); use"):
+            compare(study, run)
+        (tmp_path / changed).write_text(files[changed])
+        os.utime(tmp_path / changed, (0, 0))  # MuJoCo keeps a mesh whose file is of the same second
+        told = run.read_json("problems.json")["small"]
+        run.write_json("problems.json", {"small": told["the study"]})  # of an earlier version
+        pd.testing.assert_frame_equal(compare(study, run).paths, first.paths)
+        assert run.read_json("problems.json") == {"small": told}

@@ -23,11 +23,13 @@ from bo_sysid.learn.identified import evaluated_again, identified
 from bo_sysid.learn.learn import learn
 from bo_sysid.learn.play import play
 from bo_sysid.learn.scene import Scene
+from bo_sysid.mjcf import address_edit
 from bo_sysid.plants.build import build_plant
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import read_recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
 
 RESULTS = ("learning.json", "iterations.parquet", "trajectories.parquet", "training.parquet")
 
@@ -270,6 +272,19 @@ def test_first_recordings_must_not_change(tmp_path: Path) -> None:
     (tmp_path / "first.csv").write_text("\n".join(text[:-20]) + "\n")
     with pytest.raises(RunError, match="recordings that the study names changed"):
         learned(tmp_path, study)
+
+
+def test_a_run_does_not_go_on_with_another_model(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    model = load_model(Study.from_dict(study, tmp_path))
+    model.export(tmp_path / "model.xml", [])
+    study["model"] = "model.xml"
+    learned(tmp_path, study)
+    model.export(tmp_path / "model.xml", [address_edit(model, ["joint[hinge].damping"], 0.2)])
+    with pytest.raises(RunError, match="the model changed since this run began; use another --out"):
+        learned(tmp_path, study)
+    model.export(tmp_path / "model.xml", [])
+    assert "waiting for recording 1" in learned(tmp_path, study).waiting
 
 
 def test_waiting_is_no_failure(

@@ -26,9 +26,10 @@ from bo_sysid.execution import Report, silent
 from bo_sysid.recording import load_dataset
 from bo_sysid.runs import Run, read_json
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_train
+from bo_sysid.study.inputs import changed, fingerprints, load_train
 
 PROBLEMS, SUMMARY = "problems.json", "comparison.json"
+_STUDY = "the study"
 
 
 @dataclass(frozen=True)
@@ -114,19 +115,25 @@ def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str
 
 
 def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
-    """Refuse to go on with a run whose further problems were others.
+    """Refuse to go on with a run whose problems were others.
 
     Raises:
-        RunError: the message names the problem that changed.
+        RunError: the message names the problem, and what of it changed.
     """
-    now = {problem.name: problem.study.sha256 for problem in problems}
     there = run.read_json(PROBLEMS) if run.has(PROBLEMS) else {}
-    changed = [name for name in now if there.get(name, now[name]) != now[name]]
-    if changed:
-        raise RunError(
-            f"{run.folder}: the problem {changed[0]!r} changed since this run began; use another "
-            "--out, or remove the folder"
-        )
+    now = {}
+    for name, study in ((p.name, p.study) for p in problems):
+        files = fingerprints(study, recorded=study.plant is None)
+        now[name] = {_STUDY: study.sha256, **files}
+        before = there.get(name, now[name])
+        if isinstance(before, str):  # a run that began before files were hashed
+            before = {**files, _STUDY: before}
+        what = changed(before, now[name])
+        if what:
+            raise RunError(
+                f"{run.folder}: the problem {name!r} changed since this run began ({what} is "
+                "another); use another --out, or remove the folder"
+            )
     run.write_json(PROBLEMS, {**there, **now})
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 
+from bo_sysid.errors import RunError
 from bo_sysid.execution import Report, limit_threads, silent
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iterate import Teller, iterate
@@ -22,6 +23,9 @@ from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import changed, fingerprints
+
+INPUTS = "inputs.json"
 
 
 @dataclass(frozen=True)
@@ -82,6 +86,7 @@ def learn(
 
 def _learned(study: Study, run: Run, progress: Report, strict: bool) -> Learning:
     scene = Scene.of(study)
+    _require_unchanged(study, run)
     source = open_source(scene, run, strict=strict)
     tell = Teller(progress, study.learn.trajectories)
     done: list[Iteration] = []
@@ -94,6 +99,24 @@ def _learned(study: Study, run: Run, progress: Report, strict: bool) -> Learning
         now = before.scene if before else scene
         done.append(reread(now, before, run) or iterate(now, source, before, run, tell))
     return _told(study, scene, source, done, run)
+
+
+def _require_unchanged(study: Study, run: Run) -> None:
+    """Refuse to go on with a run under another model or other files beside it.
+
+    First recordings of a person's machine are looked at by their source.
+
+    Raises:
+        RunError: the message names what changed.
+    """
+    now = fingerprints(study, recorded=False)
+    what = changed(run.read_json(INPUTS), now) if run.has(INPUTS) else ""
+    if what:
+        raise RunError(
+            f"{run.folder}: {what} changed since this run began; use another --out, or remove the "
+            "folder"
+        )
+    run.write_json(INPUTS, now)
 
 
 def _told(

@@ -2,11 +2,14 @@
 
 import hashlib
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+
+import numpy as np
 
 from bo_sysid.effects import Effect, Part, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
@@ -130,6 +133,37 @@ def corrected(study: Study, recordings: Sequence[Recording]) -> tuple[Recording,
     model = load_model(study)
     parts, step = load_parts(study, model), float(model.compile().opt.timestep)
     return tuple(as_commanded_and_measured(r, parts, step) for r in recordings)
+
+
+def fingerprints(study: Study, *, recorded: bool) -> dict[str, str]:
+    """Return hashes of what results depend on beside the text of a study, by what they are of.
+
+    "the model" with its meshes and height fields; by name every file beside it and with code.
+
+    Args:
+        study: names them.
+        recorded: whether its training recordings matter, by name; a dataset is not hashed.
+
+    Raises:
+        ModelError: the model does not compile, or there is no such model.
+        StudyError: a pattern matches no file.
+    """
+    model = load_model(study)
+    digest = hashlib.sha256(model.spec().to_xml().encode())
+    compiled = model.compile(visuals=True)
+    for name in ("mesh_vert", "mesh_face", "hfield_data"):
+        array = np.ascontiguousarray(getattr(compiled, name))
+        digest.update(f"{name} {array.shape}".encode() + array.tobytes())
+    files = {file: study.folder / file for file in (*study.code, *study.model.beside)}
+    if recorded:
+        files |= {os.path.relpath(file, study.folder): file for file in study.train_files}
+    contents = {n: hashlib.sha256(f.read_bytes()).hexdigest() for n, f in files.items()}
+    return {"the model": digest.hexdigest(), **contents}
+
+
+def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
+    """Return the first of what differs between two `fingerprints`; empty where nothing does."""
+    return next((n for n in {**before, **now} if before.get(n) != now.get(n)), "")
 
 
 def load_function(study: Study, reference: str) -> Callable[..., Any]:
