@@ -317,6 +317,28 @@ def test_headers_of_another_clock_are_told(tmp_path: Path) -> None:
     assert any("another clock" in n for n in table.notes)
 
 
+def test_topics_on_another_clock_keep_their_distance(tmp_path: Path) -> None:
+    """As from a simulator: headers in its time, receipts in that of the wall, at half its speed."""
+    kind = "sensor_msgs/msg/JointState"
+    messages = []
+    for first, topic in ((10, "/js"), (12, "/goals")):
+        for k in range(100):
+            ns = first * 10**9 + k * 10**7
+            messages.append((topic, kind, JOINTS, joints(k, "elbow", ns=ns), START + 2 * ns))
+    hand = 50_000 * 10**9  # its controller counts from when it was switched on
+    for k in range(100):
+        ns = hand + k * 10**7
+        messages.append(("/hand", kind, JOINTS, joints(k, "grip", ns=ns), START + 24 * 10**9 + k))
+    table = read_table(mcap(tmp_path / "log.mcap", messages))
+    assert table.columns["/js.time"] == pytest.approx(0.01 * np.arange(100))
+    assert table.columns["/goals.time"] == pytest.approx(2.0 + 0.01 * np.arange(100))
+    assert table.columns["/hand.time"] == pytest.approx(0.01 * np.arange(100))
+    notes = " ".join(table.notes)
+    assert "another clock, that of /goals; to use those of receipt" in notes
+    assert "another clock, that of /js; to use those of receipt" in notes
+    assert "another clock; to use those of receipt, name the column /hand.received" in notes
+
+
 def lerobot(path: Path, episodes: int = 2) -> Path:
     """Write a LeRobot dataset: all episodes in one file, vectors in cells."""
     (path / "meta").mkdir(parents=True)

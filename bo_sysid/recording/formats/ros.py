@@ -3,7 +3,8 @@
 A column is called ``<topic>.<field>.<joint>``, as ``/joint_states.position.elbow``; arrays without
 names get an index. A topic's stamps are those of its headers where it has them, else the times at
 which its messages were received; the column ``<topic>.time`` holds them, in seconds since the
-bag's first message, and ``<topic>.received`` the times of receipt beside headers.
+bag's first message, and ``<topic>.received`` the times of receipt beside headers. Headers on another
+clock, a simulator's for instance, count from the first stamp on that clock.
 """
 
 import re
@@ -60,6 +61,13 @@ class _Rows:
     stamps: list[int] = field(default_factory=list)
     received: list[int] = field(default_factory=list)
 
+    @property
+    def apart(self) -> float:
+        """How far the headers are from the times of receipt in [s]; 0 where one has no stamp."""
+        if not all(self.stamps):
+            return 0.0
+        return float(np.median(np.array(self.stamps) - np.array(self.received))) * _NS
+
 
 def readable(kind: str) -> bool:
     """Whether messages of a type are read."""
@@ -106,13 +114,14 @@ def _table(
     topics: Mapping[str, Mapping[frozenset[str], _Rows]], source: str, skipped: Mapping[str, str]
 ) -> RawTable:
     origin = min(r.received[0] for groups in topics.values() for r in groups.values())
+    foreign = _foreign(topics)
     columns: dict[str, np.ndarray] = {}
     clocks: dict[str, str] = {}
     notes = [f"Topic {t} ({k}) is not read." for t, k in skipped.items()]
     for topic, groups in topics.items():
         for number, rows in enumerate(groups.values()):
             name = f"{topic}.time" if number == 0 else f"{topic}.time{number + 1}"
-            stamps, told = _clock(topic, rows, origin, source)
+            stamps, told = _clock(topic, rows, origin, foreign, source)
             notes += told
             order = np.argsort(stamps, kind="stable")
             columns[name] = stamps[order]
@@ -135,18 +144,42 @@ def _table(
     return RawTable(source, columns, clocks=clocks, notes=tuple(dict.fromkeys(notes)))
 
 
-def _clock(topic: str, rows: _Rows, origin: int, source: str) -> tuple[np.ndarray, list[str]]:
-    """Return the stamps of a topic in [s], and what is to be said about them."""
+def _foreign(
+    topics: Mapping[str, Mapping[frozenset[str], _Rows]],
+) -> list[tuple[str, float, int]]:
+    """Return topic, distance in [s] and first stamp in [ns] of headers on another clock."""
+    return [
+        (topic, rows.apart, min(rows.stamps))
+        for topic, groups in topics.items()
+        for rows in groups.values()
+        if abs(rows.apart) > _APART
+    ]
+
+
+def _clock(
+    topic: str,
+    rows: _Rows,
+    origin: int,
+    foreign: Sequence[tuple[str, float, int]],
+    source: str,
+) -> tuple[np.ndarray, list[str]]:
+    """Return the stamps of a topic in [s], and what is to be said about them.
+
+    Topics whose headers are as far from the times of receipt are on one clock: it begins with the
+    first stamp of all of them.
+    """
     received = (np.array(rows.received) - origin) * _NS
     if all(rows.stamps):
-        stamps = np.array(rows.stamps)
-        apart = float(np.median(stamps - np.array(rows.received))) * _NS
+        stamps, apart = np.array(rows.stamps), rows.apart
         if abs(apart) > _APART:
+            alike = [(t, first) for t, other, first in foreign if abs(other - apart) <= _APART]
+            others = ", ".join(dict.fromkeys(t for t, _ in alike if t != topic))
             note = (
                 f"{topic}: its headers are {abs(apart):.6g} s from the times of receipt, another "
-                f"clock; to use those of receipt, name the column {topic}.received under clocks:."
+                f"clock{', that of ' * bool(others)}{others}; to use those of receipt, name the "
+                f"column {topic}.received under clocks:."
             )
-            return (stamps - stamps.min()) * _NS, [note]
+            return (stamps - min(first for _, first in alike)) * _NS, [note]
         return (stamps - origin) * _NS, []
     if len(received) > 1 and np.ptp(received) == 0:
         raise RecordingError(
