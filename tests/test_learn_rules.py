@@ -1,6 +1,8 @@
 """Choices, stop rules, values and the floor, against answers worked out by hand."""
 
+from copy import copy
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,12 +14,19 @@ from bo_sysid.identify.problem import make_problem
 from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import Floor, floor_of, lacks_physics
+from bo_sysid.learn.hand_over import share_beyond
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
 from bo_sysid.learn.values import Estimate, Values, values
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.limits import LimitedTask
+from bo_sysid.plants.simulations import Simulations
+from bo_sysid.plants.tasks.base import VectorTask
+from bo_sysid.plants.tasks.pendulum import PendulumSwingup
+from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
 
 X = Parameter("x", ("joint[a].damping",), 0.0, 1.0, 11)
 Y = Parameter("y", ("joint[b].damping",), 0.0, 4.0, 11)
@@ -257,3 +266,24 @@ def test_training_may_have_shorter_episodes_and_held_actions() -> None:
 def test_contradictions_in_a_study_are_said(changed: dict[str, object], message: str) -> None:
     with pytest.raises(StudyError, match=message):
         Study.from_dict(pendulum(**changed), trust_code=True)
+
+
+class Ending(PendulumSwingup):
+    """A task that ends every episode by itself."""
+
+    def terminated(self, sims: Simulations) -> np.ndarray:
+        return np.ones(len(sims), bool)
+
+
+@pytest.mark.parametrize(("task", "velocity", "share"), [
+    (Ending(), 1e3, 0.0), (PendulumSwingup(), 1e3, 0.0), (PendulumSwingup(), 0.01, 1.0),
+    (Ending(), 1e-6, 1.0),
+])  # fmt: skip
+def test_only_the_limits_count_as_left(task: VectorTask, velocity: float, share: float) -> None:
+    study = Study.from_dict(pendulum(limits={"hinge": {"velocity": velocity}}))
+    task = copy(task)
+    task.time_limit = 1.0
+    scene = Scene.of(study, LimitedTask(task, study, load_model(study)))
+    push = Mock(spec=LearnedPolicy)
+    push.act = lambda observations: np.ones((len(observations), 1))
+    assert share_beyond(scene, push, scene.candidates.points[0]) == share

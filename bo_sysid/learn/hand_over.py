@@ -1,5 +1,7 @@
 """A policy for a person's machine: a file to run there, and what to record."""
 
+from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +44,14 @@ def share_beyond(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
     """Return the share of simulated episodes in which the policy leaves the study's limits."""
     if not isinstance(scene.task, LimitedTask):
         return 0.0
+    task = copy(scene.task)
+    scene = replace(scene, task=task)
     environment = scene.environment(scene.compiled(point), _EPISODES, seed=scene.seed)
     observation = environment.reset()
     running, left = np.ones(_EPISODES, bool), np.zeros(_EPISODES, bool)
     while running.any():
         step = environment.step(policy.act(observation))
-        left |= running & step.terminated
+        left |= running & task.beyond
         running &= ~(step.terminated | step.truncated)
         observation = step.observation
     return float(left.mean())

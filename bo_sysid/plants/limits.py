@@ -66,6 +66,9 @@ class LimitedTask(VectorTask):
         task: the task.
         study: its `limits` are kept.
         model: gives the joints.
+
+    Attributes:
+        beyond: which simulations were outside the limits when `terminated` was last asked.
     """
 
     def __init__(self, task: VectorTask, study: Study, model: Model) -> None:
@@ -75,6 +78,7 @@ class LimitedTask(VectorTask):
         self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
         self.settle_time = task.settle_time  # type: ignore[misc]
         self.rewarded = task.rewarded  # type: ignore[misc]
+        self.beyond = np.zeros(0, bool)
         compiled = model.compile()
         self._low, self._high = np.full(compiled.nq, -np.inf), np.full(compiled.nq, np.inf)
         self._speed = np.full(compiled.nv, np.inf)
@@ -103,7 +107,8 @@ class LimitedTask(VectorTask):
 
     def terminated(self, sims: Simulations) -> np.ndarray:
         """Return which episodes the task has ended, or have left the limits."""
-        return np.asarray(self.task.terminated(sims) | self.left(sims))
+        self.beyond = self.left(sims)
+        return np.asarray(self.task.terminated(sims) | self.beyond)
 
     def left(self, sims: Simulations) -> np.ndarray:
         """Return which of the `n` simulations are outside the limits."""
