@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from threadpoolctl import threadpool_info
 
 from bo_sysid.errors import StudyError
 from bo_sysid.execution import LocalEngine, cores, limit_threads, map_jobs, threads, use_threads
+from bo_sysid.execution.cluster import _outcome
+from bo_sysid.execution.jobs import Outcome
 
 
 def square(x: float) -> float:
@@ -174,3 +178,10 @@ def test_the_environment_says_how_many_cores(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("BO_SYSID_THREADS", "many")
     with pytest.raises(StudyError, match="BO_SYSID_THREADS is 'many'"):
         cores()
+
+
+@pytest.mark.parametrize(("said", "told"), [("", "RuntimeError"), ("gone\nfar", "gone")])
+def test_a_job_that_a_cluster_lost_without_a_word_is_told(said: str, told: str) -> None:
+    ray = SimpleNamespace(exceptions=SimpleNamespace(RayError=RuntimeError), get=Mock())
+    ray.get.side_effect = RuntimeError(said)
+    assert _outcome(ray, "a", None) == Outcome("a", error=f"lost on the cluster: {told}")

@@ -55,7 +55,8 @@ def _outcome(ray: Any, key: str, reference: Any) -> Outcome:
     try:
         found = ray.get(reference)
     except ray.exceptions.RayError as lost:  # every retry lost its process, or nothing came back
-        return Outcome(key, error=f"lost on the cluster: {str(lost).splitlines()[0]}")
+        why = (str(lost).strip() or type(lost).__name__).splitlines()[0]
+        return Outcome(key, error=f"lost on the cluster: {why}")
     return Outcome(key, *found)
 
 
