@@ -251,6 +251,58 @@ def test_a_clock_of_durations_needs_no_unit(name: str) -> None:
     assert guess_rules(Model.from_xml(HAND), table).columns["time"] == {"from": name}
 
 
+WHEEL = """
+<mujoco><option timestep="0.004"/><worldbody><body>
+  <joint name="wheel" axis="0 1 0" damping="0.02" {limits}/>
+  <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass="1"/></body></worldbody>
+  <actuator><motor name="wheel" joint="wheel"/></actuator></mujoco>"""
+LIMITED = 'limited="true" range="-3 3"'
+
+
+@pytest.mark.parametrize(
+    ("limits", "stated", "expected"),
+    [
+        ("", None, {}),
+        (LIMITED, None, {"unit": "deg"}),
+        (LIMITED, "rad", {}),
+        (LIMITED, "degrees", {}),
+        (LIMITED, "counts", {"unit": "ticks", "scale": pytest.approx(2 * pi / 4096)}),
+    ],
+)
+def test_a_unit_is_guessed_by_the_reach_only_where_limits_speak_for_it(
+    limits: str, stated: str | None, expected: dict[str, object]
+) -> None:
+    units = {} if stated is None else {"wheel_position": stated}
+    table = RawTable("log", {"time": TIMES, "wheel_position": 196 * WAVE}, units=units)
+    rules = guess_rules(Model.from_xml(WHEEL.format(limits=limits)), table)
+    assert rules.columns["qpos.wheel"] == {"from": "wheel_position", **expected}
+    guess = rules.guesses["qpos.wheel"]
+    if expected == {"unit": "deg"}:
+        assert guess.confidence <= 0.5
+        assert "deg, since it reaches 196" in guess.reason
+    else:
+        assert guess.confidence > 0.9
+        assert "reaches" not in guess.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1.0, 180 / pi])
+def test_the_motion_tells_the_unit_of_a_wheel_that_turns_on(tmp_path: Path, factor: float) -> None:
+    model = tmp_path / "wheel.xml"
+    model.write_text(WHEEL.format(limits=""))
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = (2.0 + tones(time, 3))[:, None]
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(Model.from_file(model).compile(), start, ctrl[None])
+    qpos = run.qpos[0, :-1, 0]
+    assert np.abs(qpos).max() > 50
+    log = {"time": time, "wheel_position": factor * qpos, "wheel_torque": ctrl[:, 0]}
+    pd.DataFrame(log).to_csv(tmp_path / "log.csv", index=False)
+    started = init(model, [tmp_path / "log.csv"], tmp_path / "wheel.yaml")
+    rule = Study.load(started.path).recordings.columns["qpos.wheel"]
+    assert (rule.source, rule.unit) == ("wheel_position", None if factor == 1.0 else "deg")
+
+
 def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control() -> None:
     joints = ("yaw", "shoulder", "elbow", "gripper")
     told = {f"qpos.{j}": (k + 1) * WAVE for k, j in enumerate(joints)}

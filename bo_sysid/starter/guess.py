@@ -15,14 +15,16 @@ from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
+from bo_sysid.recording.units import is_unit, unit
 from bo_sysid.starter.columns import WORDS, Column, describe
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
-_TICKS = 4096
+_TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
 _LIKELY = 0.7
+_UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,9 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     commands += _last_one(model, table, columns, (*positions, *velocities, *commands))
     guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
     time = _time(table, columns)
-    rules = {n: _rule(table, compiled, g) for n, g in guesses.items()}
+    ruled = {n: _rule(table, compiled, g) for n, g in guesses.items()}
+    rules = {n: rule for n, (rule, _) in ruled.items()}
+    guesses = {n: guess for n, (_, guess) in ruled.items()}
     if time:
         rules = {"time": time, **rules}
     found = Rules(
@@ -193,29 +197,46 @@ def _driven(compiled: mujoco.MjModel, model: Model, actuator: str) -> str:
     return str(compiled.joint(int(compiled.actuator_trnid[a, 0])).name)
 
 
-def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> Rule:
-    """Return the rule of a guess; the unit of a hinge is guessed by how far it seems to move."""
+def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule, Guess]:
+    """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
     rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
     kind, element = guess.channel.split(".", 1)
     fits = {
-        "qpos": ("deg", "mrad", "ticks", "mm"),
+        "qpos": ("deg", "mrad", "mm"),
         "qvel": ("rpm", "deg/s", "mm/s"),
         "ctrl": ("mA", "mN m", "%", "deg", "mrad", "mm"),
     }
-    if guess.unit in fits.get(kind, ()) and table.units.get(guess.column) is None:
+    told = unit(guess.unit, guess.column).quantity if is_unit(guess.unit) else ""
+    if kind == "qpos" and told == "count":
+        rule |= _TICK_RULE
+    elif guess.unit in fits.get(kind, ()) and table.units.get(guess.column) is None:
         rule["unit"] = guess.unit
-        if guess.unit == "ticks":
-            rule["scale"] = round(2 * pi / _TICKS, 8)
-    elif kind == "qpos" and int(compiled.joint(element).type[0]) == _HINGE:
-        values = table.column(guess.column)
-        values = values[np.isfinite(values)]
-        whole = bool((values == np.rint(values)).all())
-        reach = float(np.abs(values).max())
-        if whole and reach > 500:
-            rule |= {"unit": "ticks", "scale": round(2 * pi / _TICKS, 8)}
-        elif reach > _TURNS:
-            rule["unit"] = "deg"
-    return rule
+    elif kind == "qpos" and told != "angle":
+        made, reach = _by_reach(table, compiled, element, guess.column)
+        if made:
+            reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
+            guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
+        rule |= made
+    return rule, guess
+
+
+def _by_reach(
+    table: RawTable, compiled: mujoco.MjModel, joint: str, column: str
+) -> tuple[Rule, float]:
+    """Return the unit of a hinge by how far it seems to move; none where it may be rad.
+
+    A hinge without limits may turn as often as it likes: what the motion says decides.
+    """
+    values = table.column(column)
+    values = values[np.isfinite(values)]
+    whole = bool((values == np.rint(values)).all())
+    reach = float(np.abs(values).max())
+    place = compiled.joint(joint).id
+    if int(compiled.jnt_type[place]) != _HINGE:
+        return {}, reach
+    if whole and reach > 500:
+        return _TICK_RULE, reach
+    return {"unit": "deg"} if reach > _TURNS and compiled.jnt_limited[place] else {}, reach
 
 
 def _time(table: RawTable, columns: Sequence[Column]) -> Rule:
@@ -227,10 +248,10 @@ def _time(table: RawTable, columns: Sequence[Column]) -> Rule:
     values = table.column(clock.name)
     step = float(np.median(np.diff(values[np.isfinite(values)])))
     dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
-    unit = clock.unit if clock.unit in ("ms", "us", "ns") and not dated else ""
-    if not unit and not dated:
-        unit = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
+    named = clock.unit if clock.unit in ("ms", "us", "ns") and not dated else ""
+    if not named and not dated:
+        named = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
     rule: Rule = {} if clock.name == "time" else {"from": clock.name}
-    if unit:
-        rule["unit"] = unit
+    if named:
+        rule["unit"] = named
     return rule
