@@ -9,7 +9,9 @@ from dm_control import suite
 from dm_control.suite import swimmer
 
 from bo_sysid.errors import StudyError
+from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment
+from bo_sysid.plants.load import load_task
 from bo_sysid.plants.machine import VectorMachine
 from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.plants.tasks import find_task, registered
@@ -127,6 +129,27 @@ def test_observation_and_reward_equal_dm_control_step_by_step(domain, name, poli
         assert total > 5, "the comparison of rewards was empty"
     if policy == "learned":
         assert total > LEARNED[domain], "the policy is no better than chance"
+
+
+@pytest.mark.parametrize(("domain", "name"), [("swimmer", "swimmer4"), ("swimmer4", "swim")])
+def test_a_swimmer_of_any_length_is_dm_controls(domain, name):
+    other = swimmer.swimmer(4, random=1)
+    other.reset()
+    task = load_task(domain, name)
+    ours = BatchEnvironment(task, Model.from_dm_control(domain, name).compile(), 1)
+    ours.reset()
+    first = flat(other.task.get_observation(other.physics))
+    ours.sims.state[:] = other.physics.get_state(STATE)
+    ours.sims.goal[:] = goal_of(other, task.goal_size)
+    ours.sims.forward()
+    np.testing.assert_allclose(task.observe(ours.sims)[0], first, atol=1e-12)
+    for k in range(50):
+        action = sway(k * task.control_timestep, 3)
+        theirs, step = other.step(action), ours.step(action[None])
+        np.testing.assert_allclose(step.final[0], flat(theirs.observation), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(step.reward, theirs.reward, rtol=0, atol=1e-12)
+    with pytest.raises(StudyError, match="no 'swimmer swimmer2' in dm_control's suite"):
+        load_task("swimmer", "swimmer2")
 
 
 def test_policies_were_learned_for_the_tasks_of_the_experiments():

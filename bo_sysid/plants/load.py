@@ -1,5 +1,6 @@
 """Tasks by name, and environments of any kind of task."""
 
+import re
 from collections.abc import Sequence
 
 import mujoco
@@ -13,14 +14,20 @@ from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.simulation.lockstep import ForceLaw
 
 Task = VectorTask | PythonTask
+_SHORTEST = 3  # links of a swimmer
 
 
 def load_task(domain: str, name: str) -> Task:
     """Return a task of dm_control: vectorised where it is known, else with a `notice`.
 
+    "swimmerN" names a swimmer with N links for any N from 3 on, as for `Model.from_dm_control`.
+
     Raises:
         StudyError: there is no such task.
     """
+    swimmer = re.fullmatch(r"swimmer(\d+)", domain if domain != "swimmer" else name)
+    if swimmer and int(swimmer[1]) >= _SHORTEST:
+        return find_task("swimmer", f"swimmer{_SHORTEST}")  # the task of any number of links
     return find_task(domain, name) if (domain, name) in registered() else suite_task(domain, name)
 
 
