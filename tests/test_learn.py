@@ -232,6 +232,35 @@ def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
     assert any("trajectory-01 ends after 8 of 20 s" in note for note in went_on.notes)
 
 
+def test_what_to_record_has_the_columns_and_units_of_the_study(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    first = pd.read_csv(tmp_path / "first.csv")
+    other = pd.DataFrame(
+        {
+            "t": 1e3 * first["time"],
+            "angle": -np.degrees(first["qpos.hinge"]),
+            "ctrl.torque": 1e3 * first["ctrl.torque"],
+        }
+    )
+    other.to_csv(tmp_path / "first.csv", index=False)
+    study["recordings"] = {
+        "train": ["first.csv"],
+        "columns": {
+            "time": {"from": "t", "unit": "ms"},
+            "qpos.hinge": {"from": "angle", "unit": "deg", "sign": -1},
+            "ctrl.torque": {"unit": "mN m"},
+        },
+    }
+    waiting = learned(tmp_path, study).waiting
+    assert "time, qpos.<joint>" not in waiting
+    assert (
+        "'t' in ms (time), 'angle' in deg (qpos.hinge), ctrl.torque in mN m, as under "
+        "recordings.columns of the study, which is applied to the file; velocities" in waiting
+    )
+    other.to_csv(tmp_path / "run" / "recordings" / "trajectory-01.csv", index=False)
+    assert len(learned(tmp_path, study).trajectories) == 1  # read as it was asked for
+
+
 def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path) -> None:
     study = machine_study(tmp_path)
     learned(tmp_path, study)

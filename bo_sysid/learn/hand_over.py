@@ -13,6 +13,7 @@ from bo_sysid.plants.limits import LimitedTask
 from bo_sysid.plants.python_task import PythonMachine, PythonTask
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run, atomic
+from bo_sysid.study.sections import Column
 
 _EPISODES = 20
 
@@ -81,12 +82,29 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
             f"- The module takes the {about['observations']} observations of the task every "
             f"{scene.task.control_timestep:g} s and gives the commands of "
             f"{', '.join(scene.model.controlled)}, clipped to {_ranges(low, high)}.",
-            f"- Record {_length(seconds)}: time, qpos.<joint> of every joint, "
-            f"{', '.join(scene.model.ctrl_channels)}; velocities where there are some.",
+            f"- Record {_length(seconds)}: {_columns(scene)}; velocities where there are some.",
             *_warning(float(policy.about.get("share_beyond", 0.0))),
             "Then give the same command again; it goes on from there.",
         ]
     )
+
+
+def _columns(scene: Scene) -> str:
+    """Return what to record: channels, by column and unit where the study has rules for them."""
+    model, rules = scene.model, scene.study.recordings.columns
+    if not rules:
+        return f"time, qpos.<joint> of every joint, {', '.join(model.ctrl_channels)}"
+    shown = [n for n in model.qpos_channels if n.removeprefix("qpos.") not in model.unrecorded]
+    names = dict.fromkeys(["time", *shown, *model.ctrl_channels, *rules])
+    told = ", ".join(_column(name, rules.get(name)) for name in names)
+    return f"{told}, as under recordings.columns of the study, which is applied to the file"
+
+
+def _column(channel: str, rule: Column | None) -> str:
+    if rule is None:
+        return channel
+    unit = f" in {rule.unit}" if rule.unit else ""
+    return f"{rule.source!r}{unit} ({channel})" if rule.source else f"{channel}{unit}"
 
 
 def _length(seconds: float) -> str:
