@@ -1,5 +1,6 @@
 """Limits bind commands by clipping, positions and velocities by ending the episode."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -53,6 +54,24 @@ def test_commands_are_narrowed_to_what_the_limits_allow(tmp_path):
     np.testing.assert_allclose(high, [0.5, 1.0])
     np.testing.assert_allclose(made.actuator_forcerange[1], [-5.0, 5.0])
     assert not limit_edits(study(tmp_path, {}), model)
+
+
+def test_a_velocity_servo_keeps_to_the_effort_however_fast_its_joint_is(tmp_path):
+    servo = '<velocity name="shoulder" joint="shoulder" gear="2" kv="1.5" ctrlrange="-9 9"/>'
+    text = ARM.replace('<motor name="shoulder" joint="shoulder" gear="4" ctrlrange="-3 3"/>', servo)
+    model = Model.from_xml(text)
+    made = model.compile(limit_edits(study(tmp_path, {"shoulder": {"effort": 2.0}}), model))
+    data = mujoco.MjData(made)
+    for speed in (-30.0, -1.0, 0.0, 0.2, 30.0):
+        for command in control_range(made):
+            data.qvel[0], data.ctrl[0] = speed, command[0]
+            mujoco.mj_forward(made, data)
+            assert abs(data.qfrc_actuator[0]) <= 2.0 + 1e-9
+            free = 2 * 1.5 * (command[0] - 2 * speed)  # r k (u - r v)
+            assert data.qfrc_actuator[0] == pytest.approx(np.clip(free, -2.0, 2.0))
+    weak = Model.from_xml(text.replace(servo, servo.replace("kv", 'forcerange="-.3 .3" kv')))
+    made = weak.compile(limit_edits(study(tmp_path, {"shoulder": {"effort": 2.0}}), weak))
+    np.testing.assert_allclose(made.actuator_forcerange[0], [-0.3, 0.3])  # its own is narrower
 
 
 def test_an_actuator_without_a_control_is_not_limited(tmp_path):

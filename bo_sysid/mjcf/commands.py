@@ -51,3 +51,8 @@ def command_bounds(
 def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether the force of an actuator depends on where its joint is."""
     return bool(model.actuator_biasprm[actuator, 1])
+
+
+def has_bias(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether the force of an actuator depends on more than its control, as that of servos does."""
+    return bool(model.actuator_biasprm[actuator, :3].any())

@@ -10,7 +10,7 @@ import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.mjcf.commands import command_bounds, controlled, is_position_servo
+from bo_sysid.mjcf.commands import command_bounds, controlled, has_bias
 from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
@@ -23,7 +23,8 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     """Return the edits that narrow the control ranges to a study's limits.
 
     A motor's command is bounded by `effort`, |u| ≤ effort / |gear · gain|; a position servo's by
-    `position`, and its force by `effort`.
+    `position`. Where an actuator's force depends on more than its command, as that of servos does,
+    the force itself is clipped to `effort`, or to the model's own range where that is narrower.
 
     Raises:
         StudyError: a limit is of a joint that the model does not have, or leaves no command.
@@ -40,8 +41,10 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
         limit = study.limits.get(_joint_of(compiled, a))
         if limit is None:
             continue
-        if limit.effort is not None and is_position_servo(compiled, a):
-            forces[name] = limit.effort / abs(float(compiled.actuator_gear[a, 0]))
+        if limit.effort is not None and has_bias(compiled, a):
+            own = compiled.actuator_forcerange[a] if compiled.actuator_forcelimited[a] else np.inf
+            gear = abs(float(compiled.actuator_gear[a, 0]))
+            forces[name] = min(limit.effort / gear, float(np.abs(own).max()))
         low, high = command_bounds(compiled, a, limit.position, limit.effort)
         if not low < high:
             raise study.error(
