@@ -166,6 +166,50 @@ def test_trajectories_and_controller_states(tmp_path: Path) -> None:
     assert columns["/c.feedback.positions.elbow"].tolist() == [0.3]
 
 
+def goals(path: Path, plans: list[tuple[float, list[tuple[float, float]]]]) -> Any:
+    """Return the table of trajectories: each its start in [s], and time and goal of its points."""
+    messages = []
+    for start, points in plans:
+        ns = START + round(1e9 * start)
+        told = [point(goal, after=round(1e9 * after)) for after, goal in points]
+        message = {"header": header(ns), "joint_names": ["elbow"], "points": told}
+        messages.append(("/go", "trajectory_msgs/msg/JointTrajectory", TRAJECTORY, message, ns))
+    return read_table(mcap(path, messages))
+
+
+def test_a_trajectory_replaces_what_was_to_come_of_the_one_before(tmp_path: Path) -> None:
+    """The goal follows the first plan up to 0.25 s and from there the second one alone."""
+    first = [(0.1 * k, 1.0 + k) for k in range(6)]
+    second = [(0.0, 10.0), (0.1, 11.0), (0.2, 12.0)]
+    table = goals(tmp_path / "log.mcap", [(0.0, first), (0.25, second)])
+    assert table.columns["/go.time"] == pytest.approx([0.0, 0.1, 0.2, 0.25, 0.35, 0.45])
+    assert table.columns["/go.positions.elbow"].tolist() == [1.0, 2.0, 3.0, 10.0, 11.0, 12.0]
+    assert "/go: 3 points of trajectories left out, which a later trajectory replaced." in (
+        table.notes
+    )
+    # of two goals at one time the new one counts; a start before the new goals ends the old plan
+    table = goals(tmp_path / "log.mcap", [(0.0, first), (0.2, [(0.0, 7.0)]), (0.3, [(0.5, 8.0)])])
+    assert table.columns["/go.time"] == pytest.approx([0.0, 0.1, 0.2, 0.8])
+    assert table.columns["/go.positions.elbow"].tolist() == [1.0, 2.0, 7.0, 8.0]
+    table = goals(tmp_path / "log.mcap", [(0.0, first), (0.25, [(0.5, 8.0)])])
+    assert table.columns["/go.positions.elbow"].tolist() == [1.0, 2.0, 3.0, 8.0]
+
+
+@pytest.mark.parametrize("more", [[], [(0.1, -1.0), (0.2, -2.0)]])
+def test_goals_that_are_streamed_ahead_are_kept(
+    tmp_path: Path, more: list[tuple[float, float]]
+) -> None:
+    """A goal every 10 ms for 50 ms later; what a planner adds beyond it is replaced each time."""
+    plans = [(0.01 * k, [(0.05, 1.0 * k), *more]) for k in range(20)]
+    table = goals(tmp_path / "log.mcap", plans)
+    assert table.columns["/go.time"][:20] == pytest.approx(0.05 + 0.01 * np.arange(20))
+    assert table.columns["/go.positions.elbow"].tolist() == [
+        *np.arange(20.0),
+        *(g for _, g in more),
+    ]
+    assert any("left out" in n for n in table.notes) == bool(more)
+
+
 def bag(path: Path, received: list[int], name: str = "/joint_states") -> Path:
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = store.types["sensor_msgs/msg/JointState"]

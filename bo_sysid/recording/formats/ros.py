@@ -3,11 +3,13 @@
 A column is called ``<topic>.<field>.<joint>``, as ``/joint_states.position.elbow``; arrays without
 names get an index. A topic's stamps are those of its headers where it has them, else the times at
 which its messages were received; the column ``<topic>.time`` holds them, in seconds since the
-bag's first message, and ``<topic>.received`` the times of receipt beside headers. Headers on another
-clock, a simulator's for instance, count from the first stamp on that clock.
+bag's first message, and ``<topic>.received`` the times of receipt beside headers. Headers on
+another clock, a simulator's for instance, count from the first stamp on that clock. Of a trajectory
+that a later one replaces, the points are left out that were no longer gone to.
 """
 
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -60,6 +62,8 @@ class _Rows:
     values: dict[str, list[float]] = field(default_factory=dict)
     stamps: list[int] = field(default_factory=list)
     received: list[int] = field(default_factory=list)
+    plan: int = 0  # row of the last trajectory's first point
+    replaced: int = 0  # points that are left out
 
     @property
     def apart(self) -> float:
@@ -67,6 +71,34 @@ class _Rows:
         if not all(self.stamps):
             return 0.0
         return float(np.median(np.array(self.stamps) - np.array(self.received))) * _NS
+
+    def add(self, stamp: int, received: int, values: Mapping[str, float]) -> None:
+        """Add a row."""
+        self.stamps.append(stamp)
+        self.received.append(received)
+        for name, value in values.items():
+            self.values.setdefault(name, []).append(value)
+
+    def replan(self, start: int, first: int) -> None:
+        """Take out what a new trajectory replaces, from its start and first point in [ns].
+
+        A trajectory keeps its first point, where the new one has none before it: goals that are
+        streamed a little ahead are each replaced before they are due.
+        """
+        due = max(bisect_left(self.stamps, start), self.plan + 1)
+        kept = min(due, bisect_left(self.stamps, first))
+        self.replaced += len(self.stamps) - kept
+        del self.stamps[kept:], self.received[kept:]
+        for column in self.values.values():
+            del column[kept:]
+        self.plan = kept
+
+    def left_out(self, topic: str) -> list[str]:
+        """Return a sentence about the points that were replaced, where there are any."""
+        if not self.replaced:
+            return []
+        points = f"{self.replaced} point{'s' * (self.replaced > 1)}"
+        return [f"{topic}: {points} of trajectories left out, which a later trajectory replaced."]
 
 
 def readable(kind: str) -> bool:
@@ -89,13 +121,15 @@ def messages_to_table(
     """
     topics: dict[str, dict[frozenset[str], _Rows]] = {}
     for message in messages:
+        begun: set[frozenset[str]] = set()
         for stamp, values in _rows(message):
             groups = topics.setdefault(message.topic, {})
-            rows = groups.setdefault(frozenset(values), _Rows())
-            rows.stamps.append(stamp)
-            rows.received.append(message.received)
-            for name, value in values.items():
-                rows.values.setdefault(name, []).append(value)
+            key = frozenset(values)
+            rows = groups.setdefault(key, _Rows())
+            if _is_plan(message) and key not in begun:
+                rows.replan(_start(message), stamp)
+            begun.add(key)
+            rows.add(stamp, message.received, values)
     if not topics:
         found = ", ".join(f"{t} ({k})" for t, k in skipped.items()) or "no messages at all"
         raise RecordingError(
@@ -123,6 +157,7 @@ def _table(
             name = f"{topic}.time" if number == 0 else f"{topic}.time{number + 1}"
             stamps, told = _clock(topic, rows, origin, foreign, source)
             notes += told
+            notes += rows.left_out(topic)
             order = np.argsort(stamps, kind="stable")
             columns[name] = stamps[order]
             if any(rows.stamps):
@@ -191,9 +226,8 @@ def _clock(
 
 def _rows(message: Message) -> Iterator[tuple[int, dict[str, float]]]:
     """Yield stamp in [ns] (0 where there is none) and values of each row of a message."""
-    stamp = _stamp(message.content)
-    if message.kind.endswith("JointTrajectory"):
-        start = stamp or message.received
+    if _is_plan(message):
+        start = _start(message)
         for point in message.content.points:
             later = point.time_from_start
             moment = start + _nanoseconds(later)
@@ -201,7 +235,16 @@ def _rows(message: Message) -> Iterator[tuple[int, dict[str, float]]]:
     else:
         values = dict(_numbers(message.content, "", ()))
         if values:
-            yield stamp, values
+            yield _stamp(message.content), values
+
+
+def _is_plan(message: Message) -> bool:
+    return message.kind.endswith("JointTrajectory")
+
+
+def _start(message: Message) -> int:
+    """Return when a trajectory starts in [ns]: as its header says, else when it is received."""
+    return _stamp(message.content) or message.received
 
 
 def _stamp(content: Any) -> int:
