@@ -14,8 +14,8 @@ Every seed has a plant of its own.
 - confirmed: that ratio again on thirty fresh seeds, for the one rule that won the first thirty.
 - agreement: share of seeds on which two rules take one and the same path.
 - reliability: how often argmax P is the full grid's arg-min where max P >= .8, on the searches of
-  the original rule: at every evaluation, and when it is first said in a search. With averaging as the
-  tool does it; and, on the same histories, without: one Gaussian process on log Δ whose
+  the original rule: at every evaluation, and when it is first said in a search. With averaging as
+  the tool does it; and, on the same histories, without: one Gaussian process on log Δ whose
   hyperparameters are those of largest evidence (BoTorch's default).
 - coverage: share of the plants' parameters inside the 95 % intervals of P_boot.
 
