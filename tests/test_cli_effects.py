@@ -25,7 +25,7 @@ def test_a_row_for_each_effect(capsys: pytest.CaptureFixture[str]) -> None:
 def test_json_says_all_and_knows_effects_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["effects", "--json", "--file", str(MINE)]) == 0
     found = {e["id"]: e for e in json.loads(capsys.readouterr().out)}
-    assert set(found) == set(CATALOGUE)
+    assert set(found) == {*CATALOGUE, "worn_spot"}
     assert found["worn_spot"]["source"] == str(MINE.resolve())
     assert found["cogging"]["source"] == ""
     assert found["cogging"]["components"] == "sine [N m], cosine [N m], periods [1/rad]"
