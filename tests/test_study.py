@@ -11,10 +11,16 @@ from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.plants.build import study_task
 from bo_sysid.recording.columns import ClockRule, ColumnRule
-from bo_sysid.study import Study, schema
+from bo_sysid.study import Study, inputs, schema
 from bo_sysid.study.base import Section
 from bo_sysid.study.check import check, require_scales
-from bo_sysid.study.inputs import load_function, load_holdout, load_model, load_train
+from bo_sysid.study.inputs import (
+    fingerprints,
+    load_function,
+    load_holdout,
+    load_model,
+    load_train,
+)
 from bo_sysid.study.sections import Clock, Column
 
 STUDIES = [
@@ -418,3 +424,21 @@ class TestSchema:
             sections += section.__subclasses__()
             for name, field in section.model_fields.items():
                 assert field.description, f"{section.__name__}.{name}"
+
+
+def test_a_log_that_is_a_folder_is_known_by_all_that_is_in_it(folder: Path) -> None:
+    """Such as a bag: its content counts, and the names of its files."""
+    study = minimal(folder)
+    bag = folder / "bag"
+    bag.mkdir()
+
+    def told(name: str, content: str) -> str:
+        for old in bag.iterdir():
+            old.unlink()
+        (bag / name).write_text(content)
+        return inputs._content(bag)
+
+    first = told("a.bin", "1")
+    assert told("a.bin", "1") == first
+    assert len({first, told("a.bin", "2"), told("b.bin", "1")}) == 3
+    assert set(fingerprints(study, recorded=False)) == {"the model"}

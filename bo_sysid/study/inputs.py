@@ -157,8 +157,17 @@ def fingerprints(study: Study, *, recorded: bool) -> dict[str, str]:
     files = {file: study.folder / file for file in (*study.code, *study.model.beside)}
     if recorded:
         files |= {os.path.relpath(file, study.folder): file for file in study.train_files}
-    contents = {n: hashlib.sha256(f.read_bytes()).hexdigest() for n, f in files.items()}
-    return {"the model": digest.hexdigest(), **contents}
+    return {"the model": digest.hexdigest(), **{n: _content(f) for n, f in files.items()}}
+
+
+def _content(path: Path) -> str:
+    """Return a hash of a file, or of all files of a folder with their names, as of a bag."""
+    digest = hashlib.sha256()
+    for file in sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else [path]:
+        with open(file, "rb") as opened:
+            content = hashlib.file_digest(opened, "sha256").hexdigest()
+        digest.update(f"{file.relative_to(path)} {content}\n".encode())
+    return digest.hexdigest()
 
 
 def changed(before: Mapping[str, str], now: Mapping[str, str]) -> str:
