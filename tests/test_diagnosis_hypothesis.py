@@ -1,6 +1,7 @@
 """Hypotheses as edits and parts."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,8 +13,11 @@ from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, MODULE, write_model
 from bo_sysid.diagnosis.timestep import coarsened, finer_step
-from bo_sysid.effects import CATALOGUE, Extent, Force, Reading
+from bo_sysid.effects import CATALOGUE, Extent, Force, Reading, catalogue, load_effects
+from bo_sysid.effects.beside import read_beside
 from bo_sysid.errors import ModelError, StudyError
+
+MINE = Path(__file__).parent.parent / "studies" / "effects" / "my_effect.py"
 
 
 def test_an_effect_whose_extent_is_wrong_is_named_with_its_site() -> None:
@@ -73,6 +77,19 @@ def test_the_repaired_model_has_the_step_at_which_it_was_fitted(
     write_model(arm(), machine, Hypothesis(numerics=numerics), tmp_path, timestep=own / halved)
     written = mujoco.MjModel.from_xml_path(str(tmp_path / MODEL))
     assert written.opt.timestep == pytest.approx(own / division)
+
+
+def test_a_force_of_a_users_own_is_written_beside_the_model(tmp_path) -> None:
+    _, machine = posed(record(duration=2.0))
+    (mine,) = load_effects(MINE)
+    spot = next(iter(candidates([mine], machine)))
+    own = Hypothesis(members=(spot,), x=(spot.probe,))
+    written = write_model(arm(), machine, own, tmp_path, timestep=machine.model.opt.timestep)
+    assert written.beside == (f"a force on joint {spot.site}",)
+    (force,) = read_beside(tmp_path / BESIDE, machine.model).parts(arm(), catalogue([MINE]))
+    assert isinstance(force, Force)
+    with pytest.raises(ModelError, match=r"model_repaired\.json: unknown effect 'worn_spot'"):
+        read_beside(tmp_path / BESIDE, machine.model).parts(arm())
 
 
 def test_what_an_earlier_diagnosis_left_beside_the_model_is_gone(tmp_path) -> None:

@@ -62,6 +62,8 @@ def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:
 def _steps(channel: Channel) -> np.ndarray:
     """Return the steps between neighbouring samples; over a gap a joint may move by anything."""
     intervals = np.diff(channel.time)
+    if not intervals.size:
+        return intervals
     whole = intervals <= GAP * np.median(intervals)
     return np.asarray(np.diff(channel.values)[whole])
 

@@ -67,7 +67,8 @@ def write_model(
     model.export(folder / MODEL, edits)
     mujoco.MjModel.from_xml_path(str(folder / MODEL))
     beside = _beside(model, machine, hypothesis)
-    words = _words(beside.parts(model))
+    own = {c.effect.id: c.effect for c in hypothesis.members}
+    words = _words(beside.parts(model, own))
     if words:
         beside.write(folder / BESIDE)
         text = _MODULE.format(words="\n".join(f"- {w}" for w in words), model=MODEL, beside=BESIDE)

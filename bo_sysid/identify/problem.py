@@ -66,9 +66,7 @@ class Problem:
         }
         if start.warmstart is not None:
             arrays["warmstart"] = start.warmstart
-        compiled = self.model.compile(visuals=True)
-        arrays |= {n: getattr(compiled, n) for n in ("mesh_vert", "mesh_face", "hfield_data")}
-        digest = hashlib.sha256(self.model.spec().to_xml().encode())
+        digest = hashlib.sha256(self.model.sha256.encode())
         for name, array in arrays.items():
             digest.update(f"{name} {array.shape}".encode())
             digest.update(np.ascontiguousarray(array).tobytes())

@@ -1,5 +1,6 @@
 """A model: read once, never changed, handed out as copies."""
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
@@ -7,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import mujoco
+import numpy as np
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import sources
@@ -192,6 +194,15 @@ class Model:
             ModelError: an edit does not fit the model, or MuJoCo refuses the edited model.
         """
         return self._edited(edits, timestep, visuals)[1]
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the model as written, with the meshes and height fields that its files hold."""
+        digest, compiled = hashlib.sha256(self.spec().to_xml().encode()), self.compile(visuals=True)
+        for name in ("mesh_vert", "mesh_face", "hfield_data"):
+            array = np.ascontiguousarray(getattr(compiled, name))
+            digest.update(f"{name} {array.shape}".encode() + array.tobytes())
+        return digest.hexdigest()
 
     def export(self, path: str | Path, edits: Sequence[Edit] = ()) -> None:
         """Write a plain MJCF file with the edits in it, visuals kept.

@@ -158,13 +158,15 @@ def _starts(
 ) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
     """Return the instants where windows start: complete ones, as soon as `stride` allows."""
     limit = len(complete) - horizon
-    there = np.flatnonzero(complete[: max(limit, 0)])
-    following = np.searchsorted(there, there + stride)
-    picked, k = [], 0
-    while k < len(there):
-        picked.append(k)
-        k = int(following[k])
-    first = there[picked]
+    first = np.arange(0, max(limit, 0), stride)
+    if not complete[first].all():
+        there = np.flatnonzero(complete[: max(limit, 0)])
+        following = np.searchsorted(there, there + stride)
+        picked, k = [], 0
+        while k < len(there):
+            picked.append(k)
+            k = int(following[k])
+        first = there[picked]
     if not first.size:
         raise RecordingError(
             f"{name}: {len(complete)} instants are too few for a window of {horizon}, or no "

@@ -66,20 +66,9 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
                 f"{motors}: exists, where the model with motors belongs; remove it, or name "
                 "another study with --out"
             )
-    with TemporaryDirectory() as spare:
-        read_from = source
-        if edits:
-            read_from = Path(spare) / motors.name
-            whole.export(read_from, edits)
-        nominal = Model.from_file(read_from) if edits else whole
-        rules = guess_rules(nominal, tables[0])
-        if rules.held:
-            base: Literal["free", "fixed"] = "fixed" if fixed else "free"
-            nominal = Model.from_file(read_from, base=base, hold=rules.held)
-        rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
-        if rules.unmatched:
-            notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
-        scales = _scales(nominal, read(tables[0], rules))
+    rules, scales = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
+    if rules.unmatched:
+        notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
     out.parent.mkdir(parents=True, exist_ok=True)
     holdout = files[-max(len(files) // 4, 1) :] if len(files) > 1 else []
     text = study_text(
@@ -97,6 +86,27 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     with atomic(out) as beside:
         beside.write_text(text, encoding="utf-8")
     return Started(out, rules, tuple(notes))
+
+
+def _guessed(
+    source: Path,
+    whole: Model,
+    edits: Sequence[MotorEdit],
+    tables: Sequence[RawTable],
+    base: Literal["free", "fixed"],
+) -> tuple[Rules, pd.DataFrame]:
+    """Return the rules that read the tables on a model, with its motors, and its scales."""
+    with TemporaryDirectory() as spare:
+        read_from, nominal = source, whole
+        if edits:
+            read_from = Path(spare) / f"{source.stem}.xml"
+            whole.export(read_from, edits)
+            nominal = Model.from_file(read_from)
+        rules = guess_rules(nominal, tables[0])
+        if rules.held:
+            nominal = Model.from_file(read_from, base=base, hold=rules.held)
+        rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
+        return rules, _scales(nominal, read(tables[0], rules))
 
 
 def _alike(tables: list[RawTable]) -> list[RawTable]:
