@@ -26,6 +26,6 @@ __all__ = ["Recording", "Study", "diagnose", "identify", "learn"]
 def __getattr__(name: str) -> Any:
     if name in _EXPORTS:
         value = getattr(import_module(_EXPORTS[name]), name)
-        globals()[name] = value  # importing a package of the same name has put it there instead
+        globals()[name] = value  # importing a package of that name has put the package there
         return value
     raise AttributeError(f"module 'bo_sysid' has no attribute {name!r}")

@@ -10,6 +10,7 @@ import pytest
 
 from bo_sysid.checks.balance import Dynamics, unexplained
 from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.motion import channel_flags
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
@@ -37,6 +38,12 @@ SERVO = """
   <actuator><{kind} joint="hinge" name="m"/></actuator>
 </mujoco>
 """
+# friction with bristles, an actuator that no control commands
+STUCK = (
+    '<general name="stuck" joint="shoulder" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" '
+    'input="none" gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" actdim="1" '
+    'biasprm="0 0 0 1e-9 1e-9 .1" actearly="true"/>'
+)
 
 
 def tones(time: np.ndarray, seed: int) -> np.ndarray:
@@ -92,6 +99,17 @@ def test_a_sign() -> None:
     assert found.wires == {"ctrl.b": Wire("ctrl.b", sign=-1)}
     assert [f.kind for f in found.flags] == ["sign"]
     assert "ctrl.b" in found.flags[0].sentence
+
+
+def test_an_actuator_without_a_control_stands_before_the_motors() -> None:
+    log = recorded()
+    channels = dict(log.channels)
+    told = channels["ctrl.b"]
+    channels["ctrl.b"] = Channel(told.time, -told.values, told.unit, "ctrl.b", told.hold)
+    model = Model.from_xml(ARM.replace("<actuator>", f"<actuator>{STUCK}"))
+    found = find_wiring(model.compile(), [Recording("log", channels)])
+    assert found.wires == {"ctrl.b": Wire("ctrl.b", sign=-1)}
+    assert channel_flags(model.compile(), [log]) == []
 
 
 def test_degrees_of_one_encoder_and_its_speed() -> None:

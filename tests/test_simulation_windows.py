@@ -268,3 +268,22 @@ def test_an_orientation_may_be_told_with_either_sign() -> None:
     windows, prediction = forecast(model, Recording("tumbling", both), 100)
     assert np.abs(windows.observed - prediction.values).max() > 0.5
     assert np.abs(windows.residual(prediction.values)).max() < 1e-9
+
+
+def test_activations_are_those_of_the_actuators_that_are_told_something() -> None:
+    """Friction with bristles has an activation and no control; here it stands before the motor."""
+    stuck = (
+        '<general name="stuck" joint="x" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" input="none" '
+        'gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" '
+        'actdim="1" actearly="true"/>'
+    )
+    model = Model.from_xml(
+        "<mujoco><worldbody><body><joint name='x' type='slide'/><geom size='.1'/></body>"
+        f"</worldbody><actuator>{stuck}<general name='slow' joint='x' dyntype='filter' "
+        "dynprm='.1'/></actuator></mujoco>"
+    )
+    time = np.arange(5) * 0.002
+    motion = {"qpos": {"x": 0.0 * time}, "qvel": {"x": 0.0 * time}, "ctrl": {"slow": 0.0 * time}}
+    recording = Recording.from_arrays(time, **motion, act={"slow": 3.0 + time})
+    windows = cut(model, [recording], horizon=2)
+    np.testing.assert_allclose(windows.start.act, [[0.0, 3.0], [0.0, 3.004]])

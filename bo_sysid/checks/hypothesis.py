@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.simulation import Law, LawInputs
 
 _FLOOR = 1e-3  # what the model may leave unexplained of any balance
@@ -92,16 +93,19 @@ class Evidence:
         self.dynamics = Dynamics(model)
         self.joints = [model.joint(j).name for j in range(model.njnt)]
         self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == _HINGE}
-        self.actuators = [model.actuator(a).name for a in range(model.nu)]
+        ids = controlled(model)
+        self.actuators = [model.actuator(a).name for a in ids]
         self._reference = np.array(model.qpos0)
         step = max(traces.count // most, 1)
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
         self.inputs = {n for n in map(self._input, self.actuators) if n in self.recorded}
-        self._driven = {self._input(n): _joint_of(model, a) for a, n in enumerate(self.actuators)}
+        self._driven = {
+            self._input(n): _joint_of(model, a) for a, n in zip(ids, self.actuators, strict=True)
+        }
         self._servo = {
             self._input(n): bool(model.actuator_biasprm[a, 1]) or n in self.laws
-            for a, n in enumerate(self.actuators)
+            for a, n in zip(ids, self.actuators, strict=True)
         }
         self.weights = self._weights(model)
         self._terms: dict[tuple[Wire | None, ...], Terms] = {}

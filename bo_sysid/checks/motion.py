@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.signal import welch
 
 from bo_sysid.checks.flags import Flag
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
 from bo_sysid.recording.alignment import GAP
 
@@ -151,9 +152,9 @@ def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[
 def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
     """Return saturated, frozen and coarse channels."""
     limits = {
-        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[a])
-        for a in range(model.nu)
-        if model.actuator_ctrllimited[a]
+        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
+        for k, a in enumerate(controlled(model))
+        if model.actuator_ctrllimited[k]
     }
     flags: list[Flag] = []
     for r in recordings:

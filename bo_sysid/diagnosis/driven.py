@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Controller, ForceLaw, LawInputs
 
@@ -34,7 +35,7 @@ def _one(model: mujoco.MjModel, recording: Recording, laws: Sequence[Controller]
     qpos = {n: np.interp(time, c.time, c.values) for n, c in positions.items()}
     qvel = {n: np.gradient(q, time) for n, q in qpos.items()}
     held = {n: c.at(time) for n, c in recording.channels.items() if c.hold == "zero"}
-    ctrl = {model.actuator(a).name: np.zeros(time.size) for a in range(model.nu)}
+    ctrl = {model.actuator(a).name: np.zeros(time.size) for a in controlled(model)}
     ctrl |= {n.removeprefix("ctrl."): v for n, v in held.items() if n.startswith("ctrl.")}
     step = float(np.median(np.diff(time)))
     made: dict[str, Channel] = {}

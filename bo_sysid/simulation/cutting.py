@@ -11,7 +11,7 @@ from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import deaf_controls
+from bo_sysid.mjcf.commands import controlled, deaf_controls
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation.starts import smooth
@@ -262,14 +262,14 @@ def _activations(
 ) -> Float[np.ndarray, "W na"]:
     """Return recorded activations; one that was not recorded is taken as settled at its control."""
     act = np.zeros((len(start), compiled.na))
-    for k in range(compiled.nu):
-        address, count = int(compiled.actuator_actadr[k]), int(compiled.actuator_actnum[k])
+    for k, a in enumerate(controlled(compiled)):
+        address, count = int(compiled.actuator_actadr[a]), int(compiled.actuator_actnum[a])
         if address < 0:
             continue
         name = model.ctrl_channels[k].replace("ctrl.", "act.", 1)
         if count == 1 and name in recording.channels:
             act[:, address] = recording.channels[name].at(start)
-        elif int(compiled.actuator_dyntype[k]) != int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
+        elif int(compiled.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
             act[:, address : address + count] = ctrl[:, 0, k][:, None]
     return act
 
