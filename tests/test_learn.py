@@ -377,6 +377,10 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
         ({"task": None, "model": "arm.xml", "parameters": []}, "learn needs a task with a reward"),
         ({"parameters": []}, "at least one uncertain parameter"),
         ({"plant": None}, r"matches no file.*begins with a recording"),
+        (
+            {"actuators": {"torque": {"law": "servo.py:law", "uses": ["goal.torque"]}}},
+            "actuators.torque.*a policy commands the actuators itself",
+        ),
         ({"limits": {"hing": {"effort": 1.0}}}, "no such joint; did you mean 'hinge'"),
         (
             {"task": {"dm_control": {"domain": "pendulum", "task": "swigup"}}},
@@ -393,6 +397,7 @@ def test_wrong_studies_are_told(tmp_path: Path, changed: dict[str, object], mess
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="1"/></body></worldbody></mujoco>'
     )
     study = {k: v for k, v in pendulum(**changed).items() if v is not None}
+    (tmp_path / "servo.py").write_text("def law(now):\n    return now.signals['goal.torque']\n")
     if "arm.xml" in changed.values():
         study.pop("plant")
     with pytest.raises(UserError, match=f"(?s){message}"):

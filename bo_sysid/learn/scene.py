@@ -72,6 +72,12 @@ class Scene:
                 ("task",), "learn needs a task that ends: a class says its time_limit in s"
             )
         _require_a_step(study, task)
+        for name in study.actuators:
+            raise study.error(
+                ("actuators", name),
+                "a policy commands the actuators itself, and no law does; write the servo into "
+                "the MJCF, or learn with a study without it",
+            )
         parameters = study.parameter_set(model)
         if not parameters:
             raise study.error(
