@@ -11,5 +11,5 @@ import bo_sysid
 def test_a_command_can_be_called_after_its_package_was_imported(name: str) -> None:
     package = importlib.import_module(f"bo_sysid.{name}")
     for command in (package, getattr(bo_sysid, name)):
-        with pytest.raises(TypeError, match="required .*'study'"):
+        with pytest.raises(TypeError, match=r"required .*'study'"):
             command()
