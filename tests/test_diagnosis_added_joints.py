@@ -120,7 +120,7 @@ def test_a_compliant_joint_begins_where_the_plant_rests() -> None:
 
 
 def test_the_encoder_of_a_link_shows_both_joints() -> None:
-    compiled, hidden = plant("backlash", [0.04, 0.0, 0.0, 1.0], 1)
+    compiled, hidden = plant("backlash", [0.04, 0.0, 0.0, 0.25, 1.0], 1)
     nominal = Model.from_xml(JOINT).compile()
     coordinates = Coordinates.between(nominal, compiled, [hidden])
     start = State(np.array([[0.3]]), np.zeros((1, 1)), np.zeros((1, 0)))
@@ -164,15 +164,54 @@ def test_compliance_is_named_with_its_side_and_size(diagnosed) -> None:
 
 
 def test_play_in_a_springy_gear_is_named_with_its_gap() -> None:
-    gap, soft, on_link = 0.06, 0.004, 0.3
-    recording = record("backlash", [gap, soft, on_link, 0.0], 2, 4.0)
+    gap, soft, on_link, ringing = 0.06, 0.004, 0.3, 0.4
+    recording = record("backlash", [gap, soft, on_link, ringing, 0.0], 2, 4.0)
     effects = [CATALOGUE[e] for e in ("backlash", "viscous_damping")]
     model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
     found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
     best = found.decision.best
     assert [c.key for c in best.members] == [("backlash", "hinge")]
-    np.testing.assert_allclose(best.x[0], [gap, soft, on_link], rtol=0.2)
+    np.testing.assert_allclose(best.x[0], [gap, soft, on_link, ringing], rtol=0.2)
     assert best.rms < 2.0  # 10 at the model's own step, or from starts that no search found
+
+
+def geared_servo(gap: float, stiffness: float, seed: int, duration: float) -> Recording:
+    """Return a servo's log by the equations of motion of rotor r and link l; it reads the link.
+
+    J r'' = k(u - l) - d l' - τ,  I l'' = τ - b l' - w sin l,  τ of a gap with springy ends.
+    """
+    inertia, weight = 1 / 12 * 0.4**2 + 0.2**2, 9.81 * 0.2  # a rod, about its end
+    rotor, damping, kp, kd, loss = 0.02, 0.05, 8.0, 0.4, 0.1
+    h, time = 1e-4, np.arange(0, duration, 0.002)
+    goal, shown = 0.5 * tones(seed, time), np.empty(len(time))
+    r = l = dr = dl = 0.0
+    for k, u in enumerate(goal):
+        shown[k] = l
+        for _ in range(20):
+            turn = r - l
+            beyond = turn - np.clip(turn, -gap / 2, gap / 2)
+            torque = stiffness * beyond + loss * (dr - dl) * (beyond != 0)
+            dr += h * (kp * (u - l) - kd * dl - torque) / rotor
+            dl += h * (torque - damping * dl - weight * np.sin(l)) / inertia
+            r, l = r + h * dr, l + h * dl
+    shown += SIGMA * np.random.default_rng(seed).normal(size=len(time))
+    return Recording.from_arrays(time, qpos={"hinge": shown}, ctrl={"hinge": goal})
+
+
+def test_play_in_a_loop_that_is_closed_at_the_link_is_named() -> None:
+    motor = '<motor name="hinge" joint="hinge" ctrlrange="-4 4"/>'
+    rod = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"'
+    thin = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.002" mass="1"'
+    servo = '<position name="hinge" joint="hinge" kp="8" kv="0.4"/>'
+    model = Model.from_xml(JOINT.replace(motor, servo).replace(rod, thin))
+    recording, noise = geared_servo(0.008, 60.0, 3, 3.0), {"qpos": SIGMA}
+    effects = [CATALOGUE[e] for e in ("backlash", "viscous_damping")]
+    found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
+    best = found.decision.best
+    assert [c.key for c in best.members] == [("backlash", "hinge")]
+    assert best.members[0].shapes == [1.0]  # the encoder is on the link
+    np.testing.assert_allclose(best.x[0][:2], [0.008, 1 / 60], rtol=0.1)
+    assert best.rms < 2.0 < 15.0 < found.decision.nominal.rms
 
 
 def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagnosed) -> None:

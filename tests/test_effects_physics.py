@@ -177,7 +177,7 @@ class TestTransmission:
     @pytest.mark.parametrize("soft", [0.0, 0.004])
     def test_backlash_has_a_dead_travel_of_its_gap(self, slide, side, soft) -> None:
         gap, force = 0.02, 0.3
-        model, (hidden,) = slide.edited("backlash", "joint", "x", [gap, soft, 0.0, side])
+        model, (hidden,) = slide.edited("backlash", "joint", "x", [gap, soft, 0.0, 0.25, side])
         assert isinstance(hidden, Hidden)
         assert (hidden.of, hidden.shown) == ("x", side)
         ends, pushed = [], force * model.actuator_gear[0, 0]
@@ -192,10 +192,12 @@ class TestTransmission:
             ends.append(data.qpos.copy())
         assert abs(ends[0][1] - ends[1][1]) == pytest.approx(gap + 2 * soft * pushed, rel=0.01)
 
-    @pytest.mark.parametrize("effect", ["backlash", "joint_compliance"])
-    def test_the_damping_of_a_joint_is_shared_by_motor_and_link(self, effect) -> None:
+    @pytest.mark.parametrize(
+        ("effect", "shapes"), [("backlash", [0.25, 0.0]), ("joint_compliance", [0.0])]
+    )
+    def test_the_damping_of_a_joint_is_shared_by_motor_and_link(self, effect, shapes) -> None:
         rod = pendulum(MOTOR, damping=0.4)
-        model, _ = rod.edited(effect, "joint", "hinge", [0.1, 0.01, 0.25, 0.0])
+        model, _ = rod.edited(effect, "joint", "hinge", [0.1, 0.01, 0.25, *shapes])
         data = mujoco.MjData(model)
         for motor, link in ((1.0, 0.0), (0.0, 1.0), (0.7, -0.2)):
             data.qvel[:] = motor, link - motor

@@ -1,7 +1,6 @@
 """The final fits, on all windows: the leading sets, and what could stand in their place."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from bo_sysid.diagnosis.starts import first_starts
 from bo_sysid.diagnosis.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch
 
-_SOFTER = 10.0  # times the softness of a gap's ends on the grid, to begin with once more
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
 _COMPARED = 3  # leading sets at most that are compared with others
@@ -39,11 +37,6 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     chosen = _finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
-    if problem.loose(leader.hypothesis):
-        softer = _softened(leader)
-        others = (leader, prepared), (softer, prepare(problem, softer.hypothesis))
-        ends = [_polished(problem, *other, most=1) for other in others]
-        leader, prepared = min(ends, key=lambda end: end[0].rms)
     times = 1 if lost(order[0], search.nominal) else _POLISH
     leader, prepared = _polished(problem, leader, prepared, most=times)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
@@ -170,18 +163,6 @@ def _polished(
         if idle or _distance(before, leader) < _SETTLED:
             break
     return leader, prepared
-
-
-def _softened(fit: Fit) -> Fit:
-    """Return a fit whose gaps have softer ends.
-
-    From a wide gap with hard ends no small step leads to a narrower one with soft ends.
-    """
-    x = tuple(
-        np.concatenate([v[:1], [_SOFTER * c.point[1]], v[2:]]) if c.effect.hidden else v
-        for c, v in zip(fit.members, fit.x, strict=True)
-    )
-    return replace(fit, hypothesis=replace(fit.hypothesis, x=x))
 
 
 def _fitted_at_itself(problem: Problem, fit: Fit) -> Fit:

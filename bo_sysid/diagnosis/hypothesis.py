@@ -81,6 +81,12 @@ class Candidate:
         """The same friction, which does not bend."""
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
 
+    @property
+    def points(self) -> list[Float[np.ndarray, " l"]]:
+        """Magnitudes from which a fit is begun where one linearisation does not serve."""
+        same = [s for s in self.extent.starts if np.array_equal(s[self.size :], self.shapes)]
+        return [self.point[: self.size], *(np.array(s[: self.size], float) for s in same)]
+
     def full(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " k"]:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
         return np.concatenate([x, self.shapes])

@@ -10,7 +10,17 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify
-from bo_sysid.diagnosis.rules import LOOSE, MARGIN, clean, lost, ranked, required, sizes, weak
+from bo_sysid.diagnosis.rules import (
+    LOOSE,
+    MARGIN,
+    ROUGH,
+    clean,
+    lost,
+    ranked,
+    required,
+    sizes,
+    weak,
+)
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
@@ -18,9 +28,12 @@ from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
-_TRIED = 2  # joints that are added, by what their grid points leave
+_TRIED, _BEGUN = 2, 3  # joints that are added, by what their points leave; points of each
 _NEARER = 0.97  # of what a set leaves far off, that a round must come below
 _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
+
+_Point = tuple[float, Candidate, np.ndarray]
+"""What is left, in sigma²; a candidate; its magnitudes."""
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -32,8 +45,12 @@ def explore(search: Search, rounds: int = 5) -> Fit:
     if not (search.begun or near):
         round_at(search, search.nominal)
     leader = _followed(search, rounds)
-    if not clean(leader) and not can_touch(search.prepared.problem.machine.model):
-        add_joints(search, leader)
+    problem = search.prepared.problem
+    if not (clean(leader) or can_touch(problem.machine.model)):
+        if leader.rms < ROUGH and problem.loose(leader.hypothesis):
+            soften(search, leader)
+        else:
+            add_joints(search, leader)
         if search.best.key != leader.key:
             leader = _followed(search, rounds)
     return leader
@@ -61,29 +78,47 @@ def add_joints(search: Search, leader: Fit) -> None:
     """Fit sets with each joint that an effect adds, from what its grid points leave.
 
     A linear estimate says little of a gap: what moves in it is not there in the nominal model. Each
-    is tried alone and beside the leader, first on every other window.
+    is tried alone, beside the leader and in the place of what the leader adds.
+    """
+    rigid = [k for k, c in enumerate(leader.members) if not c.effect.hidden]
+    bases = dict.fromkeys((search.nominal, search.fit(*subset(leader, rigid)), leader))
+    for base in (b for b in bases if b.size < search.most):
+        for points in _joints_beside(search, base)[:_TRIED]:
+            for _, c, x in points[:_BEGUN]:
+                search.fit(
+                    (*base.members, c), (*base.x, x), start=base.start, guess=base.hypothesis,
+                    again=True, across=True,
+                )  # fmt: skip
+
+
+def soften(search: Search, leader: Fit) -> None:
+    """Fit a set whose joint moves in a gap from soft ends; no small step leads there from hard."""
+    for k, c in enumerate(leader.members):
+        others = c.points[1:] if c.effect.hidden else []
+        for ends in dict.fromkeys(tuple(point[1:]) for point in others):
+            x = (*leader.x[:k], np.array([leader.x[k][0], *ends]), *leader.x[k + 1 :])
+            search.fit(
+                leader.members, x, start=leader.start, guess=leader.hypothesis,
+                again=True, across=True,
+            )  # fmt: skip
+
+
+def _joints_beside(search: Search, base: Fit) -> list[list[_Point]]:
+    """Return for each joint that may be added its points by what they leave; the best joint first.
+
+    Every other window is simulated.
     """
     some = np.arange(len(search.prepared.start)) % 2 == 0
     frame = search.frame.rows(some)
-    problem = frame.problem
-    added = [c for c in search.candidates if c.effect.hidden]
-    bases = dict.fromkeys((search.nominal, leader))
-    for base in (b for b in bases if b.size < search.most):
-        left: dict[tuple[str, str], tuple[float, Candidate]] = {}
-        for c in added:
-            if clashes([*base.members, c]):
-                continue
-            h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, c.point[: c.size]))
-            start, r = first_start(problem, h, base.start.rows(some))
-            r = settle(problem, frame, h, start, 1, r=r)[1]
-            left[c.key] = min(
-                left.get(c.key, (np.inf, c)), (float((r**2).sum()), c), key=itemgetter(0)
-            )
-        for _, c in sorted(left.values(), key=itemgetter(0))[:_TRIED]:
-            search.fit(
-                (*base.members, c), (*base.x, c.point[: c.size]), start=base.start,
-                guess=base.hypothesis, again=True,
-            )  # fmt: skip
+    added = [c for c in search.candidates if c.effect.hidden and not clashes([*base.members, c])]
+    left: dict[tuple[str, str], list[_Point]] = {}
+    for c, x in [(one, x) for one in added for x in one.points]:
+        h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, x))
+        start, r = first_start(frame.problem, h, base.start.rows(some))
+        r = settle(frame.problem, frame, h, start, 1, r=r)[1]
+        left.setdefault(c.key, []).append((float((r**2).sum()), c, x))
+    ordered = [sorted(points, key=itemgetter(0)) for points in left.values()]
+    return sorted(ordered, key=lambda points: points[0][0])
 
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
@@ -91,7 +126,7 @@ def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
     new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
     for f in ranked(search.fits.values(), search.prior)[:count]:
         if f.members:
-            new.fit(f.members, f.x, guess=f.hypothesis)
+            new.fit(f.members, f.x, guess=f.hypothesis, across=True)
     return new
 
 

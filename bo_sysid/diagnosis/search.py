@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.linear import Linear, linearise
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.rules import ROUGH, Prior, clean, ranked
 from bo_sysid.diagnosis.screen import Screen
+from bo_sysid.diagnosis.starts import on_the_right_side
 from bo_sysid.diagnosis.subsets import groups
 from bo_sysid.diagnosis.units import grouped_labels
 from bo_sysid.diagnosis.windowing import Prepared
@@ -25,6 +26,8 @@ from bo_sysid.simulation import State
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 _HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
 _ALIKE = 0.1  # share by which two sets may differ in what they leave, and respond alike to starts
+_ACROSS = 2.0  # the same, for a set with a joint in a gap
+_NEARLY, _CLEAR = 1.05, 1.02  # rms of a set with a gap, and of another, that say enough
 _AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this share
 
 
@@ -88,9 +91,13 @@ class Search:
         start: State | None = None,
         guess: Hypothesis | None = None,
         again: bool = False,
+        across: bool = False,
         effort: Effort | None = None,
     ) -> Fit:
-        """Fit a set, or return the fit that there is; the better one is kept."""
+        """Fit a set, or return the fit that there is; the better one is kept.
+
+        With `across`, from starts on either side of gaps (`_in_gaps`), which takes its time.
+        """
         key = set_key(members)
         known = self.fits.get(key)
         if known is not None and not again:
@@ -115,6 +122,7 @@ class Search:
                 effort=effort,
             )
             made = self._afresh(made, labels, effort)
+            made = self._in_gaps(made, labels, effort) if across else made
             if found is None or made.rss < found.rss:
                 found = made
         assert found is not None  # noqa: S101 - there is always a first start
@@ -159,6 +167,29 @@ class Search:
                 break
         return fit
 
+    def _in_gaps(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+        """Fit on from starts that are fitted to each window, where a joint moves in a gap.
+
+        On which side of it a window begins is no small change of a start. Magnitudes that follow
+        starts of one side alone, and those starts them, come to nothing.
+        """
+        problem = self.prepared.problem
+        for _ in range(_AFRESH):
+            done = fit.rms < _NEARLY or self.least < _CLEAR
+            hopeful = fit.rms < _ACROSS * self.least and not done
+            if not (hopeful and problem.loose(fit.hypothesis)):
+                break
+            start = on_the_right_side(problem, fit.hypothesis, fit.start)
+            frame = linearise(problem, fit.hypothesis, start)
+            made = refit(
+                frame, fit.members, fit.x, groups=labels, start=start, guess=fit.hypothesis,
+                effort=effort,
+            )  # fmt: skip
+            better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
+            if not better:
+                break
+        return fit
+
     def known(self, candidate: Candidate) -> Candidate:
         """Return a candidate as it is listed; one that is new is added to the list."""
         present = {set_key([c]): c for c in self.candidates if not c.secant}
@@ -194,6 +225,6 @@ class Search:
     ) -> list[list[np.ndarray]]:
         found = []
         for k, c in enumerate(members):
-            for s in c.extent.starts:
+            for s in () if c.effect.hidden else c.extent.starts:
                 found.append([*x[:k], np.array(s[: c.size], float), *x[k + 1 :]])
         return found

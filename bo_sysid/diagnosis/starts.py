@@ -84,6 +84,25 @@ def caught_up(
     return found.start, found.residual
 
 
+def on_the_right_side(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
+    """Return starts that are fitted on, for a hypothesis with a joint that moves in a gap.
+
+    Windows that leave more than noise are fitted from all places where that joint may begin.
+
+    Args:
+        problem: the windows.
+        hypothesis: simulates.
+        start: starts so far.
+    """
+    found = _Starts(problem, hypothesis, start, 1)
+    found.fit()
+    rows = found.left_behind()
+    if rows.size:
+        for first in first_starts(problem.rows(rows), hypothesis):
+            found.tried(rows, first)
+    return found.start
+
+
 def first_starts(problem: Problem, hypothesis: Hypothesis, finer: int = 1) -> list[State]:
     """Return first starts: for each window what leaves least, then what leaves a little more.
 
@@ -157,7 +176,7 @@ class _Starts:
         other.fit()
         self._adopt(rows, other)
 
-    def _left_behind(self, *, anywhere: bool = False) -> Int[np.ndarray, " L"]:
+    def left_behind(self, *, anywhere: bool = False) -> Int[np.ndarray, " L"]:
         """Return the windows that leave more than noise: in all, or `anywhere` in one channel."""
         seen = self._problem.weight > 0
         left, count = (self.residual.reshape(seen.shape) ** 2).sum(axis=1), seen.sum(axis=1)
@@ -173,7 +192,7 @@ class _Starts:
         """
         smooth = self._problem.windows.start
         for joint in held_joints(self._problem, self._hypothesis):
-            rows = self._left_behind(anywhere=True)
+            rows = self.left_behind(anywhere=True)
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))
@@ -182,7 +201,7 @@ class _Starts:
 
     def grown(self) -> None:
         """Fit windows that leave more than noise to more and more of them, from the smoother on."""
-        rows = self._left_behind()
+        rows = self.left_behind()
         if not rows.size:
             return
         whole = self._problem.rows(rows)

@@ -26,10 +26,12 @@ _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
 _TIGHT = 1e-3  # of that spread, by which the typical force bends a gear that plays
+_YIELDING = (0.01, 0.05)  # the same for ends that give way, from which fits are begun as well
 _EVENLY = 0.5  # share of a joint's damping that acts on the link, to begin with
 _MOST = 10.0  # of a joint's typical force: what bends the ends of a gap
 _SOFTEST = 0.01  # impedance of the ends of a gap
-_RATIO = 0.25  # damping ratio of a constraint that stands for a spring or an end
+_RATIO = 0.25  # damping ratio of a constraint that stands for a spring, or at first for an end
+_RINGING = 0.02  # least damping ratio of an end
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 
 
@@ -120,20 +122,34 @@ def _second_joint(
     return play
 
 
+def _resolved(site: Site, machine: Machine) -> bool:
+    """Whether a step of the model resolves a rotor in a gap, slowed as fast as its link is."""
+    model = machine.model
+    servos = [machine.actuators[n] for n in _servos(site, machine)]
+    kd = -sum(s.bias[2] * s.gear**2 for s in servos)
+    rotor = model.dof_armature[machine.joints[site.name].dof]
+    return bool(2.0 * kd * model.opt.timestep <= rotor) if servos else True
+
+
 def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     sides = _sides(site, machine)
     if not sides:
         return None
-    if _servos(site, machine):  # no search reached a gap in a loop that is closed at the link
+    if not _resolved(site, machine):
         sides = (_MOTOR_SIDE,)
     joint = machine.joints[site.name]
     most = joint.spread / joint.force
-    tight = _TIGHT * most
+    tight, points = _TIGHT * most, [(gap, side) for side in sides for gap in _GAPS]
     return Extent(
-        (_GAPS[0] * joint.spread, tight, _EVENLY, sides[0]),
-        (0.0, 0.0, 0.0, -1e-9),
-        (joint.spread, _SOFT[-1] * most, 1.0, 1.0),
-        tuple((gap * joint.spread, tight, _EVENLY, side) for side in sides for gap in _GAPS),
+        (_GAPS[0] * joint.spread, tight, _EVENLY, _RATIO, sides[0]),
+        (0.0, 0.0, 0.0, 0.0, -1e-9),
+        (joint.spread, _SOFT[-1] * most, 1.0, 1.0, 1.0),
+        tuple((gap * joint.spread, tight, _EVENLY, _RATIO, side) for gap, side in points),
+        tuple(
+            (gap * joint.spread, soft * most, _EVENLY, _RATIO, side)
+            for gap, side in points
+            for soft in _YIELDING
+        ),
     )
 
 
@@ -144,6 +160,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
         Component("gap", "rad"),
         Component("compliance", "rad/(N m)"),
         Component("damping on the link", "–"),
+        Component("damping ratio of the ends", "–"),
         Component("encoder on the link", "–"),
     ),
     shapes=1,
@@ -160,11 +177,12 @@ def backlash(
 ) -> Part | tuple[Part, ...] | None:
     """A gap of x[0] in total, whose ends give way by x[1]·torque.
 
-    x[2] is the share of the joint's damping that acts on the link; x[3] is 0 with the encoder on
-    the motor, 1 on the link. The ends are limits of the second joint: MuJoCo's constraint with
-    impedance d and solref (-s, -b) acts at rest as a spring of stiffness s/((1 - d) w), w the
-    joint's inverse inertia in the reference pose. A small d adds little inertia; √s·h is kept
-    within what a step h resolves.
+    x[2] is the share of the joint's damping that acts on the link; x[3] is the damping ratio of the
+    joint against an end; x[4] is 0 with the encoder on the motor, 1 on the link. The ends are
+    limits of the second joint: MuJoCo's constraint with impedance d and solref (-s, -b) acts at
+    rest as a spring of stiffness s/((1 - d) w), w the joint's inverse inertia in the reference
+    pose, with the damping ratio b/(2√s). A small d adds little inertia; √s·h is kept within what a
+    step h resolves.
     """
     if not x[0]:
         return None
@@ -172,7 +190,7 @@ def backlash(
     hidden = Hidden(
         f"{site.name}_play",
         site.name,
-        float(x[3]),
+        float(x[4]),
         lambda torque: -open_ * np.sign(torque) - soft * torque,
         open_ + soft * _MOST * machine.joints[site.name].force,
     )
@@ -186,7 +204,7 @@ def backlash(
     play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
     stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
     play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
-    play.solref_limit = [-stiff, -2.0 * _RATIO * np.sqrt(stiff)]
+    play.solref_limit = [-stiff, -2.0 * max(float(x[3]), _RINGING) * np.sqrt(stiff)]
     return _closed(spec, hidden, site, machine)
 
 
