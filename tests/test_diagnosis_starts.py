@@ -84,8 +84,8 @@ def test_a_window_that_leaves_more_than_noise_in_one_channel_is_left_behind(wind
     found.residual = np.ones_like(found.residual)
     shaped = found.residual.reshape(problem.weight.shape)
     shaped[2, :, 1], shaped[5] = np.sqrt(1.8), np.sqrt(1.6)
-    assert found._left_behind().tolist() == [5]
-    assert found._left_behind(anywhere=True).tolist() == [2, 5]
+    assert found.left_behind().tolist() == [5]
+    assert found.left_behind(anywhere=True).tolist() == [2, 5]
 
 
 def test_windows_whose_slope_says_nothing_catch_up(windows, monkeypatch):
