@@ -25,8 +25,8 @@ from bo_sysid.simulation import State
 
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
 _HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
-_ALIKE = 0.1  # share by which two sets may differ in what they leave, and respond alike to starts
 _ACROSS = 2.0  # the same, for a set with a joint in a gap
+_ALIKE = 0.1  # share by which two sets may differ in what they leave, and respond alike to starts
 _NEARLY, _CLEAR = 1.05, 1.02  # rms of a set with a gap, and of another, that say enough
 _AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this share
 
@@ -157,11 +157,7 @@ class Search:
             far = fit.rms > ROUGH and (not fit.members or fit.rms < _HOPEFUL * self.least)
             if not far or not fit.hypothesis.free:
                 break
-            frame = linearise(self.prepared.problem, fit.hypothesis, fit.start)
-            made = refit(
-                frame, fit.members, fit.x, groups=labels, start=fit.start, guess=fit.hypothesis,
-                effort=effort,
-            )  # fmt: skip
+            made = self._at_itself(fit, fit.start, labels, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
             if not better:
                 break
@@ -180,15 +176,21 @@ class Search:
             if not (hopeful and problem.loose(fit.hypothesis)):
                 break
             start = on_the_right_side(problem, fit.hypothesis, fit.start)
-            frame = linearise(problem, fit.hypothesis, start)
-            made = refit(
-                frame, fit.members, fit.x, groups=labels, start=start, guess=fit.hypothesis,
-                effort=effort,
-            )  # fmt: skip
+            made = self._at_itself(fit, start, labels, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
             if not better:
                 break
         return fit
+
+    def _at_itself(
+        self, fit: Fit, start: State, labels: tuple[str | None, ...], effort: Effort
+    ) -> Fit:
+        """Fit on with the model linearised at the fit, from given starts."""
+        frame = linearise(self.prepared.problem, fit.hypothesis, start)
+        return refit(
+            frame, fit.members, fit.x, groups=labels, start=start, guess=fit.hypothesis,
+            effort=effort,
+        )  # fmt: skip
 
     def known(self, candidate: Candidate) -> Candidate:
         """Return a candidate as it is listed; one that is new is added to the list."""
