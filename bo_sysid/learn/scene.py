@@ -72,9 +72,9 @@ class Scene:
                 ("task",), "learn needs a task that ends: a class says its time_limit in s"
             )
         _require_a_step(study, task)
-        for name in study.actuators:
+        if study.actuators:
             raise study.error(
-                ("actuators", name),
+                ("actuators", next(iter(study.actuators))),
                 "a policy commands the actuators itself, and no law does; write the servo into "
                 "the MJCF, or learn with a study without it",
             )
