@@ -338,10 +338,14 @@ def _at_rest(start: State, joint: JointScale) -> State:
 
 
 def held_joints(problem: Problem, hypothesis: Hypothesis) -> list[JointScale]:
-    """Return the joints that friction of a hypothesis may hold at rest."""
+    """Return the joints that friction of a hypothesis may hold at rest.
+
+    Learned laws, which are held for a time step, turn smoothly: under them a joint creeps, and
+    slopes lead from motion to rest.
+    """
     model, parts = problem.compiled(hypothesis)
     bristles = model.actuator_trnid[bristle_motors(model), 0]
-    names = {p.joint for p in parts if isinstance(p, Force)}
+    names = {p.joint for p in parts if isinstance(p, Force) and not p.hold}
     return [
         j
         for j in problem.machine.joints.values()
