@@ -8,14 +8,15 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 from scipy.optimize import least_squares
 
-from bo_sysid.diagnosis import starts
+from bo_sysid.diagnosis import fitted_starts
 from bo_sysid.diagnosis.coordinates import Coordinates
+from bo_sysid.diagnosis.fitted_starts import FittedStarts, prior
 from bo_sysid.diagnosis.forecast import forecast
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import pose
 from bo_sysid.diagnosis.settling import settle
-from bo_sysid.diagnosis.starts import caught_up, estimated, prior
+from bo_sysid.diagnosis.starts import caught_up, estimated
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
@@ -70,7 +71,7 @@ def test_a_joint_that_is_kept_still_begins_as_it_was_given_and_others_follow(win
     problem, _ = windows
     begin = problem.windows.start
     given = replace(begin, qvel=np.where([False, True], 0.0, begin.qvel + 0.05))
-    found = starts._Starts(problem, Hypothesis(), given, 1, still=1)
+    found = FittedStarts(problem, Hypothesis(), given, 1, still=1)
     before = found.cost.copy()
     found.fit()
     np.testing.assert_allclose(found.start.qvel[:, 1], 0.0, atol=1e-6)
@@ -80,7 +81,7 @@ def test_a_joint_that_is_kept_still_begins_as_it_was_given_and_others_follow(win
 
 def test_a_window_that_leaves_more_than_noise_in_one_channel_is_left_behind(windows):
     problem, _ = windows
-    found = starts._Starts(problem, Hypothesis(), problem.windows.start, 1)
+    found = FittedStarts(problem, Hypothesis(), problem.windows.start, 1)
     found.residual = np.ones_like(found.residual)
     shaped = found.residual.reshape(problem.weight.shape)
     shaped[2, :, 1], shaped[5] = np.sqrt(1.8), np.sqrt(1.6)
@@ -93,7 +94,7 @@ def test_windows_whose_slope_says_nothing_catch_up(windows, monkeypatch):
     friction = candidate(machine, "viscous_damping", "elbow")
     hypothesis = replace(Hypothesis(), members=(friction,), x=(np.array([0.05]),))
     well = estimated(problem, hypothesis, 1)
-    blind, linearise = np.zeros(len(well), bool), starts.linearise
+    blind, linearise = np.zeros(len(well), bool), fitted_starts.linearise
     blind[[3, 8]] = True
     begin = problem.windows.start
     far = replace(begin, qvel=begin.qvel + np.where(blind, 0.5, 0.0)[:, None])
@@ -104,7 +105,7 @@ def test_windows_whose_slope_says_nothing_catch_up(windows, monkeypatch):
         off = np.isin(part.windows.time, problem.windows.time[blind])
         return replace(linear, J=np.where(off[:, None, None], 0.0, linear.J))
 
-    monkeypatch.setattr(starts, "linearise", told)
+    monkeypatch.setattr(fitted_starts, "linearise", told)
     found = estimated(problem, hypothesis, 1)
     left = (problem.residual(hypothesis, found)[blind] ** 2).mean(axis=1)
     least = (problem.residual(hypothesis, well)[blind] ** 2).mean(axis=1)

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.fitted_starts import DIVERGING, held_joints, prior
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
 from bo_sysid.diagnosis.problem import Problem, pose
-from bo_sysid.diagnosis.starts import DIVERGING, estimated, held_joints, prior
+from bo_sysid.diagnosis.starts import estimated
 from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model

@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, assess
+from bo_sysid.diagnosis.fitted_starts import held_joints
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.diagnosis.settling import better_of, first_start, moved_along, settle
-from bo_sysid.diagnosis.starts import caught_up, held_joints
+from bo_sysid.diagnosis.starts import caught_up
 from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State

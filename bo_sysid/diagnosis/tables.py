@@ -14,12 +14,12 @@ from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.findings import spoken
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
-from bo_sysid.diagnosis.starts import DIVERGING
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion

@@ -1,0 +1,263 @@
+"""Starts of windows that are being fitted.
+
+The prior lies about what a fit begins from: a smoother's estimate, or starts fitted before. Every
+window is a least-squares problem of its own, and is simulated only as long as it has not settled.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bo_sysid.diagnosis.coordinates import Coordinates
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.linear import linearise
+from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.effects import Force
+from bo_sysid.effects.bristles import bristle_motors
+from bo_sysid.effects.machine import JointScale
+from bo_sysid.simulation import State
+
+DIVERGING = 1e9
+"""Response to the start above which a window's simulation diverges."""
+
+_ROUNDS = 5  # every other one linearises anew
+_SHARES = (1.0, 0.3, 0.06)  # of a step
+_SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
+_GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, one after the other
+_LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
+_BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
+_DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
+_POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
+_ASIDE = 1e-3  # of the spread of the joint's position, beside the sigmas: models are coarser
+_ADDED = 0.1  # of that spread: prior of a joint that the hypothesis added
+_LEAST = 1e-12  # of that prior
+_STILL = 1e-6  # of the prior, of a joint that is kept at rest
+_SLOW = 1.0  # of the joint's typical speed: below, friction may hold it
+
+
+def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]:
+    """Return how far the start may lie from a smoother's estimate, position then velocity.
+
+    What a hypothesis added may lie as far from where it rests, and no further than it can go.
+    """
+    nv = problem.machine.model.nv
+    position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
+    layout, windows = problem.layout, problem.windows
+    spread = np.zeros(nv)
+    for joint in problem.machine.joints.values():
+        speed[joint.dof], spread[joint.dof] = _SPEED * joint.speed, joint.spread
+    scale = 1 / np.maximum(problem.weight.reshape(-1, len(windows.channels)).max(axis=0), 1e-300)
+    for k, name in enumerate(windows.channels):
+        if name in layout.qpos:
+            dof = int(layout.velocity[layout.qpos[name]])
+            if dof >= 0:
+                position[dof] = _POSITION * scale[k] + _ASIDE * spread[dof]
+    own = [s.qvel for s in coordinates.second]
+    most = np.array([s.most for s in coordinates.second])
+    places = np.minimum(_ADDED * spread[own], np.maximum(most, _LEAST))
+    return np.concatenate([position, speed, places, speed[own]])
+
+
+class FittedStarts:
+    """Starts that are being fitted, with their residuals and costs."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        hypothesis: Hypothesis,
+        start: State,
+        finer: int,
+        still: int | None = None,
+    ) -> None:
+        """Begin at given starts; a coordinate of the velocity that is `still` keeps its value."""
+        self._problem, self._hypothesis = problem, hypothesis
+        self._finer, self.start, self._still = finer, start, still
+        everything = np.arange(len(start))
+        self.residual = self._residual(everything, start)
+        self.cost = (self.residual**2).sum(axis=1)
+        self._anchor = self.start
+
+    def tried(self, rows: Int[np.ndarray, " L"], start: State, still: int | None = None) -> None:
+        """Fit some windows from other starts, and take what costs less."""
+        other = FittedStarts(self._problem.rows(rows), self._hypothesis, start, self._finer, still)
+        other.fit()
+        self._adopt(rows, other)
+
+    def left_behind(self, *, anywhere: bool = False) -> Int[np.ndarray, " L"]:
+        """Return the windows that leave more than noise: in all, or `anywhere` in one channel."""
+        seen = self._problem.weight > 0
+        left, count = (self.residual.reshape(seen.shape) ** 2).sum(axis=1), seen.sum(axis=1)
+        if not anywhere:
+            left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
+        return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
+
+    def rested(self) -> None:
+        """Try slow joints that friction may hold at rest, where windows leave more than noise.
+
+        From the smoother's starts, then from these; with the joint kept at rest as well, since the
+        slopes of one that slips, taken beside it, mislead those that move it.
+        """
+        smooth = self._problem.windows.start
+        for joint in held_joints(self._problem, self._hypothesis):
+            rows = self.left_behind(anywhere=True)
+            slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
+            if slow.size:
+                self.tried(slow, _at_rest(smooth.rows(slow), joint))
+                self.tried(slow, _at_rest(self.start.rows(slow), joint))
+                self.tried(slow, _at_rest(self.start.rows(slow), joint), still=joint.dof)
+
+    def grown(self) -> None:
+        """Fit windows that leave more than noise to more and more of them, from the smoother on."""
+        rows = self.left_behind()
+        if not rows.size:
+            return
+        whole = self._problem.rows(rows)
+        start = whole.windows.start
+        for share in _GROWING:
+            part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
+            other = FittedStarts(part, self._hypothesis, start, self._finer)
+            other.fit()
+            start = other.start
+        self._adopt(rows, other)
+
+    def _adopt(self, rows: Int[np.ndarray, " L"], other: "FittedStarts") -> None:
+        """Take other starts of some windows where they cost less."""
+        better = other.cost < self.cost[rows]
+        won = rows[better]
+        self.cost[won], self.residual[won] = other.cost[better], other.residual[better]
+        self.start = _placed(self.start, won, other.start.rows(better))
+
+    def fit(self) -> None:
+        """Gauss-Newton steps about the prior; each window leaves where it has settled.
+
+        That is where a step promises no gain, or where no share of a step keeps one at a point
+        that was just linearised.
+        """
+        busy = np.arange(len(self.start))
+        for k in range(_ROUNDS):
+            fresh = k % 2 == 0
+            if fresh:
+                self._linearise(busy, first=not k)
+            step, gain = self._step(busy)
+            wanted = gain >= _SETTLED
+            moved = self._search(busy[wanted], step[wanted])
+            if not moved.size:
+                break
+            busy = moved if fresh else busy
+        self._fit_stragglers()
+
+    def _fit_stragglers(self) -> None:
+        """Fit windows that are left far behind the others on, by differences of simulations.
+
+        Where friction reverses right after the start, no slope along one motion tells of the next.
+        """
+        usual = max(float(np.median(self.cost)), float(self._problem.count))
+        busy = np.flatnonzero(self.cost > _BEHIND * usual)
+        for _ in range(_ROUNDS):
+            if not busy.size:
+                return
+            self._use(busy, self._differences(busy))
+            busy = self._search(busy, self._step(busy)[0])
+
+    def _differences(self, busy: Int[np.ndarray, " B"]) -> Float[np.ndarray, "B R n"]:
+        """Return the response to changes of the start that are a share of its prior."""
+        sizes = _DIFFERENCE * self._spread
+        away = self._away[busy] + np.diag(sizes)[:, None]  # n x B x n, simulated together
+        rows = np.tile(busy, len(sizes))
+        model = self._problem.machine.model
+        moved = self._anchor.rows(rows).moved(model, away.reshape(len(rows), -1))
+        r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)
+        change = self.residual[busy] - r.reshape(len(sizes), len(busy), -1)
+        return np.asarray(np.moveaxis(change, 0, -1) / sizes)
+
+    def _linearise(self, busy: Int[np.ndarray, " B"], first: bool) -> None:
+        linear = linearise(self._problem.rows(busy), self._hypothesis, self.start.rows(busy))
+        if first:
+            self._spread = prior(self._problem, linear.points.coordinates)
+            if self._still is not None:
+                self._spread[self._problem.machine.model.nv + self._still] *= _STILL
+            count, n = len(self.start), len(self._spread)
+            self._away = np.zeros((count, n))
+            self._J, self._gain = np.zeros((count, linear.J.shape[1], n)), np.zeros((count, n, n))
+        self._use(busy, linear.J)
+
+    def _use(self, busy: Int[np.ndarray, " B"], J: Float[np.ndarray, "B R n"]) -> None:
+        """Take the response of some windows to their starts."""
+        J = np.where((np.abs(J) < DIVERGING).all(axis=(1, 2), keepdims=True), J, 0.0)
+        N = np.einsum("wri,wrj->wij", J, J) + np.diag(1 / self._spread**2)
+        self._J[busy], self._gain[busy] = J, np.linalg.pinv(N, rcond=1e-15, hermitian=True)
+
+    def _step(
+        self, busy: Int[np.ndarray, " B"]
+    ) -> tuple[Float[np.ndarray, "B n"], Float[np.ndarray, " B"]]:
+        """Return the Gauss-Newton step of some windows and the gain that it promises."""
+        g = np.einsum("wri,wr->wi", self._J[busy], self.residual[busy])
+        g -= self._away[busy] / self._spread**2
+        step = np.einsum("wij,wj->wi", self._gain[busy], g)
+        return step, np.einsum("wi,wi->w", g, step)
+
+    def _search(
+        self, left: Int[np.ndarray, " L"], step: Float[np.ndarray, "L n"]
+    ) -> Int[np.ndarray, " M"]:
+        """Take the largest share of each step that lowers the cost; return what moved."""
+        moved = np.zeros(len(self.start), bool)
+        for share in _SHARES:
+            if not left.size:
+                break
+            away = self._away[left] + share * step
+            tried = self._anchor.rows(left).moved(self._problem.machine.model, away)
+            better = self._take(left, tried, ((away / self._spread) ** 2).sum(axis=1))
+            self._away[left[better]], moved[left[better]] = away[better], True
+            left, step = left[~better], step[~better]
+        return np.flatnonzero(moved)
+
+    def _take(
+        self, rows: Int[np.ndarray, " L"], tried: State, penalty: Float[np.ndarray, " L"]
+    ) -> Bool[np.ndarray, " L"]:
+        """Take other starts of some windows where they cost less; return where."""
+        r = self._residual(rows, tried)
+        cost = (r**2).sum(axis=1) + penalty
+        better = cost < self.cost[rows]
+        won = rows[better]
+        self.residual[won], self.cost[won] = r[better], cost[better]
+        self.start = _placed(self.start, won, tried.rows(better))
+        return np.asarray(better)
+
+    def _residual(self, rows: Int[np.ndarray, " L"], start: State) -> Float[np.ndarray, "L R"]:
+        problem = self._problem if len(rows) == len(self.start) else self._problem.rows(rows)
+        return problem.residual(self._hypothesis, start, self._finer)
+
+
+def _placed(start: State, rows: Int[np.ndarray, " L"], other: State) -> State:
+    """Return the starts with those of some windows replaced."""
+    if not rows.size:
+        return start
+    pick, place = np.zeros(len(start), bool), np.zeros(len(start), int)
+    pick[rows], place[rows] = True, np.arange(len(rows))
+    return start.picked(pick, other.rows(place))
+
+
+def _at_rest(start: State, joint: JointScale) -> State:
+    """Return the starts with a joint at rest."""
+    qvel = start.qvel.copy()
+    qvel[:, joint.dof] = 0.0
+    return replace(start, qvel=qvel)
+
+
+def held_joints(problem: Problem, hypothesis: Hypothesis) -> list[JointScale]:
+    """Return the joints that friction of a hypothesis may hold at rest.
+
+    Learned laws, which are held for a time step, turn smoothly: under them a joint creeps, and
+    slopes lead from motion to rest.
+    """
+    model, parts = problem.compiled(hypothesis)
+    bristles = model.actuator_trnid[bristle_motors(model), 0]
+    names = {p.joint for p in parts if isinstance(p, Force) and not p.hold}
+    return [
+        j
+        for j in problem.machine.joints.values()
+        if j.name in names
+        or model.dof_frictionloss[model.joint(j.name).dofadr[0]] > 0
+        or model.joint(j.name).id in bristles
+    ]
