@@ -202,6 +202,23 @@ def test_a_learning_run_says_first_what_the_policy_returns_on_the_plant(tmp_path
     assert [len(c.x) for c in curves] == [2, 1]
 
 
+@pytest.mark.parametrize("files", [[], ["worn.py"]])
+def test_a_study_that_names_code_is_run_again_with_the_users_trust(
+    tmp_path: Path, files: list[str]
+) -> None:
+    (tmp_path / "rod.xml").write_text(MODEL)
+    (tmp_path / "worn.py").write_text("raise SystemExit('a page runs no code')")
+    data = {
+        "version": 1, "name": "rod", "model": "../rod.xml", "recordings": {"train": ["../a.csv"]},
+        "diagnosis": {"effect_files": [f"../{f}" for f in files]},
+    }  # fmt: skip
+    with Run.open(tmp_path / "run", data, "diagnose", seed=3):
+        pass
+    words = Outline(page(tmp_path / "run")).words
+    assert "bo-sysid diagnose study.yaml --seed 3" in words
+    assert ("--trust-code" in words) == bool(files)
+
+
 def test_what_is_damaged_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
     run = write_run(tmp_path / "run")
     (run / "forces.parquet").write_text("no")

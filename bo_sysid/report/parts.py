@@ -1,7 +1,7 @@
 """What the page is made of: sections with text, figures, tables; and what a run folder holds."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ import pandas as pd
 
 from bo_sysid.errors import RunError
 from bo_sysid.report.text import cell
+from bo_sysid.runs import read_json
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -101,6 +102,14 @@ class Found:
     def has(self, name: str) -> bool:
         """Return whether a file is there."""
         return (self.folder / name).is_file()
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        """What the run says in words; empty where it says nothing."""
+        if not self.has("summary.json"):
+            return {}
+        summary = read_json(self.folder, "summary.json")
+        return summary if isinstance(summary, dict) else {}
 
     def sections(self, *makers: Callable[["Found"], Section | None]) -> Iterator[Section]:
         """Yield the sections for which the run has something; what fails is noted."""

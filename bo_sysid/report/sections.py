@@ -2,7 +2,6 @@
 
 import itertools
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -21,25 +20,13 @@ from bo_sysid.report.learning import learning_said
 from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
+from bo_sysid.report.provenance import again, data
 from bo_sysid.runs import read_frame, read_json
 from bo_sysid.runs.files import inside
 
 _PAIRS = 6
 _LARGEST = 300_000  # bytes of a picture in the page
 _CHANNELS = 12  # of a page; all are in the run folder
-_FILES = {
-    "model_repaired.xml": "the repaired model, MJCF that plain MuJoCo loads",
-    "model_repaired.json": "what stands beside it because MJCF cannot express it",
-    "next_experiment.csv": "the controls of what to record next",
-    "study_repaired.yaml": "the study that goes on with it",
-    "model_identified.xml": "the model with the identified parameters",
-    "diagnosis.json": "the diagnosis, to be read by programs",
-    "identification.json": "the identification, to be read by programs",
-    "learning.json": "the learning, to be read by programs",
-    "policy.npz": "the learned policy",
-    "paths.parquet": "every step of every run of the comparison",
-    "study.yaml": "the study, with every default",
-}
 
 
 def headline(found: Found) -> dict[str, Any]:
@@ -47,7 +34,7 @@ def headline(found: Found) -> dict[str, Any]:
     try:
         if found.has("diagnosis.json"):
             diagnosis = read_json(found.folder, "diagnosis.json")
-            summary = _summary(found)
+            summary = found.summary
             verdict = str(diagnosis["verdict"])
             sentences = summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
             return {
@@ -260,46 +247,11 @@ def learned(found: Found) -> Section | None:
     return Section("learning", "Learning", plots=plots, tables=tables)
 
 
-def data(found: Found) -> Section | None:
-    """What was done to the data."""
-    notes: Sequence[str] = _summary(found).get("notes", ())
-    if not notes and found.has("identification.json"):
-        notes = read_json(found.folder, "identification.json").get("notes", ())
-    if not notes:
-        return None
-    return Section("data", "What was done to the data", items=[str(n) for n in notes])
-
-
-def again(found: Found) -> Section:
-    """How to run it again: command, study, versions, files."""
-    code = []
-    record: Any = {}
-    if found.has("run.json"):
-        record = read_json(found.folder, "run.json")
-        seed = f" --seed {record['seed']}" if record.get("seed") is not None else ""
-        code.append(("Command", f"bo-sysid {record['command']} study.yaml{seed}"))
-    if found.has("study.yaml"):
-        text = (found.folder / "study.yaml").read_text(encoding="utf-8", errors="replace")
-        code.append(("Study", text))
-    last = record["sessions"][-1]["versions"] if record.get("sessions") else {}
-    versions = pd.DataFrame({"package": list(last), "version": list(last.values())})
-    links = [(name, words) for name, words in _FILES.items() if found.has(name)]
-    tables = [("Versions", Table.of(versions))] if last else []
-    return Section("again", "Run it again", code=code, tables=tables, links=links)
-
-
 MAKERS = (
     robot, proof, missing_force, explanations, parameters, identifiability, predictions, search,
     learned, comparison, data, again,
 )  # fmt: skip
 """The sections in the order of the page."""
-
-
-def _summary(found: Found) -> Mapping[str, Any]:
-    if not found.has("summary.json"):
-        return {}
-    summary = read_json(found.folder, "summary.json")
-    return summary if isinstance(summary, dict) else {}
 
 
 def _units(found: Found) -> dict[str, str]:
