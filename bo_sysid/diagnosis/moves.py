@@ -131,7 +131,10 @@ def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
 
 
 def stripped(search: Search) -> None:
-    """Fit the sets without their weakest member, or with the simpler effect in its place."""
+    """Fit the sets without their weakest member, or with the simpler effect in its place.
+
+    And without all that are next to nothing, at once: there may be more of them than turns.
+    """
     done: set[object] = set()
     for _ in range(4):
         before = len(search.fits)
@@ -140,10 +143,11 @@ def stripped(search: Search) -> None:
                 continue
             done.add(f.key)
             simplify(search, f)
-            weakest = int(np.argmin(f.unique))
-            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
-                rest = [k for k in range(len(f.members)) if k != weakest]
-                search.fit(*subset(f, rest), start=f.start, again=True)
+            size = np.array(f.unique)
+            for small in (size <= size.min(), size < MARGIN):
+                if small.any() and size[small].min() < max(2 * MARGIN, 0.5, 0.03 * size.max()):
+                    rest = np.flatnonzero(~small)
+                    search.fit(*subset(f, rest), start=f.start, again=True)
         if len(search.fits) == before:
             return
 

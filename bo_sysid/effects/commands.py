@@ -13,6 +13,7 @@ _LAGS = (0.004, 0.03)
 _DELAYS = (0.004, 0.02)
 _RAMPS = (0.004, 0.015, 0.06)  # [s] that the largest change of a control may take
 _APART = 1.5  # ratio of rates that are tried
+_MOST_CUT_OUT = 0.95  # of the largest command, within a dead zone
 _INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
 
 
@@ -98,7 +99,7 @@ def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
     if a.servo or not drives(site, machine):
         return None
-    return Extent((0.05 * a.ctrl_std,), (0.0,), (0.8 * a.ctrl_std,))
+    return Extent((0.05 * a.ctrl_std,), (0.0,), (_MOST_CUT_OUT * a.ctrl_max,))
 
 
 @effect(
