@@ -220,11 +220,18 @@ def test_the_prior_halves_for_nothing_and_shares_an_eighth_by_size(machine) -> N
 
 
 def test_close_to_the_recordings_a_size_is_at_most_what_leaving_out_costs(machine) -> None:
-    payload = fit((candidate(machine, "payload", "forearm"),), 0.902, unique=4.2)
-    nothing = fit((), 0.907)
-    assert sizes(payload, [nothing, payload]) == pytest.approx([np.sqrt(0.907**2 - 0.902**2)])
+    payload = fit((candidate(machine, "payload", "forearm"),), 1.002, unique=4.2)
+    nothing = fit((), 1.007)
+    assert sizes(payload, [nothing, payload]) == pytest.approx([np.sqrt(1.007**2 - 1.002**2)])
     assert sizes(payload, [payload]) == (4.2,)  # nothing to compare with
     assert decided(nothing, payload).best is nothing
+
+
+def test_what_explains_less_than_noise_has_no_size(machine) -> None:
+    alone = fit((candidate(machine, "payload", "forearm"),), 0.97)
+    both = fit((*alone.members, candidate(machine, "viscous_damping", "elbow")), 0.9, unique=0.4)
+    assert sizes(both, [alone, both])[1] == 0.0  # though √(0.97² - 0.9²) is more than any margin
+    assert decided(fit((), 5.0), alone, both).best is alone
 
 
 def test_far_from_the_recordings_a_size_is_what_leaving_out_costs(machine) -> None:

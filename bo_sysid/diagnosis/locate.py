@@ -12,12 +12,13 @@ from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.rules import ROUGH, clean, lost
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
-from bo_sysid.diagnosis.windowing import Prepared, prepare
+from bo_sysid.diagnosis.windowing import Prepared, in_contact, prepare
 from bo_sysid.mjcf.touching import can_touch
 
 _GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
-_HALVINGS = 3
+_LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
+_HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _CARRIED = 4
@@ -47,11 +48,8 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     step = evidence.machine.model.opt.timestep
     horizon = stable(evidence, horizon, step)
     prepared, length = tractable(evidence, horizon, step)
-    for _ in range(_HALVINGS if length == horizon else 0):
-        if prepared.correction_rms <= _LONG_STEP:
-            break
-        step = step / 2
-        prepared = prepare(windows_of(evidence, horizon, step))
+    if length == horizon:
+        prepared, step = _short_enough(evidence, prepared, horizon, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     search, step = _explored(evidence, search, length, step)
@@ -75,6 +73,21 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
+
+
+def _short_enough(
+    evidence: Evidence, prepared: Prepared, horizon: int, step: float
+) -> tuple[Prepared, float]:
+    """Halve the time step until a finer one changes little."""
+    most, halvings = _LONG_STEP, _HALVINGS
+    if in_contact(prepared.problem):
+        most, halvings = _LONG_STEP_IN_CONTACT, _HALVINGS_IN_CONTACT
+    for _ in range(halvings):
+        if prepared.correction_rms <= most:
+            break
+        step = step / 2
+        prepared = prepare(windows_of(evidence, horizon, step))
+    return prepared, step
 
 
 def _explored(

@@ -146,7 +146,7 @@ def stripped(search: Search) -> None:
             size = np.array(f.unique)
             for small in (size <= size.min(), size < MARGIN):
                 if small.any() and size[small].min() < max(2 * MARGIN, 0.5, 0.03 * size.max()):
-                    rest = np.flatnonzero(~small)
+                    rest = [int(k) for k in np.flatnonzero(~small)]
                     search.fit(*subset(f, rest), start=f.start, again=True)
         if len(search.fits) == before:
             return

@@ -22,6 +22,7 @@ _THERE = 4.0  # standard deviations from which a small member of a group is ther
 ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
+_NOISE = 0.97  # rms² of a set that leaves no more than noise
 _LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far off, is no explanation
 
 
@@ -87,7 +88,8 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     is large in windows that no magnitude brings any closer. Far from them no linearisation reaches
     from a set to the same set without a member: there it is what leaving out costs, where that was
     tried. So it is where the slope of a large member is nothing, since more of it would do no more.
-    What has no magnitude has no size, whatever else a set without it leaves.
+    What has no magnitude has no size, whatever else a set without it leaves. Nor has what explains
+    a part of less than noise: in contact, where samples weigh little, sets leave less.
     """
     others, found = tuple(fits), []
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
@@ -96,7 +98,8 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
         full = felt <= FLAT and bool((np.abs(x) > probe).any())
         far = there and (fit.rms > LOOSE or full)
         left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
-        lost = unique if left is None else sqrt(max(left**2 - fit.rms**2, 0.0))
+        least = max(fit.rms**2, _NOISE)
+        lost = unique if left is None else sqrt(max(left**2 - least, 0.0))
         found.append(lost if far else min(unique, lost))
     return tuple(found)
 
