@@ -7,12 +7,13 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.forecast import fitted
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.rules import ROUGH, lost
+from bo_sysid.diagnosis.moves import stripped
+from bo_sysid.diagnosis.rules import MARGIN, ROUGH, lost
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
@@ -56,6 +57,27 @@ def test_a_set_that_explains_is_compared(compared) -> None:
     (finding,) = located.decision.best.members
     assert finding.key == ("viscous_damping", "elbow")
     assert [fit.key for fit in compared] == [located.decision.best.key]
+
+
+def test_a_set_is_fitted_without_all_its_trifles_at_once() -> None:
+    damped = evidence("viscous_damping", missing=DAMPED)
+    search = Search.on(prepare(windows_of(damped, 100, 0.002)), [], 6, None)
+    damping = candidate(damped.machine, "viscous_damping", "elbow")
+    trifles = [
+        candidate(damped.machine, effect, site)
+        for effect, site in (
+            ("constant_force", "shoulder"), ("constant_force", "elbow"),
+            ("quadratic_damping", "shoulder"), ("quadratic_damping", "elbow"),
+            ("joint_spring", "shoulder"),
+        )
+    ]  # fmt: skip
+    members = [damping, *trifles]
+    together = search.fit(members, [np.zeros(c.size) for c in members])
+    assert max(together.unique[1:]) < MARGIN < together.unique[0]
+    stripped(search)
+    alone = search.fits[set_key([damping])]
+    assert alone.x[0] == pytest.approx(DAMPED[0][3], rel=0.02)
+    assert alone.rms == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("share", "times"), [(1.05, 0), (2.0, 1)])

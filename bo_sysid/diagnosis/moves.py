@@ -143,10 +143,11 @@ def stripped(search: Search) -> None:
                 continue
             done.add(f.key)
             simplify(search, f)
-            size = np.array(f.unique)
-            for small in (size <= size.min(), size < MARGIN):
-                if small.any() and size[small].min() < max(2 * MARGIN, 0.5, 0.03 * size.max()):
-                    rest = [int(k) for k in np.flatnonzero(~small)]
+            weakest = int(np.argmin(f.unique))
+            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
+                trifles = tuple(k for k, size in enumerate(f.unique) if size < MARGIN)
+                for out in dict.fromkeys(((weakest,), trifles or (weakest,))):
+                    rest = [k for k in range(len(f.members)) if k not in out]
                     search.fit(*subset(f, rest), start=f.start, again=True)
         if len(search.fits) == before:
             return
