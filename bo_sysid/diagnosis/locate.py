@@ -48,8 +48,8 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     step = evidence.machine.model.opt.timestep
     horizon = stable(evidence, horizon, step)
     prepared, length = tractable(evidence, horizon, step)
-    if length == horizon:
-        prepared, step = _short_enough(evidence, prepared, horizon, step)
+    if length == horizon or in_contact(prepared.problem):
+        prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     search, step = _explored(evidence, search, length, step)
@@ -76,7 +76,7 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
 
 
 def _short_enough(
-    evidence: Evidence, prepared: Prepared, horizon: int, step: float
+    evidence: Evidence, prepared: Prepared, length: int, step: float
 ) -> tuple[Prepared, float]:
     """Halve the time step until a finer one changes little."""
     most, halvings = _LONG_STEP, _HALVINGS
@@ -86,7 +86,7 @@ def _short_enough(
         if prepared.correction_rms <= most:
             break
         step = step / 2
-        prepared = prepare(windows_of(evidence, horizon, step))
+        prepared = prepare(windows_of(evidence, length, step))
     return prepared, step
 
 
