@@ -304,7 +304,7 @@ def strange_force(kind: str, machine: Machine, joint: str, size: float, at: floa
         return -force * slip(m) * (0.3 + np.exp(-m.time / 6.0))
 
     def cable(m) -> np.ndarray:
-        z = (m.qpos[other] - far.middle) / far.travel
+        z = (m.qpos[other] - far.middle) / far.spread
         return force * (z + 0.5 * z**2)
 
     laws = {"magnet": magnet, "worn_spot": worn_spot, "warming": warming, "cable": cable}
