@@ -5,18 +5,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from diagnosis_cases import (
-    CONTACT,
-    LOGS,
-    RIGS,
-    STRANGE,
-    Case,
-    Planted,
-    draw,
-    draw_group,
-    draw_strange,
-    load,
-)
+from diagnosis_cases import Case, draw, draw_group, draw_strange
+from diagnosis_plant import Planted
+from diagnosis_rigs import CONTACT, LOGS, RIGS, load
+from diagnosis_strange import STRANGE
 
 from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.evidence import Evidence
