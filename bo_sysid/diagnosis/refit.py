@@ -26,8 +26,9 @@ from bo_sysid.simulation import State
 _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothing to speak of
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
+_MOVE = 3.0  # times its size, that a magnitude may move at once at the cost of one variance
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
-_CUT = 1e9
+_CUT, _TINY = 1e9, 1e-12
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
 
@@ -172,10 +173,10 @@ def _descend(
     J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
-        step = _bounded_step(SP, point.y, point, space)
+        step = _bounded_step(SP, point, space, point.rss / dof)
         tried = _line_search(frame, space, point, J, step)
         if tried is None and exact:
-            step = _bounded_step(SP, point.y, point, space, _DAMPED)
+            step = _bounded_step(SP, point, space, point.rss / dof, _DAMPED)
             tried = _line_search(frame, space, point, J, step)
         if tried is None:
             hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
@@ -211,24 +212,31 @@ def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, 
 
 def _bounded_step(
     S: Float[np.ndarray, "W R p"],
-    y: Float[np.ndarray, "W R"],
     point: _Point,
     space: _Space,
+    variance: float,
     ridge: float = _RIDGE,
 ) -> Float[np.ndarray, " p"]:
-    """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay."""
+    """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay.
+
+    Damped as Levenberg and Marquardt do, in units of the magnitudes: it minimises
+    |y - S δ|² + variance Σ (δ / 3 size)². What acts in second order alone (a tilt out of the plane
+    that a machine moves in) has a column next to nothing, which asks for moves far beyond what it
+    holds for, and no share of such a step serves the others.
+    """
     A = S.reshape(-1, S.shape[-1])
-    scale = np.sqrt((A**2).sum(axis=0)) + 1e-12
+    scale = np.sqrt((A**2).sum(axis=0)) + _TINY
     A = A / scale
-    G, g = A.T @ A, A.T @ y.ravel()
+    move = _MOVE * np.maximum(np.abs(point.theta), np.abs(space.probe))
+    G = A.T @ A + np.diag(ridge + variance / (move * scale) ** 2)
+    g = A.T @ point.y.ravel()
     theta, free = point.theta, np.ones(len(scale), bool)
     step = np.zeros(len(scale))
     for _ in range(len(scale)):
         step = np.zeros(len(scale))
         if not free.any():
             break
-        H = G[np.ix_(free, free)] + ridge * np.eye(int(free.sum()))
-        step[free] = np.linalg.solve(H, g[free]) / scale[free]
+        step[free] = np.linalg.solve(G[np.ix_(free, free)], g[free]) / scale[free]
         down = (theta + step < space.low) & (theta <= space.low + 1e-12)
         up = (theta + step > space.high) & (theta >= space.high - 1e-12)
         bad = free & (down | up)
