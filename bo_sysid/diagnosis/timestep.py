@@ -14,7 +14,7 @@ from bo_sysid.simulation.windows import Windows
 
 SHARE_BOUNDS = (-0.5, 2.0)  # of the correction: where the share that is shown may lie
 FINER = 4  # the discretisation is judged against a time step this many times smaller
-_DIVISIONS = (1, 2, 4, 8)
+_DIVISIONS = (1, 2, 4, 8, 16)
 _SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in _DIVISIONS}  # of the correction
 
 
