@@ -6,6 +6,7 @@ simulation, starts and all, as it would be to a recording. What it cannot fit is
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -145,7 +146,8 @@ def _about_unknown(unexplained: Unexplained) -> Experiment:
 
 def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
     members = (*best.members, *(c for r in rivals for c in r.members))
-    ways = dict.fromkeys(c.effect.separation for c in members if c.effect.separation)
+    said = (c.effect.separation.split("; ") for c in members if c.effect.separation)
+    ways = dict.fromkeys(chain.from_iterable(said))
     return (
         f"No motion within the limits tells {_said(best, beside=rivals[0])} from "
         f"{_said(rivals[0], beside=best)} by what was recorded here. What would: {'; '.join(ways)}."
@@ -156,7 +158,10 @@ def _said(fit: Fit, beside: Fit) -> str:
     """Return what a set has that another lacks, all of it where it lacks nothing."""
     shared = {c.key for c in beside.members}
     own = [c for c in fit.members if c.key not in shared] or fit.members
-    words = [f"{c.effect.noun} at {c.site.name}" for c in own]
+    words = [
+        c.effect.noun if c.site.kind == "world" else f"{c.effect.noun} at {c.site.name}"
+        for c in own
+    ]
     return " with ".join(words) or "nothing missing"
 
 
