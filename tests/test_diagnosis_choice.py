@@ -143,6 +143,19 @@ def test_what_no_motion_separates_is_said_in_words(rotor) -> None:
     assert {e["effect"] for s in found.separates for e in s} == {"armature", "link_inertia"}
 
 
+def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> None:
+    tilt = [("gravity_tilt", "world", "world", [0.0, 0.0685])]
+    made = located(record(tilt, duration=6.0), effects=("gravity_tilt", "encoder_offset"))
+    alike = [made.decision.best, *made.decision.equivalents]
+    assert {c.key for f in alike for c in f.members} == {
+        ("gravity_tilt", "world"),
+        ("encoder_offset", "shoulder"),
+    }
+    said = next_experiment(made, explain(made), {}).sentence
+    assert "tells an encoder offset at shoulder from a tilt by" in said
+    assert said.endswith("What would: several postures; a known posture at rest.")
+
+
 def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
     decision = friction.decision
     rival = next(f for f in decision.fits if f.members and f is not decision.best)
