@@ -106,19 +106,19 @@ def test_what_an_earlier_diagnosis_left_beside_the_model_is_gone(tmp_path) -> No
 
 
 @pytest.mark.parametrize(
-    ("share", "tolerance", "division"),
+    ("share", "change", "division"),
     [
-        (1.15, 0.0, 8),  # a step 8 times finer shows 7/6 of the correction, 4 times finer 1
-        (1.15, 0.02, 8),
-        (1.15, 0.2, 4),
-        (1.15, 0.5, 2),
-        (1.15, 2.0, 1),
-        (1.33, 0.0, 16),  # a machine, which moves continuously, shows 4/3 of it
-        (1.33, 0.2, 8),
+        (1.15, 10.0, 8),  # a step 8 times finer shows 7/6 of the correction, 4 times finer 1
+        (1.15, 2.5, 8),
+        (1.15, 0.25, 4),
+        (1.15, 0.1, 2),
+        (1.15, 0.02, 1),
+        (1.33, 1.0, 8),  # a machine, which moves continuously, shows 4/3 of it
+        (1.33, 5.0, 16),
     ],
 )
-def test_a_step_is_as_coarse_as_the_tolerance_lets_it_be(
-    share: float, tolerance: float, division: int
+def test_a_step_is_as_coarse_as_its_error_lets_it_be(
+    share: float, change: float, division: int
 ) -> None:
     fitted = Hypothesis(numerics=share)
-    assert finer_step(coarsened(fitted, tolerance).numerics) == division
+    assert finer_step(coarsened(fitted, change).numerics) == division

@@ -23,7 +23,6 @@ from bo_sysid.errors import RecordingError
 
 _BETTER = 0.95  # of a forecast error: what is less is better
 _ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
-_LITTLE = 0.05  # of what a hypothesis leaves: error of a time step that is as good as a finer one
 _WORDS = {
     "position": "where the joint is",
     "speed": "how fast it moves",
@@ -85,8 +84,8 @@ class Outcome:
         law_alone: the nominal model with nothing but a learned law, to compare with; None where
             no law says anything.
 
-    From here on every hypothesis is stepped with the coarsest time step whose own error is below a
-    twentieth of what the hypothesis leaves; `Hypothesis.numerics` says which (`finer_step`).
+    From here on every hypothesis is stepped with the coarsest time step whose own error is little
+    beside what the hypothesis leaves (`coarsened`); `Hypothesis.numerics` says which.
     """
 
     fit: Fit
@@ -232,10 +231,11 @@ def _stepped(
 
     In contact forecasts tell the step.
     """
-    if error is not None and in_contact(located.prepared.problem):
+    problem = located.prepared.problem
+    if error is not None and in_contact(problem):
         return error.stepped(hypothesis)
-    change = max(located.prepared.step_rms, 1e-12)
-    return coarsened(hypothesis, _LITTLE * max(rms, 1.0) / change)
+    own = problem.windows.timestep == problem.machine.model.opt.timestep  # else it is fine already
+    return coarsened(hypothesis, located.prepared.step_rms / max(rms, 1.0), finest=own)
 
 
 def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:

@@ -14,8 +14,10 @@ from bo_sysid.simulation.windows import Windows
 
 SHARE_BOUNDS = (-0.5, 2.0)  # of the correction: where the share that is shown may lie
 FINER = 4  # the discretisation is judged against a time step this many times smaller
-_DIVISIONS = (1, 2, 4, 8, 16)
-_SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in _DIVISIONS}  # of the correction
+_DIVISIONS, _FINEST = (1, 2, 4, 8), 16  # the finest only where the error of the others is felt
+_SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in (*_DIVISIONS, _FINEST)}  # of the correction
+_LITTLE = 0.05  # of what a hypothesis leaves: an error as good as none
+_FELT = 0.3  # the same, from which forecasts are worse by a twentieth
 
 
 def refined(windows: Windows, finer: int) -> Windows:
@@ -36,18 +38,22 @@ def refined(windows: Windows, finer: int) -> Windows:
 
 def finer_step(numerics: float) -> int:
     """Return the division of the time step whose predictions the recordings show."""
-    return min(_DIVISIONS, key=lambda n: abs(_SHARES[n] - numerics))
+    return min(_SHARES, key=lambda n: abs(_SHARES[n] - numerics))
 
 
-def coarsened(hypothesis: Hypothesis, tolerance: float) -> Hypothesis:
+def coarsened(hypothesis: Hypothesis, change: float, *, finest: bool = True) -> Hypothesis:
     """Return a hypothesis with the share of the correction that a coarser time step shows.
 
     Args:
         hypothesis: with the share that was fitted.
-        tolerance: by how much its share may differ.
+        change: what a step `FINER` times smaller changes, over what the hypothesis leaves.
+        finest: whether the finest division is one, where the error of the others is felt.
     """
-    within = (n for n in _DIVISIONS if abs(_SHARES[n] - hypothesis.numerics) <= tolerance)
-    division = next(within, finer_step(hypothesis.numerics))
+    error = {n: abs(share - hypothesis.numerics) * change for n, share in _SHARES.items()}
+    nearest = min(_DIVISIONS, key=error.__getitem__)
+    if finest and error[nearest] > max(_FELT, error[_FINEST]):
+        nearest = _FINEST
+    division = next((n for n in _DIVISIONS if error[n] <= _LITTLE), nearest)
     return replace(hypothesis, numerics=_SHARES[division])
 
 
