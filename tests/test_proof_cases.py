@@ -261,6 +261,17 @@ def test_parameters_are_off_where_the_draw_says_so(tmp_path):
     assert case.truth["size"] < 0.01
 
 
+def test_no_mass_is_concealed_that_the_study_lists(tmp_path):
+    loaded = load_suite(written(tmp_path))
+    machine = loaded.machines["cart_pole"]
+    assert machine.bodies_of_masses(["geom[cart].mass", "joint[*].damping"]) == {"cart"}
+    for seed in range(4):  # of cart and pole only the pole's mass is left
+        case = draw_case(
+            Draw("case-1", seed, 2, "cart_pole", ("link_mass",), parameters=True), loaded
+        )
+        assert [e["site"] for e in case.truth["effects"]] == ["pole"]
+
+
 def test_a_plan_deals_evenly_and_conceals_nothing_often_enough(tmp_path):
     loaded = load_suite(written(tmp_path, cases=200, nothing=0.3, groups=0.1, pairs=0.2))
     draws = plan(loaded)

@@ -164,7 +164,9 @@ class _Attempt:
         rng, found = self._rng, []
         for id in self._draw.effects:
             item, size = REALISED[id], log_uniform(rng, *self._sizes)
-            sites = item.sites(self._machine)
+            sites = [s for s in item.sites(self._machine) if not self._listed(id, s)]
+            if not sites:
+                raise _Unreachable(f"{id} anywhere")
             if not self._draw.grouped:
                 found.append(self._sized(item, str(rng.choice(sites)), scales, size))
                 continue
@@ -172,6 +174,11 @@ class _Attempt:
                 share = size / np.sqrt(len(sites)) * log_uniform(rng, *_UNEVEN)
                 found.append(self._sized(item, site, scales, share))
         return found
+
+    def _listed(self, id: str, site: str) -> bool:
+        """Whether a parameter of the study is what would be concealed: nothing would be missing."""
+        addresses = [a for p in self._parameters for a in p.addresses]
+        return id == "link_mass" and site in self._machine.bodies_of_masses(addresses)
 
     def _require_size(self, total: float, count: int) -> None:
         """Refuse a case whose size is far from what was asked for, as where motion differs."""

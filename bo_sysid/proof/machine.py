@@ -11,7 +11,7 @@ from jaxtyping import Float
 from pydantic import BeforeValidator, ValidationError, model_validator
 
 from bo_sysid.errors import StudyError, nearest
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Address, Model
 from bo_sysid.proof.equations import EQUATIONS
 from bo_sysid.study.base import Count, Name, NotNegative, Positive, Real, Section
 from bo_sysid.study.messages import study_error
@@ -110,6 +110,13 @@ class ProofMachine:
         m, j = self.compiled, self.compiled.joint(joint).id
         found = [a for a in range(m.nu) if int(m.actuator_trnid[a, 0]) == j]
         return found[0] if found else None
+
+    def bodies_of_masses(self, addresses: Sequence[str]) -> frozenset[str]:
+        """Return the bodies whose mass stands at one of some addresses."""
+        each = [e for a in addresses for e in Address.parse(a).matches(self.model)]
+        masses = [a for a in map(Address.parse, each) if (a.kind, a.attribute) == ("geom", "mass")]
+        bodies = [int(self.compiled.geom(a.pattern).bodyid[0]) for a in masses]
+        return frozenset(str(self.compiled.body(b).name) for b in bodies)
 
 
 def load_machine(path: Path) -> ProofMachine:
