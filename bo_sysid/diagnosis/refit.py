@@ -27,6 +27,7 @@ _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothi
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _MOVE = 3.0  # times its size, that a magnitude may move at once at the cost of one variance
+_MOST_DAMPED = 100.0  # [sigma²] of that variance: farther off, magnitudes have a long way to go
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT, _TINY = 1e9, 1e-12
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
@@ -228,7 +229,7 @@ def _bounded_step(
     scale = np.sqrt((A**2).sum(axis=0)) + _TINY
     A = A / scale
     move = _MOVE * np.maximum(np.abs(point.theta), np.abs(space.probe))
-    G = A.T @ A + np.diag(ridge + variance / (move * scale) ** 2)
+    G = A.T @ A + np.diag(ridge + min(variance, _MOST_DAMPED) / (move * scale) ** 2)
     g = A.T @ point.y.ravel()
     theta, free = point.theta, np.ones(len(scale), bool)
     step = np.zeros(len(scale))
