@@ -27,7 +27,6 @@ _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothi
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _MOVE = 3.0  # times its size, that a magnitude may move at once at the cost of one variance
-_MOST_DAMPED = 100.0  # [sigma²] of that variance: farther off, magnitudes have a long way to go
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT, _TINY = 1e9, 1e-12
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
@@ -174,11 +173,12 @@ def _descend(
     J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
-        step = _bounded_step(SP, point, space, point.rss / dof)
-        tried = _line_search(frame, space, point, J, step)
-        if tried is None and exact:
-            step = _bounded_step(SP, point, space, point.rss / dof, _DAMPED)
+        tried = None
+        for ridge, variance in ((_RIDGE, 0.0), (_DAMPED, 0.0), (_RIDGE, point.rss / dof)):
+            step = _bounded_step(SP, point, space, ridge, variance)
             tried = _line_search(frame, space, point, J, step)
+            if tried is not None or not exact:
+                break
         if tried is None:
             hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
             if exact or hopeless or point.rss / dof > 1e4:
@@ -215,12 +215,12 @@ def _bounded_step(
     S: Float[np.ndarray, "W R p"],
     point: _Point,
     space: _Space,
+    ridge: float,
     variance: float,
-    ridge: float = _RIDGE,
 ) -> Float[np.ndarray, " p"]:
     """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay.
 
-    Damped as Levenberg and Marquardt do, in units of the magnitudes: it minimises
+    With a variance damped as Levenberg and Marquardt do, in units of the magnitudes: it minimises
     |y - S δ|² + variance Σ (δ / 3 size)². What acts in second order alone (a tilt out of the plane
     that a machine moves in) has a column next to nothing, which asks for moves far beyond what it
     holds for, and no share of such a step serves the others.
@@ -229,7 +229,7 @@ def _bounded_step(
     scale = np.sqrt((A**2).sum(axis=0)) + _TINY
     A = A / scale
     move = _MOVE * np.maximum(np.abs(point.theta), np.abs(space.probe))
-    G = A.T @ A + np.diag(ridge + min(variance, _MOST_DAMPED) / (move * scale) ** 2)
+    G = A.T @ A + np.diag(ridge + variance / (move * scale) ** 2)
     g = A.T @ point.y.ravel()
     theta, free = point.theta, np.ones(len(scale), bool)
     step = np.zeros(len(scale))
