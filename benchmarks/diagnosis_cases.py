@@ -19,6 +19,7 @@ from bo_sysid.effects import CATALOGUE, survey
 from bo_sysid.recording import Recording
 
 _TRIES = 40  # draws until every effect of a case can be sized
+_BEYOND = 1.5  # times the largest size, that an effect may have in the training recording
 
 
 @dataclass(frozen=True)
@@ -77,15 +78,18 @@ def draw(
     if count and _runs_away(train, nominal):  # what is free drifts without any force as well
         return none
     acting = Sizes(model, machine, train, sigma)
+    sizes = [acting.of(c, x) for c, x, _ in drawn]
+    if any(size > _BEYOND * high for size in sizes):
+        return none
     if count == 2 and acting.alike([(c, x) for c, x, _ in drawn]):
         return none
     shown = [
         replace(
             p,
-            size=acting.of(c, x),
+            size=size,
             value=c.effect.reported(c.full(acting.seen(c, p.x)), machine, c.site),
         )
-        for p, (c, x, _) in zip(truth, drawn, strict=True)
+        for p, size, (c, x, _) in zip(truth, sizes, drawn, strict=True)
     ]
     return Case(rig, tuple(shown), (train,), (holdout,), sigma)
 

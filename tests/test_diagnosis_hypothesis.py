@@ -115,6 +115,7 @@ def test_what_an_earlier_diagnosis_left_beside_the_model_is_gone(tmp_path) -> No
         (1.15, 0.02, 1),
         (1.33, 1.0, 8),  # a machine, which moves continuously, shows 4/3 of it
         (1.33, 5.0, 16),
+        (1.85, 0.58, 8),  # no step shows as much: the rest is something else's
     ],
 )
 def test_a_step_is_as_coarse_as_its_error_lets_it_be(

@@ -68,6 +68,19 @@ def test_signature_equals_the_difference_of_two_simulations(
     assert np.linalg.norm(signature) == pytest.approx(np.linalg.norm(exact), rel=0.1)
 
 
+def test_columns_of_many_candidates_are_those_of_each_and_zero_of_those_left_out(prepared) -> None:
+    ready, machine = prepared
+    many = candidates([CATALOGUE[i] for i in ("dry_friction", "joint_spring", "cogging")], machine)
+    assert sum(c.size for c in many) > 24  # more than are propagated at once
+    kept = [c for c in many if c.effect.id != "joint_spring"]
+    found = signatures(ready.linear, many, left_out=[c for c in many if c not in kept])
+    each = [
+        signatures(ready.linear, [c]) if c in kept else np.zeros((*found.shape[:2], c.size))
+        for c in many
+    ]
+    np.testing.assert_allclose(found, np.concatenate(each, axis=-1), rtol=1e-5, atol=1e-6)
+
+
 def test_a_change_of_start_is_projected_out(prepared) -> None:
     ready, _ = prepared
     problem = replace(ready.problem, correction=None)

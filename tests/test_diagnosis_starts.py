@@ -53,7 +53,7 @@ def test_starts_are_the_least_squares_ones(windows):
 
         best = least_squares(misfit, np.zeros(4), x_scale=[1e-3, 1e-3, 0.1, 0.1], method="lm")
         ours = np.concatenate([found.qpos[w] - begin.qpos[w], found.qvel[w] - begin.qvel[w]])
-        assert (misfit(ours) ** 2).sum() < 2 * best.cost + 0.1
+        assert (misfit(ours) ** 2).sum() < 1.001 * 2 * best.cost + 0.1
 
 
 def test_a_window_is_fitted_as_if_it_were_alone(windows):

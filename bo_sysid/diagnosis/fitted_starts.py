@@ -69,9 +69,19 @@ class FittedStarts:
         start: State,
         finer: int,
         still: int | None = None,
+        worth: float = 0.0,
     ) -> None:
-        """Begin at given starts; a coordinate of the velocity that is `still` keeps its value."""
-        self._problem, self._hypothesis = problem, hypothesis
+        """Begin at given starts.
+
+        Args:
+            problem: the windows.
+            hypothesis: simulates.
+            start: first starts.
+            finer: divides the time step.
+            still: a coordinate of the velocity that keeps its value.
+            worth: share of what a window leaves beyond noise, that a step must promise.
+        """
+        self._problem, self._hypothesis, self._worth = problem, hypothesis, worth
         self._finer, self.start, self._still = finer, start, still
         everything = np.arange(len(start))
         self.residual = self._residual(everything, start)
@@ -80,7 +90,8 @@ class FittedStarts:
 
     def tried(self, rows: Int[np.ndarray, " L"], start: State, still: int | None = None) -> None:
         """Fit some windows from other starts, and take what costs less."""
-        other = FittedStarts(self._problem.rows(rows), self._hypothesis, start, self._finer, still)
+        problem = self._problem.rows(rows)
+        other = FittedStarts(problem, self._hypothesis, start, self._finer, still, self._worth)
         other.fit()
         self._adopt(rows, other)
 
@@ -116,7 +127,7 @@ class FittedStarts:
         start = whole.windows.start
         for share in _GROWING:
             part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
-            other = FittedStarts(part, self._hypothesis, start, self._finer)
+            other = FittedStarts(part, self._hypothesis, start, self._finer, worth=self._worth)
             other.fit()
             start = other.start
         self._adopt(rows, other)
@@ -140,7 +151,8 @@ class FittedStarts:
             if fresh:
                 self._linearise(busy, first=not k)
             step, gain = self._step(busy)
-            wanted = gain >= _SETTLED
+            excess = self.cost[busy] - self._problem.count
+            wanted = gain >= np.maximum(_SETTLED, self._worth * excess)
             moved = self._search(busy[wanted], step[wanted])
             if not moved.size:
                 break

@@ -142,11 +142,11 @@ def _line_search(
     linear: Linear, hypothesis: Hypothesis, whole: Hypothesis, start: State
 ) -> tuple[Hypothesis, State, Float[np.ndarray, "W R"]]:
     """Return the best of some shares of a step, its starts and what it leaves."""
-    found = []
+    found, before = [], (linear.residual**2).sum()
     for share in _SHARES:
         x = tuple(a + share * (b - a) for a, b in zip(hypothesis.x, whole.x, strict=True))
         moved = replace(hypothesis, x=x)
         found.append((moved, *settle(linear.problem, linear, moved, start, _SETTLED, _SHARES)))
-        if share == 1.0 and (found[0][2] ** 2).sum() < _ENOUGH * (linear.residual**2).sum():
+        if (found[-1][2] ** 2).sum() < before:
             break
     return min(found, key=lambda f: float((f[2] ** 2).sum()))

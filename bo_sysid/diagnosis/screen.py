@@ -46,15 +46,13 @@ class Screen:
         problem = frame.problem
         held = [*candidates, *problem.nuisances]
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
-        left_out = [clean(fit) and c.effect.hidden and c not in fit.members for c in held]
-        S = np.zeros((*frame.Q.shape[:2], len(owner)), np.float32)
-        S[..., ~np.array(left_out)[owner]] = signatures(
-            frame, [c for c, out in zip(held, left_out, strict=True) if not out]
-        )
+        joints = [c for c in candidates if c.effect.hidden and c not in fit.members]
+        corrected = problem.correction is not None
+        S = np.zeros((*frame.Q.shape[:2], len(owner) + corrected), np.float32)
+        signatures(frame, held, left_out=joints if clean(fit) else (), out=S[..., : len(owner)])
         owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:
-            column = project(frame.Q, problem.correction).astype(np.float32)
-            S = np.concatenate([S, column[..., None]], axis=-1)
+            S[..., -1] = project(frame.Q, problem.correction)
             spent = fit.hypothesis.numerics in SHARE_BOUNDS
             owner = np.append(owner, _SPENT if spent else _NUISANCE)
         A = S.reshape(-1, S.shape[-1])

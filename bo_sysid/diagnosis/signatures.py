@@ -5,7 +5,7 @@ change of control, or the one-step difference of the edited model. Where it adds
 model of the same state tells of it, and its grid point is simulated.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,10 +21,31 @@ _BATCH = 24  # columns propagated at once
 _FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges
 
 
-def signatures(linear: Linear, candidates: Sequence[Candidate]) -> Float[np.ndarray, "W R p"]:
-    """Return the projected response to each magnitude of each candidate, per unit, in sigma."""
-    found = [_responses(linear, batch) for batch in _batches(candidates)]
-    return np.concatenate(found or [np.zeros((*linear.Q.shape[:2], 0), np.float32)], axis=-1)
+def signatures(
+    linear: Linear,
+    candidates: Sequence[Candidate],
+    *,
+    left_out: Collection[Candidate] = (),
+    out: Float[np.ndarray, "W R p"] | None = None,
+) -> Float[np.ndarray, "W R p"]:
+    """Return the projected response to each magnitude of each candidate, per unit, in sigma.
+
+    Args:
+        linear: the linear model.
+        candidates: what is added to its hypothesis.
+        left_out: candidates of which nothing is computed; theirs is zero.
+        out: where the responses are written; those of many windows are large.
+    """
+    if out is None:
+        count = sum(c.size for c in candidates)
+        out = np.zeros((*linear.Q.shape[:2], count), np.float32)
+    first = 0
+    for batch in _batches(candidates):
+        columns = _responses(linear, batch, left_out)
+        last = first + columns.shape[-1]
+        out[..., first:last] = columns
+        first = last
+    return out
 
 
 def _batches(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
@@ -39,12 +60,20 @@ def _batches(candidates: Sequence[Candidate]) -> Iterator[list[Candidate]]:
         yield batch
 
 
-def _responses(linear: Linear, candidates: Sequence[Candidate]) -> Float[np.ndarray, "W R p"]:
+def _responses(
+    linear: Linear, candidates: Sequence[Candidate], left_out: Collection[Candidate]
+) -> Float[np.ndarray, "W R p"]:
     """Return the projected responses to some candidates, from one propagation."""
-    forcing, shown = zip(*(_forcing(linear, c) for c in candidates), strict=True)
+    forcing, shown = zip(
+        *(_no_forcing(linear, c) if c in left_out else _forcing(linear, c) for c in candidates),
+        strict=True,
+    )
     response = linear.shown(linear.propagate(np.concatenate(forcing, axis=-1)))
-    response = project(linear.Q, response + np.concatenate(shown, axis=-1))
-    return np.asarray(np.clip(np.nan_to_num(response), -_FAR, _FAR), np.float32)
+    response += np.concatenate(shown, axis=-1)
+    response = project(linear.Q, response)
+    np.clip(response, -_FAR, _FAR, out=response)
+    response[np.isnan(response)] = 0.0
+    return response
 
 
 def response_to_forces(
@@ -60,11 +89,18 @@ def response_to_forces(
     return np.concatenate(parts, axis=-1)
 
 
+def _no_forcing(linear: Linear, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+    """Return the zeros of a candidate that is left out."""
+    W, M, n = len(linear.start), linear.macros, linear.A.shape[-1]
+    return (
+        np.zeros((W, M, n, candidate.size)),
+        np.zeros((W, linear.problem.count, candidate.size)),
+    )
+
+
 def _forcing(linear: Linear, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """Return what each magnitude adds in a macro step, and directly to the observations."""
-    W, M, n = len(linear.start), linear.macros, linear.A.shape[-1]
-    w = np.zeros((W, M, n, candidate.size))
-    shown = np.zeros((W, linear.problem.count, candidate.size))
+    w, shown = _no_forcing(linear, candidate)
     for i in range(candidate.size):
         x = np.zeros(candidate.size)
         x[i] = candidate.point[i]

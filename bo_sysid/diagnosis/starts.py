@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
+_WORTH = 1e-3  # of what a window leaves beyond noise, for which starts to judge by are moved
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
 
 
@@ -29,7 +30,7 @@ def estimated(
             noise: no small change of the start leads from one to the other.
     """
     first, *more = first_starts(problem, hypothesis, finer)
-    found = FittedStarts(problem, hypothesis, first, finer)
+    found = FittedStarts(problem, hypothesis, first, finer, worth=_WORTH)
     found.fit()
     for start in more:
         found.tried(np.arange(len(first)), start)

@@ -16,6 +16,7 @@ SHARE_BOUNDS = (-0.5, 2.0)  # of the correction: where the share that is shown m
 FINER = 4  # the discretisation is judged against a time step this many times smaller
 _DIVISIONS, _FINEST = (1, 2, 4, 8), 16  # the finest only where the error of the others is felt
 _SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in (*_DIVISIONS, _FINEST)}  # of the correction
+_CONTINUOUS = 1 / (1 - 1 / FINER)  # share of the correction that a continuous machine shows
 _LITTLE = 0.05  # of what a hypothesis leaves: an error as good as none
 _FELT = 0.3  # the same, from which forecasts are worse by a twentieth
 
@@ -49,7 +50,8 @@ def coarsened(hypothesis: Hypothesis, change: float, *, finest: bool = True) -> 
         change: what a step `FINER` times smaller changes, over what the hypothesis leaves.
         finest: whether the finest division is one, where the error of the others is felt.
     """
-    error = {n: abs(share - hypothesis.numerics) * change for n, share in _SHARES.items()}
+    shown = min(hypothesis.numerics, _CONTINUOUS)  # what is beyond no time step explains
+    error = {n: abs(share - shown) * change for n, share in _SHARES.items()}
     nearest = min(_DIVISIONS, key=error.__getitem__)
     if finest and error[nearest] > max(_FELT, error[_FINEST]):
         nearest = _FINEST
