@@ -57,12 +57,32 @@ class TestServo:
         model, _ = arm.edited("servo_kd", "actuator", "servo", [0.7])
         assert model.actuator_biasprm[0, 2] == pytest.approx(before - 0.7)
 
-    def test_an_encoder_that_scales_ends_where_its_reading_is_the_goal(self, servo) -> None:
+    @pytest.mark.parametrize("way", [(1, 0), (0, 0), (0, 1)])
+    def test_an_encoder_that_scales_ends_where_its_reading_is_the_goal(self, servo, way) -> None:
         arm = pendulum(servo)
-        model, readings = arm.edited("encoder_scale", "joint", "hinge", [0.1])
+        model, readings = arm.edited("encoder_scale", "joint", "hinge", [0.1, *way])
         model.opt.gravity[:] = 0
         assert 1.1 * rest(arm, model) == pytest.approx(GOAL, abs=1e-6)
         assert readings[0] == Reading("qpos.hinge", scale=0.1)
+
+
+@pytest.mark.parametrize(
+    ("way", "torque"),
+    [
+        ((1, 0), lambda kp, kd, u, q, v: kp * (u - 1.1 * q) - kd * 1.1 * v),
+        ((0, 0), lambda kp, kd, u, q, v: kp * (u - 1.1 * q) - kd * v),
+        ((0, 1), lambda kp, kd, u, q, v: kp * (u / 1.1 - q) - kd * v),
+    ],
+)
+def test_what_a_servo_takes_from_an_encoder_that_scales(way, torque) -> None:
+    arm = pendulum(SERVO)
+    bias, joint = arm.machine.actuators["servo"].bias, arm.machine.joints["hinge"]
+    model, _ = arm.edited("encoder_scale", "joint", "hinge", [0.1, *way])
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[joint.dof], data.ctrl[0] = 0.3, -0.7, 0.5
+    mujoco.mj_forward(model, data)
+    expected = torque(-bias[1], -bias[2], 0.5, 0.3, -0.7)
+    assert data.actuator_force[0] == pytest.approx(expected)
 
 
 def test_an_encoder_offset_shifts_the_goal_along() -> None:

@@ -238,7 +238,7 @@ def _details(
     shown = 0 if c.effect.vector > 1 else 1
     for i in range(shown, len(full)):
         fitted, last = i < c.size, i == len(full) - 1
-        optional = c.bendable and not fitted and (last or not c.extent.grid)
+        optional = not fitted and ((c.bendable and last) or not c.extent.grid)
         if optional and full[i] == c.extent.probe[i]:
             continue  # as it usually is
         component = c.effect.components[i]

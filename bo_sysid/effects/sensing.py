@@ -21,6 +21,8 @@ from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
+_SCALE = 0.02
+_SAME, _POSITION, _GOAL = (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)  # what a servo takes from an encoder
 _MOST_DELAY = 0.06
 
 
@@ -53,11 +55,25 @@ def encoder_offset(
     return (Reading(f"qpos.{site.name}", offset=shift), *filters)
 
 
+def _scaled_extent(site: Site, machine: Machine) -> Extent:
+    """In a servo's loop, where the rate may come from elsewhere and the goal scale instead."""
+    servos = [a for a in machine.actuators.values() if a.joint == site.name and a.servo]
+    ways = [_SAME, _GOAL] if servos else []
+    ways += [_POSITION] if any(a.bias[2] for a in servos) else []
+    grid = tuple((_SCALE, *way) for way in ways)
+    return Extent((_SCALE, *_SAME), (-0.9, -1e-9, -1e-9), (3.0, 1.0, 1.0), grid)
+
+
 @effect(
     "encoder_scale",
     kind="joint",
-    components=(Component("change", "relative"),),
-    extent=lambda site, machine: Extent((0.02,), (-0.9,), (3.0,)),
+    components=(
+        Component("change", "relative"),
+        Component("servo's rate as well", "–"),
+        Component("servo's goal instead", "–"),
+    ),
+    shapes=2,
+    extent=_scaled_extent,
     noun="an encoder scale",
     sentence="The encoder of {site} reads {value} too much of every angle.",
     form="reading; a servo's bias scales along",
@@ -71,14 +87,19 @@ def encoder_scale(
 ) -> tuple[Part, ...]:
     """The encoder reads 1 + x[0] times the joint's position, and its rate as much.
 
-    A servo compares its goal with what it reads: its bias scales, which is as if goal and gain did.
+    A servo compares its goal u with what it reads, kp (u - (1 + s) q) - kd (1 + s) q'. Not all take
+    the rate from the encoder: with x[1] = 0 its factor stays 1. With x[2] = 1 the goal is brought
+    to the joint's own scale instead, kp (u / (1 + s) - q) - kd q'.
     """
-    scale = float(x[0])
+    scale, rate, goal = 1.0 + float(x[0]), 1.0 + float(x[0] * x[1]), float(x[2])
     for actuator in machine.actuators.values():
         if actuator.joint == site.name and actuator.servo:
             a = with_own_bias(spec, actuator.name, machine)
-            a.biasprm[1:3] = np.asarray(a.biasprm[1:3]) * (1.0 + scale)
-    return tuple(Reading(f"{kind}.{site.name}", scale=scale) for kind in ("qpos", "qvel"))
+            if goal:
+                a.gainprm[0] /= scale
+            else:
+                a.biasprm[1:3] = np.asarray(a.biasprm[1:3]) * (scale, rate)
+    return tuple(Reading(f"{kind}.{site.name}", scale=float(x[0])) for kind in ("qpos", "qvel"))
 
 
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:
