@@ -1,7 +1,7 @@
 """What a diagnosis is made from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bo_sysid.diagnosis.driven import driven
 from bo_sysid.diagnosis.hypothesis import (
@@ -52,6 +52,12 @@ class Evidence:
     window: float
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...] = ()
+
+    @property
+    def rigid(self) -> "Evidence":
+        """The same without candidates that add a joint."""
+        held = tuple(c for c in self.candidates if not c.effect.hidden)
+        return replace(self, candidates=held)
 
 
 def _window(machine: Machine) -> float:

@@ -9,7 +9,7 @@ from bo_sysid.diagnosis.final import compare, final_fits
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.lengths import LEAST, stable, tractable, windows_of
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
-from bo_sysid.diagnosis.rules import ROUGH, clean, lost
+from bo_sysid.diagnosis.rules import ROUGH, clean, follows, lost
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
 from bo_sysid.diagnosis.windowing import Prepared, in_contact, prepare
@@ -43,7 +43,35 @@ class Located:
 
 
 def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) -> Located:
-    """Find the set of effects that explains the training recordings."""
+    """Find the set of effects that explains the training recordings.
+
+    Far from them no set with a joint that it added is an answer (`follows`): where one leads, it is
+    looked for without such joints.
+    """
+    found = _searched(evidence, tell)
+    if follows(found.search.best):
+        tell(f"without added joints: {_said(found.search.best)}")
+        evidence = evidence.rigid
+        found = _searched(evidence, tell)
+    located = _decided(evidence, found, tell)
+    if follows(located.decision.best):
+        tell(f"without added joints: {_said(located.decision.best)}")
+        evidence = evidence.rigid
+        located = _decided(evidence, _searched(evidence, tell), tell)
+    return located
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """A search that has come to full windows, of so many instants, and its time step."""
+
+    search: Search
+    horizon: int
+    step: float
+
+
+def _searched(evidence: Evidence, tell: Callable[[str], None]) -> _Searched:
+    """Search in windows that grow."""
     horizon = max(round(evidence.window / evidence.machine.sampling), LEAST)
     step = evidence.machine.model.opt.timestep
     horizon = stable(evidence, horizon, step)
@@ -58,6 +86,12 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
         search, length = _lengthened(evidence, search, length, horizon, step)
         search, step = _explored(evidence, search, length, step, rounds=3)
         tell(f"windows of {length} instants: {_said(search.best)}")
+    return _Searched(search, horizon, step)
+
+
+def _decided(evidence: Evidence, found: _Searched, tell: Callable[[str], None]) -> Located:
+    """Fit the leading sets on all windows, and decide between them."""
+    search, horizon, step = found.search, found.horizon, found.step
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)

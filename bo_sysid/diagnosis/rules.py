@@ -175,6 +175,15 @@ def lost(fit: Fit, nominal: Fit) -> bool:
     return fit.rms > ROUGH and fit.excess > _LOST * nominal.excess
 
 
+def follows(fit: Fit) -> bool:
+    """Whether a fit has a joint that it added, and is far from the recordings.
+
+    Such a joint begins in each window where that fits best: soft or loose enough, it follows
+    whatever else is missing, and what it explains of that says nothing.
+    """
+    return fit.rms > ROUGH and any(c.effect.hidden for c in fit.members)
+
+
 def ranked(fits: Iterable[Fit], prior: Prior) -> list[Fit]:
     """Return fits by the criterion, best first."""
     held = list(fits)

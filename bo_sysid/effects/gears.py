@@ -20,7 +20,8 @@ from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.strip import stripped
 
 _GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
-_SOFT = (0.003, 0.02, 0.1, 0.4)  # of that spread, by which the typical force bends a joint
+_SOFT = (0.003, 0.02, 0.1)  # of that spread, by which the typical force bends a joint
+_MOST_SOFT = 0.2  # the same, at most: what gives way further is no gear, and follows any motion
 _LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
@@ -143,7 +144,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent(
         (_GAPS[0] * joint.spread, tight, _EVENLY, _RATIO, sides[0]),
         (0.0, 0.0, 0.0, 0.0, -1e-9),
-        (joint.spread, _SOFT[-1] * most, 1.0, 1.0, 1.0),
+        (joint.spread, _MOST_SOFT * most, 1.0, 1.0, 1.0),
         tuple((gap * joint.spread, tight, _EVENLY, _RATIO, side) for gap, side in points),
         tuple(
             (gap * joint.spread, soft * most, _EVENLY, _RATIO, side)
@@ -222,7 +223,7 @@ def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent(
         (_SOFT[0] * most, _LAG, _EVENLY, sides[0]),
         (0.0, 0.0, 0.0, -1e-9),
-        (most, _LONGEST, 1.0, 1.0),
+        (_MOST_SOFT * most, _LONGEST, 1.0, 1.0),
         tuple((soft * most, _LAG, _EVENLY, side) for side in sides for soft in _SOFT),
     )
 
