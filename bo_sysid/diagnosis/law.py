@@ -21,7 +21,6 @@ _RIDGE = 1e-8  # on names, in a step of theirs beside a law: only so that it can
 _ROUNDS = 8
 _SHARES = (1.0, 0.5, 0.2)  # of a step that are tried
 _SETTLED = 3  # steps of the starts after each
-_ENOUGH = 0.5  # of what was left: the whole step will do
 _LITTLE = 3e-3  # of what was left, to go on for
 
 
@@ -141,12 +140,15 @@ def _step(
 def _line_search(
     linear: Linear, hypothesis: Hypothesis, whole: Hypothesis, start: State
 ) -> tuple[Hypothesis, State, Float[np.ndarray, "W R"]]:
-    """Return the best of some shares of a step, its starts and what it leaves."""
-    found, before = [], (linear.residual**2).sum()
+    """Return the largest share of a step that leaves less, its starts and what it leaves.
+
+    The smallest where none does.
+    """
+    before = (linear.residual**2).sum()
     for share in _SHARES:
         x = tuple(a + share * (b - a) for a, b in zip(hypothesis.x, whole.x, strict=True))
         moved = replace(hypothesis, x=x)
-        found.append((moved, *settle(linear.problem, linear, moved, start, _SETTLED, _SHARES)))
-        if (found[-1][2] ** 2).sum() < before:
+        begin, r = settle(linear.problem, linear, moved, start, _SETTLED, _SHARES)
+        if (r**2).sum() < before:
             break
-    return min(found, key=lambda f: float((f[2] ** 2).sum()))
+    return moved, begin, r
