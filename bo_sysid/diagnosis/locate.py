@@ -48,50 +48,16 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     Far from them no set with a joint that it added is an answer (`follows`): where one leads, it is
     looked for without such joints.
     """
-    found = _searched(evidence, tell)
-    if follows(found.search.best):
-        tell(f"without added joints: {_said(found.search.best)}")
-        evidence = evidence.rigid
-        found = _searched(evidence, tell)
-    located = _decided(evidence, found, tell)
+    located = _located(evidence, tell)
     if follows(located.decision.best):
         tell(f"without added joints: {_said(located.decision.best)}")
-        evidence = evidence.rigid
-        located = _decided(evidence, _searched(evidence, tell), tell)
+        located = _located(evidence.rigid, tell)
     return located
 
 
-@dataclass(frozen=True)
-class _Searched:
-    """A search that has come to full windows, of so many instants, and its time step."""
-
-    search: Search
-    horizon: int
-    step: float
-
-
-def _searched(evidence: Evidence, tell: Callable[[str], None]) -> _Searched:
-    """Search in windows that grow."""
-    horizon = max(round(evidence.window / evidence.machine.sampling), LEAST)
-    step = evidence.machine.model.opt.timestep
-    horizon = stable(evidence, horizon, step)
-    prepared, length = tractable(evidence, horizon, step)
-    if length == horizon or in_contact(prepared.problem):
-        prepared, step = _short_enough(evidence, prepared, length, step)
-    search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
-    tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
-    search, step = _explored(evidence, search, length, step)
-    while length < horizon:
-        step = _step_for(search, search.best, step)
-        search, length = _lengthened(evidence, search, length, horizon, step)
-        search, step = _explored(evidence, search, length, step, rounds=3)
-        tell(f"windows of {length} instants: {_said(search.best)}")
-    return _Searched(search, horizon, step)
-
-
-def _decided(evidence: Evidence, found: _Searched, tell: Callable[[str], None]) -> Located:
-    """Fit the leading sets on all windows, and decide between them."""
-    search, horizon, step = found.search, found.horizon, found.step
+def _located(evidence: Evidence, tell: Callable[[str], None]) -> Located:
+    """Search in windows that grow, fit the leading sets on all of them, and decide."""
+    search, horizon, step = _searched(evidence, tell)
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
@@ -107,6 +73,25 @@ def _decided(evidence: Evidence, found: _Searched, tell: Callable[[str], None]) 
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
+
+
+def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, int, float]:
+    """Search in windows that grow; return their full length in instants and the time step."""
+    horizon = max(round(evidence.window / evidence.machine.sampling), LEAST)
+    step = evidence.machine.model.opt.timestep
+    horizon = stable(evidence, horizon, step)
+    prepared, length = tractable(evidence, horizon, step)
+    if length == horizon or in_contact(prepared.problem):
+        prepared, step = _short_enough(evidence, prepared, length, step)
+    search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
+    tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
+    search, step = _explored(evidence, search, length, step)
+    while length < horizon:
+        step = _step_for(search, search.best, step)
+        search, length = _lengthened(evidence, search, length, horizon, step)
+        search, step = _explored(evidence, search, length, step, rounds=3)
+        tell(f"windows of {length} instants: {_said(search.best)}")
+    return search, horizon, step
 
 
 def _short_enough(
