@@ -75,7 +75,7 @@ def _scaled_extent(site: Site, machine: Machine) -> Extent:
     shapes=2,
     extent=_scaled_extent,
     noun="an encoder scale",
-    sentence="The encoder of {site} reads {value} too much of every angle.",
+    sentence="The encoder of {site} reads {value} too much of every position.",
     form="reading; a servo's bias scales along",
     evidence="gravity and the other links act as at another posture, more so far from zero",
     separation="two known postures",
