@@ -96,6 +96,8 @@ def true_magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]
             return value, details["coulomb"], details["speed"], details["presliding"]
         case "load_dependent_friction":
             return value, details["presliding"]
+        case "encoder_scale":
+            return value, 0.0, 0.0  # a servo's rate is not the encoder's
         case "joint_spring":
             return value, value * details["rest angle"]
         case "cogging":
