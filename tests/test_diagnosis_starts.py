@@ -53,6 +53,7 @@ def test_starts_are_the_least_squares_ones(windows):
 
         best = least_squares(misfit, np.zeros(4), x_scale=[1e-3, 1e-3, 0.1, 0.1], method="lm")
         ours = np.concatenate([found.qpos[w] - begin.qpos[w], found.qvel[w] - begin.qvel[w]])
+        # starts to judge by are not moved for less than a thousandth of what a window leaves
         assert (misfit(ours) ** 2).sum() < 1.001 * 2 * best.cost + 0.1
 
 

@@ -21,7 +21,7 @@ from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
-_SCALE = 0.02
+_SCALE = 0.02  # relative: a probe
 _SAME, _POSITION, _GOAL = (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)  # what a servo takes from an encoder
 _MOST_DELAY = 0.06
 
@@ -56,7 +56,7 @@ def encoder_offset(
 
 
 def _scaled_extent(site: Site, machine: Machine) -> Extent:
-    """In a servo's loop, where the rate may come from elsewhere and the goal scale instead."""
+    """Bounds, with the ways in which a servo on the joint may take what the encoder reads."""
     servos = [a for a in machine.actuators.values() if a.joint == site.name and a.servo]
     ways = [_SAME, _GOAL] if servos else []
     ways += [_POSITION] if any(a.bias[2] for a in servos) else []
@@ -76,7 +76,7 @@ def _scaled_extent(site: Site, machine: Machine) -> Extent:
     extent=_scaled_extent,
     noun="an encoder scale",
     sentence="The encoder of {site} reads {value} too much of every position.",
-    form="reading; a servo's bias scales along",
+    form="reading; a servo's bias or goal scales along",
     evidence="gravity and the other links act as at another posture, more so far from zero",
     separation="two known postures",
     family="sensing",
