@@ -49,8 +49,9 @@ def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) 
     looked for without such joints.
     """
     located = _located(evidence, tell)
-    if follows(located.decision.best):
-        tell(f"without added joints: {_said(located.decision.best)}")
+    leading = located.search.best  # which may not be what is answered: its members must be needed
+    if follows(leading) or follows(located.decision.best):
+        tell(f"without added joints: {_said(leading)}")
         located = _located(evidence.rigid, tell)
     return located
 

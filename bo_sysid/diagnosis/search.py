@@ -149,13 +149,17 @@ class Search:
 
         The response to the starts changes with the set there, and a set that is not fitted to its
         end makes those that contain it look needed. It is much the same for sets that leave as much
-        as the one at which the model was linearised.
+        as the one at which the model was linearised, but not where a set adds a spring that swings:
+        of that a model without it knows nothing.
         """
-        if abs(fit.rms / self._framed - 1) < _ALIKE:
+        springy = any(c.effect.hidden for c in fit.members)
+        springy = springy and not self.prepared.problem.loose(fit.hypothesis)
+        if abs(fit.rms / self._framed - 1) < _ALIKE and not springy:
             return fit
         for _ in range(_AFRESH):
-            far = fit.rms > ROUGH and (not fit.members or fit.rms < _HOPEFUL * self.least)
-            if not far or not fit.hypothesis.free:
+            far = fit.rms > ROUGH or (springy and not clean(fit))
+            hopeful = not fit.members or fit.rms < _HOPEFUL * self.least
+            if not (far and hopeful and fit.hypothesis.free):
                 break
             made = self._at_itself(fit, fit.start, labels, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
