@@ -173,20 +173,27 @@ def test_what_adds_nothing_to_a_simpler_effect_does_not_stand_for_it(machine) ->
     assert decided(fit((), 5.0, seed=3), friction, stribeck).best is friction
 
 
-@pytest.mark.parametrize(("unique", "named"), [(0.15, True), (0.05, False)])
+@pytest.mark.parametrize(
+    ("unique", "own", "named", "beside"),
+    [(0.15, 0.5, True, True), (0.05, 0.5, False, True), (0.05, 0.05, False, False)],
+)
 def test_a_richer_effect_that_is_asked_for_but_too_small_stands_beside_the_plain_one(
-    machine, unique: float, named: bool
+    machine, unique: float, own: float, named: bool, beside: bool
 ) -> None:
     friction = fit((candidate(machine, "dry_friction", "elbow"),), 1.01)
+    stribeck = fit((candidate(machine, "stribeck_friction", "elbow"),), 1.0, unique=unique)
+    (magnitudes,) = stribeck.hypothesis.x
     stribeck = replace(
-        fit((candidate(machine, "stribeck_friction", "elbow"),), 1.0, unique=unique),
+        stribeck,
+        hypothesis=replace(stribeck.hypothesis, x=(magnitudes * np.array([own, 1.0]),)),
         jacobian=np.zeros((2, DOF // 2, 2)),
         covariance=np.eye(2),
     )
     decision = decided(fit((), 5.0, seed=3), friction, stribeck)  # alike but for little
     assert decision.best is (stribeck if named else friction)
-    assert decision.equivalents == ((friction,) if named else ())
-    assert decision.probability[0] == pytest.approx(0.5 if named else 1.0, abs=1e-3)
+    other = friction if named else stribeck
+    assert decision.equivalents == ((other,) if beside else ())
+    assert decision.probability[0] == pytest.approx(0.5 if beside else 1.0, abs=1e-3)
 
 
 def test_far_from_the_recordings_a_richer_effect_does_not_stand_beside_the_plain_one(

@@ -21,6 +21,7 @@ from bo_sysid.diagnosis.rules import (
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
 # what they leave is far above the sensors' noise
+_TRIFLE = 0.1  # of what a richer effect holds, that it has of its own
 _NEARLY = 0.5  # of the size that a member must have, for a set that stands for the best
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
@@ -55,7 +56,8 @@ def decide(
     one of two nearly true models. Only sets whose every member is needed are admitted, and those
     that stand for the best of them as well as it does itself. Where recordings that are nearly
     explained ask for a richer effect in the place of one of the best, but with less than a name
-    needs, that is answered, the plain one being as probable.
+    needs, that is answered, the plain one being as probable. Where it is less than half of that the
+    plain one is answered, and a richer one that says something else is as probable.
     """
     able = [f for f in fits if np.isfinite(f.cv.sum())]
     kappa = inflation(fits)
@@ -72,10 +74,12 @@ def decide(
     best, score = _scored(held, best, kappa, prior)
     score = _levelled(held, score, best, prior, Q, dof)
     plain = best = held[int(np.argmax(score))]
-    richer = [f for f in nearly if f not in held and _is_richer(f, plain, cost)]
-    if richer:
-        best = min(richer, key=cost)
-        held, score = [best, *held], np.concatenate([[score.max()], score])
+    richer = [f for f in able if f not in held and _is_richer(f, plain, cost)]
+    asked = [f for f in richer if f in nearly]
+    beside = min(asked or [f for f in richer if _says_more(f)], key=cost, default=None)
+    if beside is not None:
+        best = beside if asked else plain
+        held, score = [beside, *held], np.concatenate([[score.max()], score])
     order = np.argsort(-score, kind="stable")
     weight = np.exp(score - score.max())
     held = [held[i] for i in order]
@@ -84,7 +88,7 @@ def decide(
         f
         for k, f in enumerate(held[: _MOST_EQUIVALENT + 1])
         if f is not best
-        and (f is plain or _equivalent(f, best, float(score[0] - score[k]), Q, dof))
+        and (f in (plain, beside) or _equivalent(f, best, float(score[0] - score[k]), Q, dof))
     ]
     return Decision(best, nominal, tuple(held), weight, tuple(near))
 
@@ -109,6 +113,15 @@ def _is_richer(fit: Fit, best: Fit, cost: Callable[[Fit], float]) -> bool:
     plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
     instead = bool(plainer) and plainer == own - held
     return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - _BAND
+
+
+def _says_more(fit: Fit) -> bool:
+    """Whether what a richer effect has of its own is more than a trifle of what it holds.
+
+    That is a tenth, in units of the magnitudes: what the time step does to friction is less.
+    """
+    held = [(np.abs(x / c.probe), c) for c, x in zip(fit.members, fit.x, strict=True)]
+    return any(c.effect.nested and x[0] > _TRIFLE * x[1:].max() for x, c in held)
 
 
 def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:

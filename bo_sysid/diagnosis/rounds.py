@@ -35,6 +35,7 @@ def round_at(search: Search, base: Fit) -> None:
     simplify(search, base)
     if not clean(base):
         vary(search, base)
+        enrich(search, base)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -57,6 +58,7 @@ def _first(search: Search, screen: Screen) -> None:
     _run(search, alone(found.get(1, [])), _TOP[1], None)
     if not clean(search.best):
         vary(search, search.best)
+        enrich(search, search.best)
     for size in (1, 2, 3):
         if search.least**2 - 1 <= CLEAN:
             return
@@ -202,19 +204,31 @@ def vary(search: Search, base: Fit) -> None:
 
 
 def enrich(search: Search, base: Fit) -> None:
-    """Fit a set with the effect that holds a simpler one, where that bends: bent alike.
+    """Fit a set with each effect that holds a simpler one, in its place, and bent alike.
 
-    One that does not bend never comes near, however much the recordings ask for it.
+    What a friction would do is far from linear at one of another size, so that no linear estimate
+    proposes it. One that does not bend never comes near, where that of the set does. Where a member
+    is such an effect itself, with its other shapes: from one of them none may lead to another.
     """
-    for k, c in enumerate(base.members):
-        if not c.bent:
-            continue
-        richer = [d for d in search.candidates if (d.effect.nested, d.site.name) == c.key]
-        for d in [d for d in richer if d.bendable and not d.bent]:
-            bent = search.known(d.with_shapes(np.array([*d.shapes[:-1], c.shapes[-1]])))
-            members = (*base.members[:k], bent, *base.members[k + 1 :])
-            x = (*base.x[:k], np.concatenate([[0.0], base.x[k]]), *base.x[k + 1 :])
-            search.fit(members, x, start=base.start, guess=base.hypothesis, again=True)
+    for k, c in ((unit[0], base.members[unit[0]]) for unit in units_of(base) if len(unit) == 1):
+        for d in _richer(search, c):
+            shapes = np.array([*d.shapes[:-1], c.shapes[-1]]) if c.bent else d.shapes
+            members = (*base.members[:k], d.with_shapes(shapes), *base.members[k + 1 :])
+            if subsets.clashes(members) or set_key(members) in search.fits:
+                continue
+            known = [search.known(m) for m in members]
+            own = base.x[k] if d.key == c.key else np.concatenate([[0.0], base.x[k]])
+            x = (*base.x[:k], own, *base.x[k + 1 :])
+            search.fit(known, x, start=base.start, guess=base.hypothesis, again=True)
+
+
+def _richer(search: Search, c: Candidate) -> list[Candidate]:
+    """Return the points of the grids of effects that hold another one, or are that themselves."""
+    listed = [d for d in search.candidates if tuple(d.point) in d.extent.grid and not d.secant]
+    holding = [d for d in listed if (d.effect.nested, d.site.name) == c.key]
+    return holding or [
+        d for d in listed if d.key == c.key and d.effect.nested and d.size < len(d.point)
+    ]
 
 
 def _other_shapes(c: Candidate) -> list[np.ndarray]:
