@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -21,8 +22,21 @@ from bo_sysid.runs import atomic, plain, versions
 RESULTS = Path(__file__).parent / "results"
 
 
+def _tree() -> str | None:
+    """Return the commit that is checked out; None outside a repository."""
+    command = ["git", "-C", str(RESULTS.parent), "rev-parse", "--short", "HEAD"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return found.stdout.strip()
+
+
+_TREE = _tree()  # at the start: a later commit is not what computes
+
+
 class Cases:
-    """The finished cases of a benchmark by key, one JSON object a line.
+    """The finished cases of a benchmark by key, one JSON object a line with the tree that met it.
 
     Args:
         name: of the benchmark.
@@ -51,7 +65,8 @@ class Cases:
             print(f"  {key}: {time.perf_counter() - started:.1f} s", flush=True)
             self._path.parent.mkdir(exist_ok=True)
             with open(self._path, "a") as file:
-                file.write(json.dumps({"key": key, "value": self._done[key]}) + "\n")
+                entry = {"key": key, "tree": _TREE, "value": self._done[key]}
+                file.write(json.dumps(entry) + "\n")
         return self._done[key]
 
 
