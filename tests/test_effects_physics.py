@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 from effect_bench import MOTOR, SERVO, SLIDE, Bench, G, pendulum, period
+from effect_machines import case
 
-from bo_sysid.effects import CATALOGUE, Hidden, Site
+from bo_sysid.effects import CATALOGUE, Hidden, Site, applicable
 from bo_sysid.effects.bristles import bristled
 from bo_sysid.simulation.lockstep import LawInputs
 
@@ -276,3 +277,9 @@ class TestInertia:
         np.testing.assert_array_equal(
             model.body("rod").inertia, rod.machine.model.body("rod").inertia
         )
+
+    @pytest.mark.parametrize("id", ["com_shift", "link_inertia"])
+    def test_how_a_mass_is_spread_is_felt_only_where_it_turns(self, id) -> None:
+        cart = case("cart-pole").machine
+        assert [s.name for s in applicable(CATALOGUE[id], cart)] == ["pole"]
+        assert len(applicable(CATALOGUE["payload"], cart)) == 2

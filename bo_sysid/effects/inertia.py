@@ -104,7 +104,20 @@ def link_mass(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) 
     scale_mass(spec, site.name, 1.0 + float(x[0]) / machine.bodies[site.name].mass)
 
 
-def _shift_extent(site: Site, machine: Machine) -> Extent:
+def _turns(body: str, model: mujoco.MjModel) -> bool:
+    """Whether a joint turns a body: of one that only slides no more than the mass is felt."""
+    i = model.body(body).id
+    while i:
+        first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+        if (model.jnt_type[first : first + count] != int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
+            return True
+        i = int(model.body_parentid[i])
+    return False
+
+
+def _shift_extent(site: Site, machine: Machine) -> Extent | None:
+    if not _turns(site.name, machine.model):
+        return None
     size = max(float(np.linalg.norm(machine.bodies[site.name].tip)), _SMALL)
     return Extent((0.02 * size,) * 3, (-size,) * 3, (size,) * 3)
 
@@ -132,11 +145,15 @@ def com_shift(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) 
     body.ipos = np.asarray(body.ipos) + x
 
 
+def _inertia_extent(site: Site, machine: Machine) -> Extent | None:
+    return Extent((0.05,), (-0.95,), (5.0,)) if _turns(site.name, machine.model) else None
+
+
 @effect(
     "link_inertia",
     kind="body",
     components=(Component("change", "relative"),),
-    extent=lambda site, machine: Extent((0.05,), (-0.95,), (5.0,)),
+    extent=_inertia_extent,
     noun="rotational inertia",
     sentence="The rotational inertia of {site} differs from the model's by {value}.",
     form="inertial",
