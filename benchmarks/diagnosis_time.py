@@ -19,16 +19,17 @@ from bo_sysid import Study, diagnose
 from bo_sysid.effects import survey
 
 RUNS = 3
-DURATION = {"two_link_arm": 20.0, "six_servos": 60.0}  # [s]
-_SIGMA, _SHARE = 5e-4, 0.05  # [rad] of noise; friction over the joint's typical force
+MACHINES = {"two_link_arm": (20.0, 0.05), "six_servos": (60.0, 0.5)}
+"""Length of the recording in [s], friction over the joint's typical force."""
+_SIGMA = 5e-4  # [rad] of noise
 
 
-def study_of(rig: str, duration: float, folder: Path) -> Study:
+def study_of(rig: str, duration: float, share: float, folder: Path) -> Study:
     """Return a study of a machine whose elbow rubs, its recordings written to a folder."""
     model = load(rig)
     nominal = simulate(model, RIGS[rig], None, (), seed=1, duration=10.0, sigma=_SIGMA)
     machine = survey(model.compile(), [nominal])
-    level = _SHARE * machine.joints["elbow"].force
+    level = share * machine.joints["elbow"].force
     truth = [Planted("dry_friction", "joint", "elbow", (level,))]
     for name, seed, seconds in (("train", 2, duration), ("holdout", 3, 8.0)):
         made = simulate(model, RIGS[rig], machine, truth, seed=seed, duration=seconds, sigma=_SIGMA)
@@ -40,11 +41,11 @@ def study_of(rig: str, duration: float, folder: Path) -> Study:
     return Study.load(folder / "study.yaml")
 
 
-def timed(rig: str, duration: float, runs: int) -> dict[str, object]:
+def timed(rig: str, duration: float, share: float, runs: int) -> dict[str, object]:
     """Return the seconds of some diagnoses, and what was found."""
     seconds = []
     with tempfile.TemporaryDirectory() as folder:
-        study = study_of(rig, duration, Path(folder))
+        study = study_of(rig, duration, share, Path(folder))
         for _ in range(runs):
             started = time.perf_counter()
             result = diagnose(study)
@@ -55,7 +56,7 @@ def timed(rig: str, duration: float, runs: int) -> dict[str, object]:
 
 
 def run(quick: bool, cases: Cases) -> dict[str, object]:
-    return {rig: timed(rig, s, 1 if quick else RUNS) for rig, s in DURATION.items()}
+    return {rig: timed(rig, *how, 1 if quick else RUNS) for rig, how in MACHINES.items()}
 
 
 if __name__ == "__main__":
