@@ -5,7 +5,7 @@ PYTHON ?= python3
 PIP_ARGS ?=
 BIN := .venv/bin
 READY := .venv/.ready
-BENCHMARKS := engine emps recovery check excite diagnosis concealed real peers trpo learn learn_effect belief \
+BENCHMARKS := engine emps recovery check excite diagnosis diagnosis_time concealed real peers trpo learn learn_effect belief \
 	selection
 
 .PHONY: setup demo test lint bench
