@@ -201,12 +201,17 @@ def geared_servo(gap: float, stiffness: float, seed: int, duration: float) -> Re
     return Recording.from_arrays(time, qpos={"hinge": shown}, ctrl={"hinge": goal})
 
 
-def test_play_in_a_loop_that_is_closed_at_the_link_is_named() -> None:
+def servo_joint(mass: float) -> Model:
+    """Return the model of `geared_servo` without its gear: a thin rod of 1 kg, or one that is off."""
     motor = '<motor name="hinge" joint="hinge" ctrlrange="-4 4"/>'
     rod = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"'
-    thin = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.002" mass="1"'
+    thin = f'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.002" mass="{mass}"'
     servo = '<position name="hinge" joint="hinge" kp="8" kv="0.4"/>'
-    model = Model.from_xml(JOINT.replace(motor, servo).replace(rod, thin))
+    return Model.from_xml(JOINT.replace(motor, servo).replace(rod, thin))
+
+
+def test_play_in_a_loop_that_is_closed_at_the_link_is_named() -> None:
+    model = servo_joint(1.0)
     recording, noise = geared_servo(0.008, 60.0, 3, 3.0), {"qpos": SIGMA}
     effects = [CATALOGUE[e] for e in ("backlash", "viscous_damping")]
     found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
@@ -219,11 +224,7 @@ def test_play_in_a_loop_that_is_closed_at_the_link_is_named() -> None:
 
 def test_a_set_with_a_soft_gear_is_fitted_to_its_end() -> None:
     """Linearised without the gear, of which a start knows nothing, it ended far from the noise."""
-    motor = '<motor name="hinge" joint="hinge" ctrlrange="-4 4"/>'
-    rod = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"'
-    light = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.002" mass="0.9"'
-    servo = '<position name="hinge" joint="hinge" kp="8" kv="0.4"/>'
-    model = Model.from_xml(JOINT.replace(motor, servo).replace(rod, light))
+    model = servo_joint(0.9)
     recording, noise = geared_servo(0.0, 60.0, 3, 4.0), {"qpos": SIGMA}
     effects = [CATALOGUE[e] for e in ("joint_compliance", "link_mass")]
     evidence = make_evidence(model, [recording], effects=effects, noise=noise, threads=1)
