@@ -202,7 +202,7 @@ def geared_servo(gap: float, stiffness: float, seed: int, duration: float) -> Re
 
 
 def servo_joint(mass: float) -> Model:
-    """Return the model of `geared_servo` without its gear: a thin rod of 1 kg, or one that is off."""
+    """Return the model of `geared_servo` without its gear; its thin rod has 1 kg."""
     motor = '<motor name="hinge" joint="hinge" ctrlrange="-4 4"/>'
     rod = 'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"'
     thin = f'type="capsule" fromto="0 0 0 0 0 -0.4" size="0.002" mass="{mass}"'
