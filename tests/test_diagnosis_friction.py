@@ -137,6 +137,20 @@ def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> N
     assert grown == pytest.approx(np.mean(change), rel=0.5, abs=1e-5)
 
 
+def test_a_speed_of_friction_that_the_recordings_do_not_tell_stays_where_it_is() -> None:
+    missing = [("dry_friction", "joint", "shoulder", [0.1])]
+    problem, machine = posed(record(missing, duration=5.0), horizon=150)
+    known = candidates([CATALOGUE["stribeck_friction"]], machine)
+    search = Search.on(prepare(problem), list(known), 1, None)
+    explore(search)
+    speeds = [f.members[0].shapes[0] for f in search.fits.values() if f.members]
+    sharpened(search)
+    (friction,) = search.best.members
+    assert friction.effect.id == "stribeck_friction"
+    points = np.concatenate([speeds, [c.shapes[0] for c in known]])
+    assert np.isclose(friction.shapes[0], points, rtol=1e-9).any()
+
+
 def test_stribeck_friction_that_bends_is_no_dry_friction() -> None:
     """Bent dry friction comes nearer than Stribeck friction that does not bend."""
     missing = [("stribeck_friction", "joint", "shoulder", [0.08, 0.1, 0.15, 8e-4])]

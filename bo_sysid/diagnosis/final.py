@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.linear import Linear
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.refit import FINAL, refit
+from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.rounds import substitute, vary
 from bo_sysid.diagnosis.rules import admissible, clean, lost, ranked
 from bo_sysid.diagnosis.search import Search
@@ -42,13 +42,19 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
     for f in chosen:
         if f.members:
-            begin = leader if f is order[0] else f
-            final.listed(
-                final.fit(begin.members, begin.x, guess=begin.hypothesis, again=True, effort=FINAL)
-            )
+            _fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
     _bent_anew(final)
     _straightened(final)
     return final
+
+
+def _fitted_on_all(final: Search, fit: Fit, far: bool) -> None:
+    """Fit a set on all windows; to the end only where it may lead there."""
+    for effort in (Effort(), FINAL) if far else (FINAL,):
+        made = final.fit(fit.members, fit.x, guess=fit.hypothesis, again=True, effort=effort)
+        if made.rms > _FAR * final.least:
+            break
+    final.listed(made)
 
 
 def compare(final: Search) -> None:

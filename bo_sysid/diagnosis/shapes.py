@@ -6,7 +6,7 @@ magnitudes' own covariance says.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -27,9 +27,12 @@ _BENT = 1.8  # times a bend of bristles that is fitted
 _SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
 _SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
+_UNIFORM = 12.0  # the square of a range over the variance of what is uniform in it
 _PROBE = 0.03  # of the range of a shape, for its column
 _RESHAPINGS, _WORTH = 3, 1e-3  # steps on the shapes; share of the squares one must gain
+_HOPED = 0.1  # times that, which a step must promise
 _HALVINGS = 2
+_UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
 
 Place = tuple[int, int]
 """A member of a fit, and one of its shapes."""
@@ -82,7 +85,13 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
 
 
 def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
-    """Minimise the residual over one shape of a member; the best fit is kept."""
+    """Minimise the residual over one shape of a member; the best fit is kept.
+
+    A shape that the recordings do not tell (the speed of friction that does not fall) stays.
+    """
+    told = _profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
+    if told.covariance[0, 0] > _UNTOLD * (bounds[1] - bounds[0]) ** 2 / _UNIFORM:
+        return fit
     best, sharp = fit, _SMOOTH if fit.members[at[0]].bendable else _SHARP
 
     def rss(value: float) -> float:
@@ -113,8 +122,10 @@ def reshaped(linear: Linear, fit: Fit) -> Fit:
         bounds = _places(fit, linear.problem.machine)
         if not bounds:
             break
-        step = _profile(linear.problem, linear.Q, fit, bounds)[0]
-        before, fit = fit, _stepped(linear, fit, bounds, step)
+        told = _profile(linear.problem, linear.Q, fit, bounds)
+        if told.gain < _HOPED * _WORTH * fit.rss:
+            break
+        before, fit = fit, _stepped(linear, fit, bounds, told.step)
         if fit.rss > (1 - _WORTH) * before.rss:
             break
     return fit
@@ -151,7 +162,8 @@ def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
     bounds = _places(fit, problem.machine)
     if not bounds:
         return fit
-    _, V, K = _profile(problem, Q, fit, bounds)
+    told = _profile(problem, Q, fit, bounds)
+    V, K = told.covariance, told.following
     deviations = dict(zip(bounds, np.sqrt(np.diag(V)), strict=True))
     spread = tuple(
         np.array([deviations.get((k, i), 0.0) for i in range(len(c.shapes))])
@@ -160,13 +172,30 @@ def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
     return replace(fit, covariance=fit.covariance + K @ V @ K.T, spread=spread)
 
 
+@dataclass(frozen=True)
+class _Profile:
+    """What the recordings say of the shapes of a fit, whose magnitudes follow.
+
+    Attributes:
+        step: the Gauss-Newton step of the shapes.
+        gain: of the squared residual, that the step promises.
+        covariance: V of the shapes.
+        following: K, how the magnitudes give way to the shapes.
+    """
+
+    step: Float[np.ndarray, " s"]
+    gain: float
+    covariance: Float[np.ndarray, "s s"]
+    following: Float[np.ndarray, "p s"]
+
+
 def _profile(
     problem: Problem,
     Q: Float[np.ndarray, "W R k"],
     fit: Fit,
     bounds: Mapping[Place, tuple[float, float]],
-) -> tuple[Float[np.ndarray, " s"], Float[np.ndarray, "s s"], Float[np.ndarray, "p s"]]:
-    """Return the Gauss-Newton step of the shapes, their covariance V, and K.
+) -> _Profile:
+    """Return what the recordings say of some shapes.
 
     Before the recordings are seen a shape is uniform within its bounds.
     """
@@ -175,12 +204,14 @@ def _profile(
     C = project(Q, _columns(problem, fit, bounds)) * width
     A = S.reshape(-1, S.shape[-1])
     K = np.linalg.lstsq(A, C.reshape(-1, len(width)), rcond=1e-10)[0]
-    G, g, _ = by_block(C - S @ K, project(Q, fit.residual), problem.block)
+    blocks, g, _ = by_block(C - S @ K, project(Q, fit.residual), problem.block)
+    G, gradient = blocks.sum(axis=0), g.sum(axis=0)
     variance = max(fit.rms, 1.0) ** 2
-    prior = 12.0 * variance
-    V = sandwich(G.sum(axis=0), g, variance, prior) * np.outer(width, width)
-    known = G.sum(axis=0) + prior * np.eye(len(width))
-    return np.linalg.solve(known, g.sum(axis=0)) * width, V, K / width
+    prior = _UNIFORM * variance
+    V = sandwich(G, g, variance, prior) * np.outer(width, width)
+    step = np.linalg.solve(G + prior * np.eye(len(width)), gradient)
+    gain = float(step @ (2.0 * gradient - G @ step))
+    return _Profile(step * width, gain, V, K / width)
 
 
 def _columns(
