@@ -8,8 +8,9 @@ from diagnosis_helpers import arm, candidate, posed, record
 from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import assess, sandwich
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.refit import FINAL, Effort, refit
@@ -181,6 +182,14 @@ def test_an_effect_is_found_beside_a_parameter_that_is_at_its_bound() -> None:
     assert [c.key for c in best.members] == [("viscous_damping", "elbow")]
     whole = best.x[0][0] + best.hypothesis.nuisance_x[0][0]
     assert whole == pytest.approx(0.05, rel=0.03)
+    edits, _ = edits_and_parts(replace(best.hypothesis, members=(), x=()), evidence.machine)
+    fitted = replace(evidence.machine, model=arm().compile(edits))
+    (finding,) = findings(best, evidence.machine, 1.0, (), fitted)
+    repaired = arm().compile(edits_and_parts(best.hypothesis, evidence.machine)[0])
+    assert finding.after == pytest.approx(repaired.joint("elbow").damping[0])
+    assert finding.before == arm().compile().joint("elbow").damping[0]
+    told = float(finding.sentence.split(" is ")[1].split(" ±")[0])
+    assert told == pytest.approx(finding.after, abs=1e-3)
 
 
 def test_a_magnitude_that_acts_in_second_order_does_not_hold_up_the_others() -> None:

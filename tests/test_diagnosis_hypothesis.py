@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import arm, posed, record
+from diagnosis_helpers import SIGMA, arm, posed, record
 from effect_machines import case
 
 from bo_sysid.diagnosis.evidence import make_evidence
@@ -16,6 +16,9 @@ from bo_sysid.diagnosis.timestep import coarsened, finer_step
 from bo_sysid.effects import CATALOGUE, Extent, Force, Reading, catalogue, load_effects
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Channel
+from bo_sysid.simulation import Controller
 
 MINE = Path(__file__).parent.parent / "studies" / "effects" / "my_effect.py"
 
@@ -77,6 +80,43 @@ def test_the_repaired_model_has_the_step_at_which_it_was_fitted(
     write_model(arm(), machine, Hypothesis(numerics=numerics), tmp_path, timestep=own / halved)
     written = mujoco.MjModel.from_xml_path(str(tmp_path / MODEL))
     assert written.opt.timestep == pytest.approx(own / division)
+
+
+@pytest.mark.parametrize(("effect", "lost"), [("command_rate", 0.98), ("actuator_delay", 0.6)])
+def test_a_filter_is_read_as_it_was_written_at_a_finer_step(
+    tmp_path, effect: str, lost: float
+) -> None:
+    """A rate is told from the recorded ones by the step; a delay is shorter than the step."""
+    _, machine = posed(record(duration=2.0))
+    step = machine.model.opt.timestep
+    late = next(c for c in candidates([CATALOGUE[effect]], machine) if c.site.name == "elbow")
+    x = np.array([lost * (late.high[0] if effect == "command_rate" else step)])
+    own = Hypothesis((late,), (x,), numerics=1.0)  # which a quarter of the step shows
+    write_model(arm(), machine, own, tmp_path, timestep=step)
+    repaired = Model.from_file(tmp_path / MODEL)
+    assert repaired.compile().opt.timestep == pytest.approx(step / 4)
+    (read,) = read_beside(tmp_path / BESIDE, repaired.compile()).parts(repaired)
+    (made,) = late.parts(arm().spec(), x, machine)
+    time = np.arange(0.0, 1.0, 0.01)
+    command = Channel(time, np.sign(np.sin(20 * time)), "", "", "zero")
+    shown, expected = (p.change(command, step / 4).at(time + step / 4) for p in (read, made))
+    np.testing.assert_allclose(shown, expected)
+    assert np.abs(shown - command.at(time + step / 4)).max() > 0.1 * np.ptp(command.values)
+
+
+def test_effects_on_a_control_that_a_law_makes_are_not_looked_for() -> None:
+    recorded = record(duration=2.0)
+    law = Controller("elbow", lambda inputs: 0.1 * np.sin(5 * inputs.time))
+    names = ("actuator_delay", "actuator_deadzone", "actuator_gain")
+    made = make_evidence(
+        arm(), [recorded], effects=[CATALOGUE[n] for n in names], noise={"qpos": SIGMA},
+        threads=1, laws=[law],
+    )  # fmt: skip
+    found = {c.key for c in made.candidates}
+    assert found == {
+        ("actuator_delay", "shoulder"), ("actuator_deadzone", "shoulder"),
+        ("actuator_gain", "shoulder"), ("actuator_gain", "elbow"),
+    }  # fmt: skip
 
 
 def test_a_force_of_a_users_own_is_written_beside_the_model(tmp_path) -> None:

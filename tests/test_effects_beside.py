@@ -4,6 +4,7 @@ import importlib.util
 import json
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -137,7 +138,7 @@ def test_several_readings_of_a_channel_are_undone_together(machine) -> None:
 
 
 def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:
-    (tmp_path / "other.json").write_text('{"version": 2}')
+    (tmp_path / "other.json").write_text('{"version": 3}')
     with pytest.raises(ModelError, match=r"other.json: is no file of what stands beside a model"):
         read_beside(tmp_path / "other.json", arm().compile())
     wrong = Beside(machine, (Placed("dry_fricton", ELBOW, (0.1,)),))
@@ -214,8 +215,14 @@ def test_the_module_beside_the_model_steps_it(repaired) -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     simulation = module.load()
-    simulation.data.qpos[:] = (0.0, 0.25)
+    data, own = simulation.data, 0.3
+    data.qpos[:] = (0.0, 0.25)
+    data.qfrc_applied[1] = own
     simulation.step()
     expected = magnet(np.array([0.25]))[0]
-    assert simulation.data.qfrc_applied[1] == pytest.approx(expected, abs=0.015)
+    inverse = mujoco.MjData(simulation.model)  # the force that the step's acceleration needs
+    inverse.qpos[:], inverse.qacc[:] = (0.0, 0.25), data.qacc
+    mujoco.mj_inverse(simulation.model, inverse)
+    assert inverse.qfrc_inverse[1] == pytest.approx(expected + own, abs=0.015)
     assert abs(expected) > SIGMA
+    assert data.qfrc_applied[1] == own

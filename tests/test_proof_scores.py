@@ -85,7 +85,8 @@ def test_the_first_alternative_counts_among_the_first_two():
         finding("viscous_damping", "elbow", p=0.6),
         alternatives=[
             ([entry("viscous_damping", "elbow")], 0.6),
-            ([entry("dry_friction", "elbow")], 0.3),
+            ([{**entry("unknown", "world"), "kind": "world"}], 0.3),  # none of these is no set
+            ([entry("dry_friction", "elbow")], 0.1),
         ],
     )
     marks = mark(truth(DRY), told)

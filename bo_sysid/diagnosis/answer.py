@@ -100,6 +100,7 @@ def make_answer(
     experiment: Experiment | None = None,
     *,
     doubtful: bool = False,
+    fitted: Machine | None = None,
 ) -> Answer:
     """Freeze a decision into an answer, with what to record next.
 
@@ -107,17 +108,29 @@ def make_answer(
     that stays unexplained: in contact, where they were wrong more often than their fits say, and
     where `hints` says why.
 
-    Names that a learned law replaces are no findings; their set stays among the alternatives.
+    Names that a learned law replaces, or that recordings disagree on, are no findings. Where others
+    of their set stay, these have its probability; where none does, it is among the alternatives.
+
+    Args:
+        decision: between sets.
+        outcome: what is kept of it.
+        machine: the nominal model.
+        experiment: what to record next.
+        doubtful: whether something says that names are less sure than their fits.
+        fitted: the machine with the model in which only the study's parameters were fitted, the
+            nominal one where left out.
     """
     best, kept = decision.best, outcome.fit
     none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
     posterior = (1.0 - none_of_these) * decision.probability
-    probability = float(posterior[decision.fits.index(best)])
-    found = findings(kept, machine, probability, _equivalents(decision, kept, machine))
+    answered = {best.key, kept.key} if kept.members else {kept.key}
+    shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))
+    probability = float(sum(shares.get(key, 0.0) for key in answered))
+    found = findings(kept, machine, probability, _equivalents(decision, kept, machine), fitted)
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)
-        if f.key != kept.key
+        if f.key not in answered
     ]
     likely = [a for a in alternatives[_FEW:] if a["probability"] >= _LISTED]
     stranger = {"findings": [_STRANGER], "probability": none_of_these}

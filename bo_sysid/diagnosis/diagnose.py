@@ -1,6 +1,6 @@
 """The diagnosis: where a simulation differs from recordings, which physics it lacks, the repair."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,13 @@ from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.explain import Outcome, explain
 from bo_sysid.diagnosis.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.holdout import Holdout, judge
+from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, study_text, write_model
+from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, write_model
+from bo_sysid.diagnosis.repaired_study import study_text
 from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, parameters_sentence, sets
 from bo_sysid.diagnosis.windowing import in_contact
-from bo_sysid.effects import chosen
+from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run, plain
@@ -141,7 +143,10 @@ def diagnose(
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
     unsure = contact or doubtful(located.decision.best, evidence.machine)
-    answer = make_answer(located.decision, outcome, evidence.machine, experiment, doubtful=unsure)
+    answer = make_answer(
+        located.decision, outcome, evidence.machine, experiment,
+        doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),
+    )  # fmt: skip
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
@@ -165,6 +170,13 @@ def diagnose(
         _pictures(run, result)
     tell(result.verdict)
     return result
+
+
+def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
+    """Return the machine with the model in which only the study's parameters were fitted."""
+    own = replace(hypothesis, members=(), x=())
+    edits, _ = edits_and_parts(own, evidence.machine)
+    return replace(evidence.machine, model=evidence.model.compile(edits))
 
 
 def _pictures(run: Run, result: Diagnosis) -> None:

@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.hypothesis import (
     parameter_candidates,
 )
 from bo_sysid.diagnosis.scales import channel_noise
-from bo_sysid.effects import CATALOGUE, Effect, Machine, survey
+from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.touching import can_touch
@@ -104,12 +104,30 @@ def make_evidence(
         tuple(recordings),
         channel_noise(recordings, machine, noise or {}),
         parameter_candidates(model, parameters),
-        _possible(model, machine, candidates(wanted, machine), known),
+        _possible(model, machine, _felt(model, machine, candidates(wanted, machine), laws), known),
         most,
         _window(machine),
         Engine(threads),
         tuple(laws),
     )
+
+
+def _felt(
+    model: Model,
+    machine: Machine,
+    all_of: Sequence[Candidate],
+    laws: Sequence[Controller | ForceLaw],
+) -> tuple[Candidate, ...]:
+    """Return the candidates without those that change a control which a law of the study makes."""
+    made = {w.actuator for w in laws if isinstance(w, Controller)}
+    if not made:
+        return tuple(all_of)
+
+    def changes(c: Candidate) -> bool:
+        parts = c.parts(model.spec(), c.point[: c.size], machine)
+        return any(isinstance(p, Filter) and p.actuator in made for p in parts)
+
+    return tuple(c for c in all_of if not changes(c))
 
 
 def _possible(

@@ -182,7 +182,8 @@ def _motions(problem: Problem) -> Iterator[tuple[str, Float[np.ndarray, "T nu"]]
     yield "a sweep from slow to fast", middle + half * np.sin(sweep[:, None] + phase)
     square = np.sign(np.sin(2 * np.pi * _MIDDLE * (1 + 0.13 * phase) * time[:, None] + phase))
     yield "steps back and forth", middle + 0.7 * half * square
-    if (low < 0).all() and (high > 0).all():
+    servos = any(a.servo for a in problem.machine.actuators.values())  # zero is a place to go to
+    if (low < 0).all() and (high > 0).all() and not servos:
         yield "a release from where it began, with all commands at zero", 0.0 * square
 
 

@@ -21,6 +21,10 @@ _OPPOSITE = {  # what a sentence says instead of a negative value
 }
 
 
+_UNSPOKEN = ("relative", "fraction", "fraction of the load torque", "coefficient", "–")
+"""Units of pure numbers, which sentences say otherwise."""
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A number with its 95 % interval."""
@@ -40,7 +44,7 @@ class Finding:
         site: name of the site.
         quantity: the change that is added to the nominal model.
         before: the quantity in the nominal model.
-        after: the quantity in the repaired model.
+        after: the quantity in the repaired model, the study's parameters fitted.
         details: further components by name.
         group: id of the effect that was found on several sites at once, None otherwise.
         probability: of the set that the finding belongs to.
@@ -98,8 +102,19 @@ def findings(
     machine: Machine,
     probability: float,
     equivalents: tuple[tuple[Mapping[str, object], ...], ...],
+    fitted: Machine | None = None,
 ) -> tuple[Finding, ...]:
-    """Return the findings of a fit."""
+    """Return the findings of a fit.
+
+    Args:
+        fit: of the set that is answered.
+        machine: with the nominal model.
+        probability: of the set.
+        equivalents: other sets that the recordings do not tell from it.
+        fitted: with the model that the effects are added to, in which the study's parameters were
+            fitted; the nominal one where left out.
+    """
+    fitted = fitted or machine
     found, slices = [], slices_of(fit.members)
     unsure = fit.spread or tuple(np.zeros(len(c.shapes)) for c in fit.members)
     terms = zip(
@@ -107,6 +122,7 @@ def findings(
     )
     for candidate, x, quantity, label, spread, own in terms:
         before = candidate.effect.nominal(candidate.site, machine)
+        begun = candidate.effect.nominal(candidate.site, fitted)
         found.append(
             Finding(
                 candidate.effect.id,
@@ -114,12 +130,12 @@ def findings(
                 candidate.site.name,
                 quantity,
                 before,
-                quantity.value if candidate.effect.absolute else before + quantity.value,
-                _details(candidate, x, fit.covariance[own, own], spread, machine),
+                quantity.value if candidate.effect.absolute else begun + quantity.value,
+                _details(candidate, x, fit.covariance[own, own], spread, fitted),
                 _group_words(label, candidate, fit),
                 probability,
                 equivalents,
-                sentence(candidate, quantity, before),
+                sentence(candidate, quantity, before, begun),
                 tuple(float(v) for v in candidate.full(x)),
             )
         )
@@ -139,20 +155,23 @@ def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
     )
 
 
-def sentence(candidate: Candidate, quantity: Quantity, before: float) -> str:
-    """Return a finding in words: what, where, how much, how sure."""
-    site = spoken(candidate.site)
-    if before and candidate.effect.kind == "joint":
-        now = _amount(
-            Quantity(
-                before + quantity.value,
-                quantity.unit,
-                (before + quantity.interval[0], before + quantity.interval[1]),
-            )
-        )
-        text = f"{candidate.effect.noun} at {site} is {now}, not {before:.4g} as in the model."
+def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: float) -> str:
+    """Return a finding in words: what, where, how much, how sure.
+
+    Args:
+        candidate: what was found.
+        quantity: by how much it changes the model.
+        before: what the nominal model has.
+        begun: what the model has that it is added to.
+    """
+    effect, site = candidate.effect, spoken(candidate.site)
+    if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
+        low, high = quantity.interval
+        whole = Quantity(begun + quantity.value, quantity.unit, (begun + low, begun + high))
+        now = _amount(whole)
+        text = f"{effect.noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
-        text = candidate.effect.sentence
+        text = effect.sentence
         for said, opposite in _OPPOSITE.items():
             if said in text and quantity.value < 0:
                 text, quantity = text.replace(said, opposite), _negated(quantity)
@@ -180,15 +199,15 @@ def spoken(site: Site) -> str:
 def _amount(quantity: Quantity) -> str:
     """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
     half = 0.5 * (quantity.interval[1] - quantity.interval[0])
+    spoken_unit = "" if quantity.unit in _UNSPOKEN else f" {quantity.unit}"
     if half <= 0 or not np.isfinite(half):
-        return f"{quantity.value:.4g} {quantity.unit}".strip()
+        return f"{quantity.value:.4g}{spoken_unit}"
     exponent = int(np.floor(np.log10(half)))
     digits = max(-exponent + (1 if half / 10.0**exponent < 2 else 0), 0)
-    unit = "" if quantity.unit == "relative" else f" {quantity.unit}"
     if quantity.unit == "relative":
         digits = max(digits - 2, 0)
         return f"{100 * quantity.value:+.{digits}f} ± {100 * half:.{digits}f} %"
-    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{unit}"
+    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{spoken_unit}"
 
 
 def _value(

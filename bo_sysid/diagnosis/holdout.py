@@ -72,8 +72,8 @@ class Holdout:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
         refitted = self.parameters and nominal > (1 + _ALIKE) * before  # they do some of it
-        verb = "falls" if after < (1 - _ALIKE) * max(nominal, before) else "goes"
-        first = _figure(nominal if refitted else before)
+        told = nominal if refitted else before
+        verb, first = "falls" if after < (1 - _ALIKE) * told else "goes", _figure(told)
         if refitted and after != before:
             first += f" ({_figure(before)} with the study's parameters fitted)"
         text = (

@@ -1,37 +1,21 @@
-"""The repaired model, and the study on which `identify` and `learn` go on with it."""
+"""The repaired model's file, and what stands beside it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-import yaml
 
-from bo_sysid.diagnosis.findings import Finding
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
-from bo_sysid.effects.beside import Beside, LearnedLaw, Placed
-from bo_sysid.effects.friction import BEND
+from bo_sysid.effects.beside import Beside, LearnedLaw, Placed, beside_a_file
 from bo_sysid.mjcf import Model
 from bo_sysid.runs import atomic
-from bo_sysid.study import Study
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
 BESIDE, MODULE = "model_repaired.json", "model_repaired.py"
-
-_ADDRESS = {
-    "dry_friction": "joint[{site}].frictionloss",
-    "viscous_damping": "joint[{site}].damping",
-    "quadratic_damping": "joint[{site}].damping[1]",
-    "armature": "joint[{site}].armature",
-    "link_mass": "body[{site}].mass",
-    "payload": "body[{site}_payload].mass",
-    "contact_friction": "geom[{site}].friction[0]",
-}
-_BRISTLES = tuple(f"actuator[{{site}}_friction].biasprm[{k}]" for k in (3, 4))  # at speed, at rest
 
 
 @dataclass(frozen=True)
@@ -111,7 +95,7 @@ def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
             laws += _learned(model, machine, c, x)
             continue
         remaining = c.effect.write(model.spec(), c.site, c.full(x), machine)
-        if any(isinstance(p, Force | Filter | Reading) for p in remaining):
+        if beside_a_file(remaining):
             effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
     return Beside(machine, tuple(effects), tuple(laws))
 
@@ -125,56 +109,6 @@ def _learned(model: Model, machine: Machine, c: Candidate, x: np.ndarray) -> lis
 
 def _scale_step(spec: mujoco.MjSpec, share: float) -> None:
     spec.option.timestep = spec.option.timestep * share
-
-
-def study_text(
-    study: Study,
-    found: Sequence[Finding],
-    folder: Path,
-    written: Written,
-) -> str:
-    """Return the study that goes on with the repaired model: findings become parameters.
-
-    What was written beside the model is named, after what stood beside the model before, and the
-    joints that were added, which nothing measures.
-    """
-    data: dict[str, Any] = study.resolved(relative_to=folder)
-    data["name"] = f"{study.name}, repaired"
-    beside = list(data["model"].get("beside", ()))
-    if written.beside:
-        beside.append(BESIDE)
-    data["model"] = {"file": MODEL, **({"beside": beside} if beside else {})}
-    if written.unrecorded or study.model.unrecorded:
-        data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
-    known = {a for p in data.get("parameters", ()) for a in _list(p["address"])}
-    for f in found:
-        address = [a.format(site=f.site) for a in _addresses(f)]
-        if not address or not known.isdisjoint(address):
-            continue
-        low, high = f.quantity.interval
-        width = max(high - low, 0.02 * abs(f.after), 1e-9)
-        least = max(f.after - 3 * width, 0.0)
-        data.setdefault("parameters", []).append(
-            {
-                "name": f"{f.effect.replace('_', ' ')} of {f.site}",
-                "address": address[0] if len(address) == 1 else address,
-                "low": float(least),
-                "high": float(f.after + 3 * width),
-                "unit": f.quantity.unit,
-            }
-        )
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
-
-
-def _addresses(finding: Finding) -> tuple[str, ...]:
-    """Return where the repaired model has a finding, by `{site}`; () where at no address."""
-    if finding.effect == "dry_friction" and any(finding.x[BEND:]):
-        return _BRISTLES
-    return (_ADDRESS[finding.effect],) if finding.effect in _ADDRESS else ()
-
-
-def _list(value: Any) -> list[Any]:
-    return list(value) if isinstance(value, list | tuple) else [value]
 
 
 def _words(parts: Sequence[Part]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Effect, Filter, Force, Part, Site
+from bo_sysid.effects.contract import Effect, Filter, Force, Part, Reading, Site
 from bo_sysid.effects.learned import features, learned_force
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.effects.readings import readings
@@ -24,7 +24,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import atomic
 
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,10 @@ class Beside:
                 f"{self.source}: {effect.id} at {site} has {len(placed.x)} magnitudes; it needs "
                 + ", ".join(c.name for c in effect.components)
             )
-        return effect.write(spec, site, np.array(placed.x), self.machine)
+        x = np.array(placed.x)
+        remaining = beside_a_file(effect.write(spec, site, x, self.machine))
+        # with the file's step, finer than the one it was written for, nothing may seem to remain
+        return remaining or effect.parts(spec, site, x, self.machine)
 
     def _force(self, law: LearnedLaw) -> Force:
         joint = self._known("joint", law.joint, self.machine.joints)
@@ -123,6 +126,7 @@ class Beside:
             "machine": {
                 **{name: {k: asdict(v) for k, v in getattr(m, name).items()} for name in _TABLES},
                 "channels": list(m.channels),
+                "timestep": m.timestep,
                 "sampling": m.sampling,
                 "duration": m.duration,
             },
@@ -159,8 +163,8 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
             for name, made in _TABLES.items()
         }
         machine = Machine(
-            model=model, channels=tuple(told["channels"]), sampling=float(told["sampling"]),
-            duration=float(told["duration"]), **tables,
+            model=model, timestep=float(told["timestep"]), channels=tuple(told["channels"]),
+            sampling=float(told["sampling"]), duration=float(told["duration"]), **tables,
         )  # fmt: skip
         effects = tuple(
             Placed(e["effect"], Site(e["kind"], e["site"]), tuple(map(float, e["x"])))
@@ -180,6 +184,11 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
             f"({type(error).__name__}: {error})"
         ) from None
     return Beside(machine, effects, laws, str(path))
+
+
+def beside_a_file(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Return the parts that a model file cannot say."""
+    return tuple(p for p in parts if isinstance(p, Force | Filter | Reading))
 
 
 def _scale(made: Callable[..., Any], told: Mapping[str, Any]) -> Any:

@@ -120,7 +120,7 @@ def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: M
 
 def _fastest(site: Site, machine: Machine) -> float:
     """Return the rate at which the largest recorded change of the control takes one step."""
-    return actuator_at(site, machine).jumps[0] / float(machine.model.opt.timestep)
+    return actuator_at(site, machine).jumps[0] / machine.timestep
 
 
 def _rate_extent(site: Site, machine: Machine) -> Extent | None:

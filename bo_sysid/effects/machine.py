@@ -119,17 +119,19 @@ class Machine:
     """The nominal model with the scales of its sites.
 
     Attributes:
-        model: the compiled nominal model.
+        model: the compiled model, nominal or with edits that sites and magnitudes do not depend on.
+        timestep: of the nominal model in [s].
         joints: hinge and slide joints by name.
         actuators: actuators by name.
         bodies: moving bodies with mass by name.
         channels: names of the channels that all recordings have and the model predicts.
         sampling: median sampling interval of the recordings in [s].
-        duration: length of all recordings in [s].
+        duration: length of the longest recording in [s].
         scales: of every channel that all recordings have, by name.
     """
 
     model: mujoco.MjModel
+    timestep: float
     joints: Mapping[str, JointScale]
     actuators: Mapping[str, ActuatorScale]
     bodies: Mapping[str, BodyScale]

@@ -14,6 +14,7 @@ _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, 2, 3, 4, 6, 8, 12)  # of cogging in the range of a slide
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
+_NO_SPRING = 1e-3  # of the springs that make it up: a sum that rests nowhere
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
 
 
@@ -49,7 +50,14 @@ def _spring_extent(site: Site, machine: Machine) -> Extent:
 
 
 def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
-    return {"rest angle": (float(x[1] / x[0]), "rad")} if x[0] else {}
+    """Return where the joint's whole spring rests, the model's with it: k q = k₀ q₀ + x[1]."""
+    own = _stiffness(site, machine)
+    joint = machine.model.joint(site.name)
+    stiffness = own + float(x[0])
+    if abs(stiffness) <= _NO_SPRING * (abs(own) + abs(float(x[0]))):
+        return {}
+    begun = own * float(machine.model.qpos_spring[joint.qposadr[0]])
+    return {"rest angle": ((begun + float(x[1])) / stiffness, "rad")}
 
 
 @effect(

@@ -59,12 +59,13 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     scales = _scales(recordings, joints)
     return Machine(
         model,
+        float(model.opt.timestep),
         MappingProxyType(joints),
         MappingProxyType(actuators),
         MappingProxyType(bodies),
         tuple(n for n in scales if n in known),
         float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
-        float(sum(r.span[1] - r.span[0] for r in recordings)),
+        float(max((r.span[1] - r.span[0] for r in recordings), default=0.0)),
         MappingProxyType(scales),
     )
 

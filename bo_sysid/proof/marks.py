@@ -135,7 +135,11 @@ def forecast_errors(told: Mapping[str, Any]) -> dict[str, float]:
 def _set_marks(
     concealed: Named, found: Named, classes: Sequence[Named], told: Mapping[str, Any]
 ) -> dict[str, Any]:
-    alternatives = [named(a["findings"]) for a in told.get("alternatives", ())]
+    others = [a["findings"] for a in told.get("alternatives", ())]
+    strange = [bool(a) and all(f["effect"] == "unknown" for f in a) for a in others]
+    alternatives = [
+        named(a) for a, none_of_these in zip(others, strange, strict=True) if not none_of_these
+    ]
     second = next((a for a in alternatives if a != found), None)
     size = class_size(told["findings"])
     allowed = frozenset().union(*classes) if size <= MOST_IN_CLASS else found

@@ -80,8 +80,9 @@ def _oracle(
     done = set(kept)
     outcomes = map_jobs(_oracle_of, jobs, engine=engine, done=done)
     for step, outcome in enumerate(outcomes, len(done) + 1):
-        kept[outcome.key] = None if outcome.error else outcome.result
-        run.write_json(_ORACLE, kept)
+        if not outcome.error:  # what died is computed again by the next call
+            kept[outcome.key] = outcome.result
+            run.write_json(_ORACLE, kept)
         progress(Progress(step, len(jobs), f"oracle {outcome.key}"))
     return {name: float("nan") if e is None else float(e) for name, e in kept.items()}
 

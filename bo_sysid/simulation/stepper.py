@@ -18,8 +18,9 @@ _MEMORY = 2.0  # [s] of commands that filters look back on
 class Stepper:
     """Steps an `MjData` as `mj_step` does, with forces on joints and filters on its controls.
 
-    Filters that look back see what was in `data.ctrl` at the last steps. Forces that read recorded
-    channels cannot be stepped here.
+    Forces of the laws come on top of `data.qfrc_applied`, which stays as it was set. Filters that
+    look back see what was in `data.ctrl` at the last steps. Forces that read recorded channels
+    cannot be stepped here.
 
     Args:
         model: path of the model file.
@@ -46,7 +47,7 @@ class Stepper:
         m, d = self.model, self.data
         if self._lockstep is None or (self._time and d.time <= self._time[-1]):
             self._restart()
-        commanded = d.ctrl.copy()
+        commanded, applied = d.ctrl.copy(), d.qfrc_applied.copy()
         self._remember(commanded)
         for f in self._filters:
             i = m.actuator(f.actuator).id
@@ -57,8 +58,9 @@ class Stepper:
         assert self._lockstep is not None  # noqa: S101 - made above
         self._signals[ELAPSED][0, 0] = d.time
         self._lockstep.apply(0)
+        d.qfrc_applied[:] += applied
         mujoco.mj_step(m, d)
-        d.ctrl[:] = commanded
+        d.ctrl[:], d.qfrc_applied[:] = commanded, applied
 
     def _restart(self) -> None:
         """Forget the past: the simulation was reset."""

@@ -1,0 +1,73 @@
+"""The study that goes on with a repaired model, beside parameters that the study had."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from diagnosis_helpers import ARM, arm, record
+
+from bo_sysid.diagnosis.findings import Finding, Quantity
+from bo_sysid.diagnosis.repaired import MODEL, Written
+from bo_sysid.diagnosis.repaired_study import study_text
+from bo_sysid.mjcf import parameter_edits
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
+
+FOUND = Finding(
+    "viscous_damping", "joint", "elbow", Quantity(0.3, "N m s/rad", (0.29, 0.31)), 0.0, 0.3,
+    {}, None, 0.98, (), "", (0.3,),
+)  # fmt: skip
+
+
+def repaired(folder: Path, *parameters: dict[str, object]) -> list[dict[str, object]]:
+    """Return the parameters of the repaired study of an arm whose elbow is damped."""
+    write_recording(record(duration=1.0), folder / "train.parquet")
+    content = {
+        "version": 1, "name": "arm", "model": str(ARM), "recordings": {"train": ["train.parquet"]},
+        "parameters": list(parameters),
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(content))
+    arm().export(folder / MODEL)
+    text = study_text(Study.load(folder / "study.yaml"), [FOUND], folder, Written((), {}))
+    (folder / "repaired.yaml").write_text(text)
+    study = Study.load(folder / "repaired.yaml")
+    model = load_model(study)
+    held = study.parameter_set(model)
+    parameter_edits(model, held, [p.high for p in held])  # no two share a number
+    return [
+        {"address": p.addresses, "holds": p.low <= FOUND.after <= p.high, "low": p.low}
+        for p in held
+    ]
+
+
+def test_a_finding_becomes_a_parameter(tmp_path: Path) -> None:
+    (made,) = repaired(tmp_path)
+    assert made["address"] == ("joint[elbow].damping",)
+    assert made["holds"]
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_a_parameter_at_the_same_number_holds_the_repaired_value(
+    tmp_path: Path, each: bool
+) -> None:
+    address = "joint[*].damping" if each else "joint[elbow].damping"
+    made = repaired(tmp_path, {"address": address, "low": 0.01, "high": 0.1, "each": each})
+    assert len(made) == (2 if each else 1)
+    own = next(p for p in made if "joint[elbow].damping" in p["address"])
+    assert own["holds"]
+    assert own["low"] == 0.01  # what the study asks for is still in it
+
+
+def test_the_number_of_a_finding_leaves_a_tied_parameter(tmp_path: Path) -> None:
+    tied, own = repaired(tmp_path, {"address": "joint[*].damping", "low": 0.01, "high": 0.1})
+    assert tied["address"] == ("joint[shoulder].damping",)
+    assert not tied["holds"]
+    assert own["address"] == ("joint[elbow].damping",)
+    assert own["holds"]
+
+
+def test_a_parameter_that_scales_the_model_scales_what_was_repaired(tmp_path: Path) -> None:
+    scale = {"address": "joint[elbow].damping", "low": 0.5, "high": 2.0, "apply": "scale"}
+    (made,) = repaired(tmp_path, scale)
+    assert (made["address"], made["low"]) == (("joint[elbow].damping",), 0.5)

@@ -1,0 +1,74 @@
+"""What is said of an effect that the nominal model has, too."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.diagnosis.findings import Quantity, sentence
+from bo_sysid.diagnosis.hypothesis import candidates
+from bo_sysid.effects import CATALOGUE, Machine, Site, survey
+from bo_sysid.effects.contract import Effect
+from bo_sysid.recording import Recording
+
+PENDULUM = """<mujoco><worldbody><body name="bob" gravcomp="{gravcomp}">
+<joint name="hinge" axis="0 1 0" stiffness="{stiffness}" springref="{rest}"/>
+<geom name="ball" type="sphere" size=".1" pos="0 0 -1" mass="2"/>
+</body></worldbody><compiler angle="radian"/></mujoco>"""
+
+
+def machine(gravcomp: float = 0.0, stiffness: float = 0.0, rest: float = 0.0) -> Machine:
+    text = PENDULUM.format(gravcomp=gravcomp, stiffness=stiffness, rest=rest)
+    time = np.arange(0.0, 4.0, 0.01)
+    model = mujoco.MjSpec.from_string(text).compile()
+    return survey(model, [Recording.from_arrays(time, qpos={"hinge": np.sin(time)})])
+
+
+def said(effect: str, made: Machine, change: float) -> str:
+    own: Effect = CATALOGUE[effect]
+    found = next(c for c in candidates([own], made))
+    before = own.nominal(found.site, made)
+    quantity = Quantity(change, own.unit, (change - 0.03, change + 0.03))
+    return sentence(found, quantity, before, before)
+
+
+def test_compensation_that_a_model_has_is_told_as_what_it_is() -> None:
+    assert said("gravity_compensation", machine(1.0), -0.2) == (
+        "Gravity compensation at body bob is 0.80 ± 0.03, not 1 as in the model."
+    )
+    assert said("gravity_compensation", machine(), 0.3) == (
+        "Of the weight of body bob and all it carries, 0.30 ± 0.03 is compensated."
+    )
+
+
+def test_a_share_of_the_load_is_said_as_a_share() -> None:
+    (load,) = (CATALOGUE["load_dependent_friction"],)
+    quantity = Quantity(0.25, load.unit, (0.23, 0.27))
+    (found,) = (c for c in candidates([CATALOGUE["armature"]], machine()))
+    like = type(found)(load, found.site, found.extent, found.point)
+    assert sentence(like, quantity, 0.0, 0.0) == (
+        "The hinge loses 0.25 ± 0.02 of its drive's torque to friction."
+    )
+
+
+@pytest.mark.parametrize(("stiffness", "rest"), [(0.0, 0.0), (10.0, 0.1), (10.0, -0.3)])
+def test_a_spring_rests_where_both_springs_together_do(stiffness: float, rest: float) -> None:
+    """The zero of -k₀(q - q₀) - k q + f, found by MuJoCo's own passive force."""
+    made, x = machine(stiffness=stiffness, rest=rest), np.array([0.5, 0.8])
+    site = Site("joint", "hinge")
+    details = CATALOGUE["joint_spring"].details
+    assert details is not None
+    (angle, _) = details(x, made, site)["rest angle"]
+    text = PENDULUM.format(gravcomp=0.0, stiffness=stiffness, rest=rest)
+    spec = mujoco.MjSpec.from_string(text)
+    CATALOGUE["joint_spring"].apply(spec, site, x, made)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[0] = angle
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_spring[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_springs_that_cancel_rest_nowhere() -> None:
+    details = CATALOGUE["joint_spring"].details
+    assert details is not None
+    assert not details(np.array([-10.0, 0.5]), machine(stiffness=10.0), Site("joint", "hinge"))
