@@ -132,7 +132,7 @@ class Coordinates:
             qpos[:, self.qpos[s.qpos]] -= s.shown * there
             qvel[:, s.own_qvel] += speed[:, k]
             qvel[:, self.qvel[s.qvel]] -= s.shown * speed[:, k]
-        return State(qpos, qvel, act)
+        return State(qpos, qvel, act, past=state.past)
 
     def elsewhere(
         self, torque: Float[np.ndarray, "W nv"], speeds: Sequence[float]

@@ -27,8 +27,10 @@ def refined(windows: Windows, finer: int) -> Windows:
     step = np.floor(at + 1e-9).astype(int)
     fraction = at - step
     fraction[np.abs(fraction) < 1e-9] = 0.0
+    start, past = windows.start, windows.start.past
     return replace(
         windows,
+        start=start if past is None else replace(start, past=np.repeat(past, finer, axis=1)),
         ctrl=np.repeat(windows.ctrl, finer, axis=1),
         signals={n: np.repeat(s, finer, axis=1) for n, s in windows.signals.items()},
         step=step,

@@ -14,6 +14,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled, deaf_controls
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.starts import smooth
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.windows import Layout, Windows
@@ -51,8 +52,8 @@ def cut(
     Raises:
         RecordingError: a joint or an actuator has no channel, or no window fits.
     """
-    compiled = model.compile()
-    dt = float(timestep or compiled.opt.timestep)
+    compiled = model.compile(timestep=timestep)
+    dt = float(compiled.opt.timestep)
     layout = Layout.of(model, compiled)
     pieces = [
         _cut_one(model, compiled, layout, r, i, horizon, stride or horizon, dt, signals, controlled)
@@ -91,6 +92,10 @@ def _cut_one(
     steps = int((step + (fraction > 0)).max())
     ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
+    if late := remembered_steps(compiled):
+        before = time[first] - late * dt
+        past = _controls(model, compiled, recording, before, late, dt, controlled)
+        start = replace(start, past=past)
     return Windows(
         start=start,
         ctrl=ctrl,
@@ -305,11 +310,13 @@ def _widened(windows: Windows, channels: list[str], steps: int) -> Windows:
 
 def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> Windows:
     warm = [p.start.warmstart for p in pieces if p.start.warmstart is not None]
+    past = [p.start.past for p in pieces if p.start.past is not None]
     start = State(
         np.concatenate([p.start.qpos for p in pieces]),
         np.concatenate([p.start.qvel for p in pieces]),
         np.concatenate([p.start.act for p in pieces]),
         np.concatenate(warm) if len(warm) == len(pieces) else None,
+        past=np.concatenate(past) if len(past) == len(pieces) else None,
     )
     return Windows(
         start=start,

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from mujoco.batch import Batch, SimulationError
 
 from bo_sysid.arrays import Ctrl
+from bo_sysid.simulation.delays import load_past
 from bo_sysid.simulation.lockstep import Controller, ForceLaw, LockStep, steps_held
 from bo_sysid.simulation.state import State, Trajectory
 
@@ -67,7 +68,7 @@ class Engine:
         Returns:
             The trajectory; a simulation that diverges is flagged, never raised.
         """
-        batch = self._prepare(models, start)
+        batch = self._prepare(models, start, ctrl[:, :1])
         before = batch.warning[:, :, 1].sum(axis=1)
         with quietly():
             written = np.array(ctrl) if any(isinstance(w, Controller) for w in laws) else None
@@ -101,7 +102,7 @@ class Engine:
             `W x (nq + nv + na)` final states, valid until the next call, and the `W` flags of
             those that diverged.
         """
-        batch = self._prepare(models, start)
+        batch = self._prepare(models, start, ctrl[:, None])
         before = batch.warning[:, :, 1].sum(axis=1)
         if batch.model.nu:
             batch.bind("ctrl")[:] = ctrl
@@ -116,8 +117,14 @@ class Engine:
         states = batch.state[:, first : first + size]
         return states, failed | (batch.warning[:, :, 1].sum(axis=1) > before)
 
-    def _prepare(self, models: mujoco.MjModel | Sequence[mujoco.MjModel], start: State) -> Batch:
-        """Return a batch loaded with the models and the starts, everything else reset."""
+    def _prepare(
+        self, models: mujoco.MjModel | Sequence[mujoco.MjModel], start: State, held: Ctrl
+    ) -> Batch:
+        """Return a batch loaded with the models and the starts, everything else reset.
+
+        Delayed actuators act on the controls of the past first; where nothing tells of it, on those
+        that were `held`.
+        """
         batch = self._loaded(models, len(start))
         if batch.model.nmocap:
             batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # mocap poses may differ by model
@@ -130,6 +137,8 @@ class Engine:
             batch.bind("act")[:] = start.act
         if start.warmstart is not None:
             batch.bind("qacc_warmstart")[:] = start.warmstart
+        if batch.model.nhistory:
+            load_past(batch, held if start.past is None else start.past)
         return batch
 
     def _loaded(self, models: mujoco.MjModel | Sequence[mujoco.MjModel], count: int) -> Batch:

@@ -192,9 +192,11 @@ class MujocoSimulator:
 
 def _stacked(starts: Sequence[State]) -> State:
     warm = [s.warmstart for s in starts if s.warmstart is not None]
+    past = [s.past for s in starts if s.past is not None]
     return State(
         np.concatenate([s.qpos for s in starts]),
         np.concatenate([s.qvel for s in starts]),
         np.concatenate([s.act for s in starts]),
         np.concatenate(warm) if len(warm) == len(starts) else None,
+        past=np.concatenate(past) if len(past) == len(starts) else None,
     )

@@ -22,6 +22,8 @@ class State:
             prediction repeats the recorded step to the last bit.
         added: `W x 2 s` how far s joints beyond these coordinates are from where they rest, then
             their speeds; None where they rest.
+        past: `W x D x nu` controls of the last D steps, the oldest first, on which delayed
+            actuators still have to act; None where the model has none.
     """
 
     qpos: Qpos
@@ -29,6 +31,7 @@ class State:
     act: Act
     warmstart: Qvel | None = None
     added: Float[np.ndarray, "W s2"] | None = None
+    past: Float[np.ndarray, "W D nu"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.qpos)
@@ -49,6 +52,7 @@ class State:
             act=np.tile(self.act, (times, 1)),
             warmstart=None if self.warmstart is None else np.tile(self.warmstart, (times, 1)),
             added=None if self.added is None else np.tile(self.added, (times, 1)),
+            past=None if self.past is None else np.tile(self.past, (times, 1, 1)),
         )
 
     def rows(self, index: np.ndarray | slice) -> "State":
@@ -60,6 +64,7 @@ class State:
             act=self.act[index],
             warmstart=None if self.warmstart is None else self.warmstart[index],
             added=None if self.added is None else self.added[index],
+            past=None if self.past is None else self.past[index],
         )
 
     def picked(self, pick: Bool[np.ndarray, " W"], other: "State") -> "State":

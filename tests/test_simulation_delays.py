@@ -1,0 +1,74 @@
+"""Windows of machines whose actuators are late begin with what was commanded before."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Engine, MujocoSimulator
+from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.delays import load_past, remembered_steps
+
+STEP = 0.002
+TWO = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="a" axis="0 1 0"/>
+<geom size=".05" pos="0 0 -.5" mass="1"/><body pos="0 0 -1"><joint name="b" axis="0 1 0"/>
+<geom size=".05" pos="0 0 -.5" mass="1"/></body></body></worldbody><actuator>
+<motor name="prompt" joint="b"/>
+<motor name="late" joint="a" delay=".0071" nsample="5" interp="linear"/>
+</actuator></mujoco>"""
+
+
+def model() -> Model:
+    return Model.from_xml(TWO)
+
+
+def recorded() -> Recording:
+    """The motion that plain MuJoCo computes from its own start on, without noise."""
+    compiled = model().compile()
+    data, steps = mujoco.MjData(compiled), 600
+    time = np.arange(steps) * STEP
+    ctrl = np.stack([np.cos(7 * time), 3 * np.sin(40 * time)], axis=1)
+    q, v = np.zeros((steps, 2)), np.zeros((steps, 2))
+    for k in range(steps):
+        q[k], v[k] = data.qpos, data.qvel
+        data.ctrl[:] = ctrl[k]
+        mujoco.mj_step(compiled, data)
+    return Recording.from_arrays(
+        time,
+        qpos={"a": q[:, 0], "b": q[:, 1]},
+        qvel={"a": v[:, 0], "b": v[:, 1]},
+        ctrl={"prompt": ctrl[:, 0], "late": ctrl[:, 1]},
+    )
+
+
+@pytest.mark.parametrize(("horizon", "steps"), [(1, 1), (3, 1), (40, 1), (1, 2), (3, 2)])
+def test_windows_repeat_the_motion_from_the_middle_of_a_recording(horizon: int, steps: int) -> None:
+    recording = recorded()
+    windows = cut(model(), [recording], horizon=horizon, timestep=STEP / steps)
+    simulator = MujocoSimulator(model(), (), Engine(1), timestep=STEP / steps)
+    (found,) = simulator.predictions(np.zeros((1, 0)), windows)
+    off = np.nanmax(np.abs(windows.residual(found.values)), axis=(1, 2))
+    moved = np.ptp(recording.channels["qvel.a"].values)
+    assert off[1:].max() < (1e-9 if steps == 1 else 0.02) * moved
+    nothing = cut(model(), [recording], horizon=horizon, timestep=STEP / steps)
+    nothing.start.past[:] = 0.0
+    (wrong,) = simulator.predictions(np.zeros((1, 0)), nothing)
+    without = np.nanmax(np.abs(windows.residual(wrong.values)))
+    assert without > 1e-3 * moved
+    assert without > 3 * off[1:].max()
+
+
+def test_buffers_hold_the_commands_of_the_last_steps() -> None:
+    """As MuJoCo's own call fills them."""
+    from mujoco.batch import Batch
+
+    compiled = model().compile()
+    assert remembered_steps(compiled) == 5
+    batch, data = Batch(compiled, nsim=2, nthread=1), mujoco.MjData(compiled)
+    past = np.arange(2 * 7 * 2, dtype=float).reshape(2, 7, 2)
+    load_past(batch, past)
+    for row in (0, 1):
+        own = np.ascontiguousarray(past[row, -5:, 1:])
+        mujoco.mj_initCtrlHistory(compiled, data, compiled.actuator("late").id, None, own)
+        np.testing.assert_array_equal(batch.bind("history")[row], data.history)
