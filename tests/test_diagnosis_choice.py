@@ -153,7 +153,7 @@ def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> N
     }
     said = next_experiment(made, explain(made), {}).sentence
     assert "tells an encoder offset at shoulder from a tilt by" in said
-    assert said.endswith("What would: several postures; a known posture at rest.")
+    assert said.endswith("What tells them apart: several postures; a known posture at rest.")
 
 
 def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
@@ -258,11 +258,12 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     doubt, none = (replace(little, rms=float(np.hypot(1.0, left))) for left in (0.8, 0.4))
     assert leaves_much(doubt)
     assert not leaves_much(none)
-    assert "3 sensor sigmas are left" in left_sentence(poor, 3)
-    assert "No further effect" in left_sentence(poor, 3)
-    assert "All 1 effects" in left_sentence(poor, 1)
-    assert "does not stand out" in left_sentence(doubt, 3)
-    assert "does not stand out" not in left_sentence(poor, 3)
+    assert "3 sensor sigmas are left" in left_sentence(poor, 3, 3.0)
+    assert "No further effect" in left_sentence(poor, 3, 3.0)
+    assert "Larger sets leave down to 1.4, but" in left_sentence(poor, 3, 1.4)
+    assert "All 1 effects" in left_sentence(poor, 1, 1.4)
+    assert "does not stand out" in left_sentence(doubt, 3, doubt.rms)
+    assert "does not stand out" not in left_sentence(poor, 3, 3.0)
     machine, outcome = friction.prepared.problem.machine, explain(friction)
     sure, hint = (
         make_answer(friction.decision, outcome, machine, doubtful=d).findings[0].probability

@@ -127,6 +127,32 @@ def test_a_small_member_of_a_group_stays_where_it_is_surely_there(
     assert not admissible(replace(three, groups=(None,) * 3), fit((), 5.0))
 
 
+def test_the_members_of_a_group_are_large_together(machine) -> None:
+    # 1.5 leaves 1.118 sigma unexplained, which two of .9 are and one is not
+    members = tuple(candidate(machine, "armature", j) for j in ("shoulder", "elbow"))
+    pair = replace(fit(members, 1.5, unique=0.9), groups=("armature",) * 2)
+    assert admissible(pair, fit((), 9.0))
+    assert not admissible(replace(pair, groups=(None,) * 2), fit((), 9.0))
+    assert not admissible(replace(pair, unique=(0.7, 0.7)), fit((), 9.0))
+
+
+def test_what_many_effects_leave_together_hides_no_smaller_one(machine) -> None:
+    small = fit((candidate(machine, "viscous_damping", "elbow"),), 1.0, unique=1.1)
+    assert admissible(small, fit((), 2400.0))
+    assert not admissible(replace(small, unique=(0.9,)), fit((), 2400.0))
+    assert not admissible(replace(small, unique=(0.5,)), fit((), 30.0))
+
+
+def test_what_another_set_explains_is_no_unknown(machine) -> None:
+    one, two = (candidate(machine, "armature", j) for j in ("shoulder", "elbow"))
+    some, all_of = fit((one,), 3.0, unique=1.0), fit((one, two), 1.02)
+    assert not admissible(some, fit((), 9.0))
+    assert admissible(some, fit((), 9.0), (some, all_of))
+    # a joint that was added follows whatever is missing, and explains nothing of it
+    soft = fit((candidate(machine, "joint_compliance", "elbow"),), 3.1)
+    assert not admissible(replace(some, rms=8.0), fit((), 9.0), (replace(some, rms=8.0), soft))
+
+
 def test_shapes_of_one_effect_are_no_rivals(machine) -> None:
     holds = candidate(machine, "dry_friction", "elbow")
     creeps = holds.with_shapes(np.array([0.0]))

@@ -71,3 +71,12 @@ def test_a_parameter_that_scales_the_model_scales_what_was_repaired(tmp_path: Pa
     scale = {"address": "joint[elbow].damping", "low": 0.5, "high": 2.0, "apply": "scale"}
     (made,) = repaired(tmp_path, scale)
     assert (made["address"], made["low"]) == (("joint[elbow].damping",), 0.5)
+
+
+def test_what_was_written_says_that_it_steps_finer() -> None:
+    assert Written((), {}, (0.0005, 0.001)).notes == (
+        "model_repaired.xml steps at 0.0005 s, since 0.001 s shows in the recordings",
+    )
+    assert Written((), {}, (0.001, 0.001)).notes == ()
+    (note,) = Written((), {"arm_play": "arm"}, (0.001, 0.001)).notes
+    assert note.startswith("arm_play is a joint of model_repaired.xml that nothing measures")

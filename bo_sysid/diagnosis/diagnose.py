@@ -15,9 +15,16 @@ from bo_sysid.diagnosis.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.repaired import BESIDE, MODEL, STUDY, write_model
+from bo_sysid.diagnosis.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.repaired_study import study_text
-from bo_sysid.diagnosis.tables import bent_pose, doubts, missing_force, parameters_sentence, sets
+from bo_sysid.diagnosis.tables import (
+    bent_pose,
+    doubts,
+    missing_force,
+    parameters_sentence,
+    rivals,
+    sets,
+)
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
@@ -98,13 +105,15 @@ class Diagnosis:
         if not said:
             once = ", once its parameters are fitted" if fitted else ""
             said = [f"Nothing that these recordings could show is missing from the model{once}."]
+        said += rivals(self.located.decision, self.evidence.machine)
         said += [fitted] if fitted else []
         said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
             said.append("The machine is in contact, where names are hints and not yet findings.")
         best = self.located.decision.best
         if self.answer.findings and not self.contact and leaves_much(best):
-            said.append(left_sentence(best, self.evidence.most))
+            least = self.located.search.least
+            said.append(left_sentence(best, self.evidence.most, least))
         said += hints(self.outcome.fit, self.evidence.machine)
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
@@ -235,17 +244,7 @@ def _repair(
     else:  # that of an earlier diagnosis in the same folder is none of this one's
         run.path(EXPERIMENT).unlink(missing_ok=True)
     run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
-    return (
-        *(
-            f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}"
-            for what in written.beside
-        ),
-        *(
-            f"{joint} is a joint of {MODEL} that nothing measures"
-            + (f"; the encoder of {shown_by} shows it as well" if shown_by else "")
-            for joint, shown_by in written.unrecorded.items()
-        ),
-    )
+    return written.notes
 
 
 __all__ = ["Diagnosis", "diagnose", "gather"]

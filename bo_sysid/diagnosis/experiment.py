@@ -149,8 +149,9 @@ def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
     said = (c.effect.separation.split("; ") for c in members if c.effect.separation)
     ways = dict.fromkeys(chain.from_iterable(said))
     return (
-        f"No motion within the limits tells {_said(best, beside=rivals[0])} from "
-        f"{_said(rivals[0], beside=best)} by what was recorded here. What would: {'; '.join(ways)}."
+        f"None of the motions that were tried within the limits tells "
+        f"{_said(best, beside=rivals[0])} from {_said(rivals[0], beside=best)} by what was "
+        f"recorded here. What tells them apart: {'; '.join(ways)}."
     )
 
 

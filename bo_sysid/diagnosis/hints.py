@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import Machine
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
+_MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
@@ -105,12 +106,24 @@ def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
     )
 
 
-def left_sentence(best: Fit, most: int) -> str:
-    """Return in words that more than noise is left, and what can be done."""
+def left_sentence(best: Fit, most: int, least: float) -> str:
+    """Return in words that more than noise is left, and what can be done.
+
+    Args:
+        best: the set that is answered.
+        most: effects that the study allows.
+        least: rms that any set leaves, in sigma.
+    """
     small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
     said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
-    if len(units_of(best)) < most:
-        return f"{said}. No further effect that was tried explains more."
-    return (
-        f"{said}. All {most} effects that diagnosis.most allows are used, and more may be missing."
-    )
+    if len(units_of(best)) >= most:
+        return (
+            f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
+            "missing."
+        )
+    if least < _MUCH_LESS * best.rms:
+        return (
+            f"{said}. Larger sets leave down to {least:.3g}, but have effects too small beside "
+            "what stays unexplained to be named."
+        )
+    return f"{said}. No further effect that was tried explains more."

@@ -240,8 +240,13 @@ def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
 
 
 def _without_weak(search: Search, f: Fit, small: Sequence[int]) -> list[int]:
-    """Leave out all weak members of groups at once, else the weakest member."""
-    size = sizes(f, search.fits.values())
-    in_groups = [k for k in small if f.groups[k] is not None]
-    out = in_groups or [min(small, key=lambda k: size[k])]
+    """Leave out the weakest member, or all weak members of the weakest group at once.
+
+    Only one group: without what a second one does, nothing says how much the first is needed.
+    """
+    size = np.square(sizes(f, search.fits.values()))
+    units: dict[object, list[int]] = {}
+    for k in small:
+        units.setdefault(f.groups[k] or k, []).append(k)
+    out = min(units.values(), key=lambda unit: float(size[unit].sum()))
     return [k for k in range(len(f.members)) if k not in out]

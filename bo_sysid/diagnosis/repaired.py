@@ -25,10 +25,27 @@ class Written:
     Attributes:
         beside: in words, what stands beside it.
         unrecorded: joints that were added, each with the joint whose encoder shows it as well.
+        timestep: of the file in [s], and of the nominal model.
     """
 
     beside: tuple[str, ...]
     unrecorded: Mapping[str, str | None]
+    timestep: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What stands beside the file, what nothing measures, and a finer step, in words."""
+        step, own = self.timestep
+        said = [
+            f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}"
+            for what in self.beside
+        ]
+        for joint, shown_by in self.unrecorded.items():
+            also = f"; the encoder of {shown_by} shows it as well" if shown_by else ""
+            said.append(f"{joint} is a joint of {MODEL} that nothing measures{also}")
+        if step < own:
+            said.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
+        return tuple(said)
 
 
 def write_model(
@@ -62,7 +79,8 @@ def write_model(
         for name in (BESIDE, MODULE):
             (folder / name).unlink(missing_ok=True)
     added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
-    return Written(words, added)
+    step = float(machine.model.opt.timestep)
+    return Written(words, added, (share * step, step))
 
 
 _MODULE = '''"""What {model} lacks because MJCF cannot say it:

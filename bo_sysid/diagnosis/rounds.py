@@ -26,7 +26,8 @@ _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equ
 _NEARLY = 1e-3  # of the gain, what a linear estimate of it may be off
 _ROUGHLY = 0.01  # the same where the fit is far from the recordings
 _FEWER = 0.9  # of a member's gain, from which one with fewer magnitudes is tried for it
-_SUBSTITUTES = 5
+_SUBSTITUTES, _GROUP_SUBSTITUTES = 5, 2  # fitted in the place of one effect, of a large group
+_PAIR = 2  # members of a group up to which each is exchanged by itself
 _NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
 
 
@@ -102,30 +103,51 @@ def _exchange(search: Search, screen: Screen, base: Fit, unit: tuple[int, ...]) 
 
 
 def substitute(search: Search, base: Fit) -> None:
-    """Fit what could stand in the place of a member and explain as much.
+    """Fit what could stand in the place of a member and explain as much; of a large group as one.
 
     In contact also what was fitted before and leaves more than the set: it may have come from
     starts on the far side of an impact.
     """
     screen, touching = search.screened(base), can_touch(search.prepared.problem.machine.model)
+    effort = replace(FINAL, rival=base.rms)
+    parts = [p for u in units_of(base) for p in ([u] if len(u) > _PAIR else [(k,) for k in u])]
+    for part in parts:
+        rest = [k for k in range(len(base.members)) if k not in part]
+        top = _SUBSTITUTES if len(part) == 1 else _GROUP_SUBSTITUTES
+        for sets in _as_good(search, screen, base, part):
+            _run(search, sets, top, base, rest, effort=effort, anew=touching)
+
+
+def _as_good(
+    search: Search, screen: Screen, base: Fit, part: tuple[int, ...]
+) -> tuple[list[Scored], list[Scored]]:
+    """Return what explains as much as a part of a set, by slopes, and what does with less.
+
+    That is as much but for a little, or with fewer magnitudes nearly as much.
+    """
+    out = [base.members[k] for k in part]
+    members, x = subset(base, [k for k in range(len(base.members)) if k not in part])
+    fixed = [search.candidates.index(c) for c in members]
+    without = screen.without(out, [base.x[k] for k in part])
+    grouped = subsets.groups(search.candidates) if len(part) > 1 else ()
+    table = without.gram(fixed, dict(zip(fixed, x, strict=True)))
+    found = subsets.search(table, 1, grouped)[1]
+
+    def size(s: Scored) -> int:
+        return sum(search.candidates[i].size for i in s.members)
+
+    def itself(s: Scored) -> bool:
+        held = [search.candidates[i] for i in s.members]
+        if len(out) == 1:
+            return held[0] is out[0]
+        return {c.key for c in held} == {c.key for c in out}  # whatever the shapes
+
+    own = max((s.gain for s in found if itself(s)), default=0.0)
     near = _ALIKE * max(1.0, base.rms**2)
     rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
-    for k, member in enumerate(base.members):
-        rest = [i for i in range(len(base.members)) if i != k]
-        members, x = subset(base, rest)
-        fixed = [search.candidates.index(c) for c in members]
-        without = screen.without([member], [base.x[k]])
-        found = subsets.search(without.gram(fixed, dict(zip(fixed, x, strict=True))), 1)[1]
-        own = max((s.gain for s in found if search.candidates[s.members[0]] is member), default=0)
-        alike = [s for s in found if s.gain > own - max(near, rough * own)]
-        fewer = [
-            s
-            for s in found
-            if s.gain > _FEWER * own and search.candidates[s.members[0]].size < member.size
-        ]
-        for sets in (alike, fewer):
-            effort = replace(FINAL, rival=base.rms)
-            _run(search, sets, _SUBSTITUTES, base, rest, effort=effort, anew=touching)
+    alike = [s for s in found if s.gain > own - max(near, rough * own)]
+    most = sum(c.size for c in out)
+    return alike, [s for s in found if s.gain > _FEWER * own and size(s) < most]
 
 
 def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:

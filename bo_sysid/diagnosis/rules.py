@@ -16,6 +16,8 @@ from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
+_UNKNOWN = 2.0  # times what the best fit leaves, that may be taken for unexplained
+_MOST_PART = 1.0  # [sigma] of that, at most: far off, many large effects leave it together
 FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
 _NOTHING = 1e-3  # of the magnitude by which a member is probed: no more is none
 _THERE = 4.0  # standard deviations from which a small member of a group is there
@@ -68,16 +70,23 @@ def criterion(fit: Fit, kappa: float, prior: Prior) -> float:
 
 
 def required(fit: Fit, nominal: Fit) -> float:
-    """Return the unique size in sigma that every member of a fit must reach."""
-    return max(_least(fit), _part(nominal))
+    """Return the unique size in sigma that every member of a fit must reach by itself."""
+    return max(MARGIN, SHARE * _left(fit, ()), _part(nominal))
 
 
-def _least(fit: Fit) -> float:
-    return max(MARGIN, SHARE * sqrt(fit.excess))
+def _left(fit: Fit, fits: Iterable[Fit]) -> float:
+    """Return what stays unexplained, in sigma: by a fit, or by twice what any fit leaves.
+
+    What others explain is no unknown: without that bound every member that is left out raises the
+    bar for the next, and of a set that explains the recordings nothing remains. Joints that follow
+    whatever is missing explain nothing.
+    """
+    least = min((f.excess for f in fits if not follows(f)), default=fit.excess)
+    return min(sqrt(fit.excess), _UNKNOWN * sqrt(least))
 
 
 def _part(nominal: Fit) -> float:
-    return PART * sqrt(nominal.excess)
+    return min(PART * sqrt(nominal.excess), _MOST_PART)
 
 
 def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
@@ -118,16 +127,20 @@ def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
     """Return the members that are smaller than what stays unexplained, or a part of the nominal's.
 
     The part may be what leaving out costs, if the slope is less.
-    Where at least two members of a group, and half of them, are large enough, the others stay as
-    long as the recordings show that they are there: what all joints have is not small by chance.
+    A group is one hypothesis: its n members are large enough where n of their size together are,
+    u √n. Where at least two of them, and half, are, the others stay as long as the recordings show
+    that they are there: what all joints have is not small by chance.
     """
-    found, least, part = sizes(fit, fits), _least(fit), _part(nominal)
-    cost = costs(fit, fits)
-    large = [u >= least and max(u, c) >= part for u, c in zip(found, cost, strict=True)]
+    others = tuple(fits)
+    found, cost, part = sizes(fit, others), costs(fit, others), _part(nominal)
+    left, count = _left(fit, others), Counter(fit.groups)
+    alone = [1.0 if g is None else sqrt(1.0 / count[g]) for g in fit.groups]
+    large = [
+        u >= max(MARGIN, SHARE * left * a) and max(u, c) >= part * a
+        for u, c, a in zip(found, cost, alone, strict=True)
+    ]
     held = Counter(g for g, ok in zip(fit.groups, large, strict=True) if ok)
-    standing = {
-        g for g, n in Counter(fit.groups).items() if g is not None and held[g] >= max(2.0, 0.5 * n)
-    }
+    standing = {g for g, n in count.items() if g is not None and held[g] >= max(2.0, 0.5 * n)}
     excused = [fit.rms <= ROUGH and g in standing for g in fit.groups]
     sure = significance(fit)
     return [k for k, ok in enumerate(large) if not ok and not (excused[k] and sure[k] > _THERE)]

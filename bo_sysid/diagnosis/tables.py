@@ -15,11 +15,13 @@ from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.findings import spoken
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.fitted_starts import DIVERGING
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
+from bo_sysid.effects import Machine
+from bo_sysid.effects.contract import unit_at
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -29,6 +31,7 @@ _ROUNDS = 3
 _SHARES = (1.0, 0.3, 0.09)  # of a Gauss-Newton step on the starts
 _PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical force
 _SETS = 12
+_RIVALS = 3
 _POSES = 2_000  # instants among which the pose is chosen
 _FORCE_COLUMNS = (
     "recording", "time", "joint", "position", "speed", "unit", "nominal", "repaired", "sigma",
@@ -212,6 +215,36 @@ def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFra
         }
     )  # fmt: skip
     return pd.DataFrame(rows).astype({"p_boot": float})
+
+
+def rivals(decision: Decision, machine: Machine) -> list[str]:
+    """Return a sentence about what may be in the place of what is answered, if anything may."""
+    best, said = decision.best, dict[str, list[str]]()
+    for f in decision.equivalents[:_RIVALS]:
+        theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
+        if theirs and ours:
+            said.setdefault(ours, []).append(theirs)
+    return [
+        f"Instead of {ours} it may be {', or '.join(theirs)}: these recordings do not tell."
+        for ours, theirs in said.items()
+    ]
+
+
+def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> str:
+    """Return in words what a set names and another does not."""
+    words = []
+    for c, x in zip(fit.members, fit.x, strict=True):
+        if c.key in {d.key for d in other.members}:
+            continue
+        where = "" if c.site.kind == "world" else f" at {spoken(c.site)}"
+        value, unit = c.effect.reported(c.full(x), machine, c.site), _unit(c, machine)
+        words.append(f"{c.effect.noun}{where}" + (f" ({value:.3g}{unit})" if sized else ""))
+    return " with ".join(words)
+
+
+def _unit(c: Candidate, machine: Machine) -> str:
+    unit = unit_at(c.effect.unit, c.site, machine)
+    return "" if unit in ("", "1", "–", "relative") else f" {unit}"
 
 
 def doubts(decision: Decision, searched: ArgminSets) -> list[str]:

@@ -12,6 +12,7 @@ from bo_sysid.mjcf import make_explicit, scale_mass
 
 _SMALL = 0.02  # [m] size of a body that its frame sits in
 _POINT = 1e-9  # [m²] inertia of a point load, per kg
+_MOST = 5.0  # times the model's inertia or mass, that may be missing beside it
 
 
 def _armature(site: Site, machine: Machine) -> float:
@@ -19,8 +20,14 @@ def _armature(site: Site, machine: Machine) -> float:
 
 
 def _armature_extent(site: Site, machine: Machine) -> Extent:
-    inertia = machine.joints[site.name].inertia
-    return Extent((0.02 * inertia,), (-_armature(site, machine) - 1e-12,), (5 * inertia,))
+    """Bound a rotor by what the actuators could move as the joint moved.
+
+    Behind a high gear it is a hundred times the inertia of a wrist's last link.
+    """
+    joint = machine.joints[site.name]
+    driven = sum(machine.actuators[a].force_max for a in joint.actuators) / joint.acceleration
+    most = max(_MOST * joint.inertia, driven)
+    return Extent((0.02 * joint.inertia,), (-_armature(site, machine) - 1e-12,), (most,))
 
 
 @effect(
@@ -49,8 +56,10 @@ def _carried(site: Site, machine: Machine) -> float:
 
 
 def _payload_extent(site: Site, machine: Machine) -> Extent:
+    """Bound a load by the mass of all that moves: a wrist carries many times its last link."""
     mass = machine.bodies[site.name].mass
-    return Extent((0.03 * mass,), (-_carried(site, machine) - 1e-12,), (5 * mass,))
+    most = max(_MOST * mass, sum(b.mass for b in machine.bodies.values()))
+    return Extent((0.03 * mass,), (-_carried(site, machine) - 1e-12,), (most,))
 
 
 @effect(
@@ -84,7 +93,7 @@ def _link_mass(site: Site, machine: Machine) -> float:
 
 def _link_mass_extent(site: Site, machine: Machine) -> Extent:
     mass = machine.bodies[site.name].mass
-    return Extent((0.03 * mass,), (-0.9 * mass,), (5 * mass,))
+    return Extent((0.03 * mass,), (-0.9 * mass,), (_MOST * mass,))
 
 
 @effect(

@@ -25,6 +25,7 @@ class JointScale:
         hinge: whether it turns.
         force: typical force along it in [N m] or [N].
         speed: root mean square of its velocity.
+        acceleration: root mean square of its acceleration.
         spread: standard deviation of its position.
         span: range of its position.
         inertia: mean effective inertia in [kg m²] or [kg].
@@ -37,6 +38,7 @@ class JointScale:
     hinge: bool
     force: float
     speed: float
+    acceleration: float
     spread: float
     span: float
     inertia: float

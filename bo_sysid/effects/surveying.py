@@ -160,7 +160,8 @@ def _joint(
 ) -> JointScale:
     dof = int(model.joint(name).dofadr[0])
     drives = [a for a in actuators.values() if a.joint == name]
-    moved = inertia[dof] * float(np.sqrt(np.mean(motion.a**2)))
+    acceleration = max(float(np.sqrt(np.mean(motion.a**2))), _FLOOR)
+    moved = inertia[dof] * acceleration
     force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * a.force_std for a in drives)])
     return JointScale(
         name=name,
@@ -168,6 +169,7 @@ def _joint(
         hinge=int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
         force=force,
         speed=max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
+        acceleration=acceleration,
         spread=max(float(motion.q.std()), _FLOOR),
         span=max(float(np.ptp(motion.q)), _FLOOR),
         inertia=float(inertia[dof]),

@@ -40,7 +40,6 @@ def diagnosis_text(
     parts += summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
     if diagnosis["findings"]:
         parts += ["", "Found:", table(findings_table(diagnosis["findings"]))]
-        parts += _equivalents(diagnosis["findings"])
     errors = errors_table(diagnosis["holdout"])
     if len(errors):
         parts += ["", "Errors on recordings that were never used:", table(errors)]
@@ -126,11 +125,6 @@ def _without(
 ) -> list[Mapping[str, Any]]:
     there = {(m["effect"], m["site"]) for m in others}
     return [m for m in members if (m["effect"], m["site"]) not in there]
-
-
-def _equivalents(findings: Sequence[Mapping[str, Any]]) -> list[str]:
-    said = told_apart(findings)
-    return ["", *said] if said else []
 
 
 def _experiment(proposal: Mapping[str, Any]) -> str:
