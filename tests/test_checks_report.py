@@ -21,6 +21,7 @@ from bo_sysid.checks.motion import (
     sampling_flags,
 )
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
+from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import Information, in_words, information
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
@@ -30,6 +31,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
+from bo_sysid.report.check_text import checked_text
 from bo_sysid.simulation import Engine, MujocoSimulator, State, cut
 from bo_sysid.study import Study
 
@@ -269,6 +271,32 @@ def test_the_proposal_of_a_check_makes_the_next_one_clean(tmp_path: Path) -> Non
     assert again.proposal == ""
     assert [f for f in again.flags if f.level == "wrong"] == []
     assert again.parameters["determined"].tolist() == ["yes"]
+
+
+@pytest.mark.parametrize(("stiffness", "explained"), [(20.0, False), (0.0, True)])
+def test_forces_that_are_not_explained_are_said(
+    tmp_path: Path, stiffness: float, explained: bool
+) -> None:
+    """A spring that the model lacks takes a part of what the motor gives."""
+    plant = SLIDE.replace('axis="1 0 0"', f'axis="1 0 0" stiffness="{stiffness}"')
+    ctrl = sum(np.sin(w * TIME + p) for w, p in ((4.0, 0.0), (6.5, 1.0), (9.0, 2.0)))
+    rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(
+        Model.from_xml(plant).compile(), rest, np.repeat(ctrl, 2)[None, :, None]
+    )
+    q = run.qpos[0, :-1:2, 0] + 1e-5 * np.random.default_rng(0).standard_normal(len(TIME))
+    log = Recording.from_arrays(TIME, qpos={"x": q}, ctrl={"m": ctrl})
+    log.to_frame().to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "slide.xml").write_text(SLIDE)
+    found = check(
+        Study.from_dict({"model": "slide.xml", "recordings": {"train": "log.csv"}}, tmp_path)
+    )
+    text = checked_text(found)
+    share = float(found.wiring.balance["after"][0])
+    assert found.proposal == ""
+    assert (share <= SUSPICIOUS) == explained
+    assert ("nothing to correct" in text) == explained
+    assert (f"{100 * share:.0f} % of the forces at x are not explained" in text) == (not explained)
 
 
 def test_predictions_of_a_check_have_the_forces_beside_the_model(tmp_path: Path) -> None:

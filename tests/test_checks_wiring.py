@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, unexplained
-from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.hypothesis import FREE, Wire
 from bo_sysid.checks.motion import channel_flags
+from bo_sysid.checks.proposal import proposed_columns
+from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
@@ -152,6 +154,78 @@ def test_the_zero_of_an_encoder(zero: float) -> None:
     found = spoilt(change)
     assert set(found.wires) == {"qpos.shoulder"}
     assert found.wires["qpos.shoulder"].offset == pytest.approx(-zero, abs=0.01)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_current_tells_the_constant_of_its_motor(sign: int) -> None:
+    """One A gives 0.105 N m; the machine is a tenth heavier than the model."""
+
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.b"] *= sign / 0.105
+
+    found = spoilt(change)
+    (wire,) = found.wires.values()
+    assert (wire.source, wire.sign, wire.unit) == ("ctrl.b", sign, FREE)
+    assert wire.scale == pytest.approx(0.105 / 1.1, rel=0.03)
+    (flag,) = (f for f in found.flags if f.kind == "scale")
+    assert flag.sentence.startswith(f"Scale: one unit of ctrl.b gives about {wire.scale:.3g} N m")
+    assert proposed_columns({"ctrl.b": {"from": "i"}}, found.wires, {})["ctrl.b"] == {
+        "from": "i", **({"sign": -1} if sign < 0 else {}), "scale": wire.scale,
+    }  # fmt: skip
+
+
+def test_each_of_two_motors_has_a_constant_of_its_own() -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.a"] /= 0.2
+        values["ctrl.b"] /= -0.03
+
+    found = spoilt(change, late=0.02)
+    assert set(found.wires) == {"ctrl.a", "ctrl.b"}
+    assert found.wires["ctrl.a"].scale == pytest.approx(0.2 / 1.1, rel=0.05)
+    assert found.wires["ctrl.b"].scale == pytest.approx(0.03 / 1.1, rel=0.05)
+    assert (found.wires["ctrl.a"].sign, found.wires["ctrl.b"].sign) == (1, -1)
+    assert found.delay == pytest.approx(0.02, abs=0.0015)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milli"), (100.0, "%"), (255.0, "PWM")])
+def test_a_known_unit_comes_before_a_constant(factor: float, unit: str) -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.a"] *= factor
+        values["ctrl.b"] *= factor
+
+    found = spoilt(change)
+    assert {(w.unit, w.scale) for w in found.wires.values()} == {(unit, 1 / factor)}
+    assert set(found.wires) == {"ctrl.a", "ctrl.b"}
+
+
+def test_a_motor_that_the_motion_does_not_need_has_no_constant() -> None:
+    """A control that is noise is not scaled down until it does not disturb."""
+
+    def change(values: dict[str, np.ndarray]) -> None:
+        values["ctrl.b"] = 3.0 * np.random.default_rng(5).standard_normal(len(values["ctrl.b"]))
+
+    found = spoilt(change)
+    assert [f for f in found.flags if f.level == "wrong"] == []
+    (flag,) = (f for f in found.flags if f.kind == "balance")
+    share = float(found.balance.set_index("joint").loc["elbow", "after"])
+    assert share > SUSPICIOUS
+    assert flag.channels == ("elbow",)
+    assert flag.sentence.startswith(f"{100 * share:.0f} % of the forces at elbow")
+
+
+def test_a_correction_that_leaves_much_is_not_proposed() -> None:
+    """The elbow's command has the wrong sign, and something else pushes that no log has."""
+
+    def change(values: dict[str, np.ndarray]) -> None:
+        other = tones(0.004 * np.arange(len(values["ctrl.b"])), 7)
+        values["ctrl.b"] = -(values["ctrl.b"] + 1.3 * other)
+
+    found = spoilt(change)
+    assert found.balance.set_index("joint").loc["elbow", "after"] > SUSPICIOUS
+    assert found.wires == {}
+    assert [f for f in found.flags if f.level == "wrong"] == []
+    assert [f.channels for f in found.flags if f.kind == "balance"] == [("elbow",)]
+    assert any("Perhaps: sign of ctrl.b" in f.sentence for f in found.flags)
 
 
 def test_inverse_dynamics_balance_exactly_along_a_simulated_motion() -> None:

@@ -19,7 +19,7 @@ from jaxtyping import Float
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
 _SLOW = 0.03  # of the typical speed: below it dry friction is no longer full
-_SWEEPS = 12
+_SWEEPS, _MANY_SWEEPS = 12, 60  # more where the gain is free: friction resembles it
 
 
 @dataclass(frozen=True)
@@ -170,22 +170,58 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
     columns[:, 0], columns[:, 1], columns[:, 2] = actuated, -terms.velocity, -terms.dry
     gram = np.einsum("danj,dbnj->djab", columns, columns)
     right = np.einsum("danj,nj->dja", columns, needed)
-    x = _bounded(gram, right)
     square = (needed**2).sum(axis=0)
-    left = square + np.einsum("dja,djab,djb->dj", x, gram, x) - 2 * (x * right).sum(axis=-1)
+    left = _left(square, gram, right, _bounded(gram, right))
     total = (terms.inertial**2 + terms.rest**2).sum(axis=0) + gram[..., 0, 0]
     return np.asarray(np.maximum(left, 0.0) / np.maximum(total, 1e-300))
 
 
-def _bounded(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+def free_gain(
+    terms: Terms, j: int, own: Float[np.ndarray, "D n"], rest: Float[np.ndarray, "D n"]
+) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, " D"]]:
+    """Return the factor of one actuator's force that suits, whatever it is, beside friction.
+
+    Args:
+        terms: of the hypothesis about the measured channels.
+        j: degree of freedom.
+        own: `D x n` force of the actuator along it, for D hypotheses.
+        rest: `D x n` force of all others.
+
+    Returns:
+        The factor, and what is left unexplained over what is left without the actuator.
+    """
+    needed = terms.needed[:, j] - rest
+    columns = np.empty((len(own), 3, own.shape[1]))
+    columns[:, 0], columns[:, 1], columns[:, 2] = own, -terms.velocity[:, j], -terms.dry[:, j]
+    gram = np.einsum("dan,dbn->dab", columns, columns)
+    right = np.einsum("dan,dn->da", columns, needed)
+    square = (needed**2).sum(axis=1)
+    found = _bounded(gram, right, (-np.inf, np.inf), _MANY_SWEEPS)
+    none = _bounded(gram, right, (0.0, 0.0))
+    left, without = (_left(square, gram, right, x) for x in (found, none))
+    return found[:, 0], left / np.maximum(without, 1e-300)
+
+
+def _left(square: np.ndarray, gram: np.ndarray, right: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return the sum of squares that coefficients leave."""
+    explained = 2 * (x * right).sum(axis=-1) - np.einsum("...a,...ab,...b->...", x, gram, x)
+    return np.asarray(square - explained)
+
+
+def _bounded(
+    gram: np.ndarray,
+    right: np.ndarray,
+    gain: tuple[float, float] = GAIN,
+    sweeps: int = _SWEEPS,
+) -> np.ndarray:
     """Return the least-squares coefficients within their bounds, by coordinate descent.
 
     Friction that the model lacks takes from what the actuators give, and never adds to it.
     """
-    low, high = (GAIN[0], 0.0, 0.0), (GAIN[1], np.inf, np.inf)
+    low, high = (gain[0], 0.0, 0.0), (gain[1], np.inf, np.inf)
     x = np.zeros_like(right)
-    x[..., 0] = 1.0
-    for _ in range(_SWEEPS):
+    x[..., 0] = np.clip(1.0, *gain)
+    for _ in range(sweeps):
         for k in range(3):
             own = gram[..., k, k]
             rest = right[..., k] - (gram[..., k, :] * x).sum(axis=-1) + own * x[..., k]

@@ -15,7 +15,7 @@ class Flag:
     Attributes:
         level: "wrong" where it must be corrected before anything is fitted, "look" where a person
             should decide, "note" where it is good to know.
-        kind: what it is about: sign, unit, order, swap, zero, wrap, range, clock, sampling,
+        kind: what it is about: sign, unit, scale, order, swap, zero, wrap, range, clock, sampling,
             excitation, identifiability, noise, saturation, frozen, step, contact, balance.
         channels: channels, joints or parameters concerned.
         sentence: in words, with the figures that support it.

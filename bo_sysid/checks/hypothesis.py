@@ -24,6 +24,8 @@ ANGLES: Units = (("deg", pi / 180), ("mrad", 1e-3), ("turn", 2 * pi), ("ticks", 
 LENGTHS: Units = (("mm", 1e-3), ("cm", 1e-2))
 INPUTS: Units = (("milli", 1e-3), ("%", 1e-2), ("PWM", 1 / 255))
 """Other units that a control may be in, with their SI values: mN m or mA, per cent, −255…255."""
+FREE = "of its own"
+"""Unit of a motor's control whose value follows from the recordings (motors.py)."""
 
 
 @dataclass(frozen=True, order=True)
@@ -35,7 +37,7 @@ class Wire:
         sign: 1 or -1.
         scale: SI value of its unit.
         offset: added last, in SI units.
-        unit: name of the unit, where it is not what it was taken for.
+        unit: name of the unit, where it is not what it was taken for; `FREE` for a motor's own.
     """
 
     source: str
@@ -107,6 +109,11 @@ class Evidence:
             self._input(n): bool(model.actuator_biasprm[a, 1]) or n in self.laws
             for a, n in zip(ids, self.actuators, strict=True)
         }
+        self.motors = {
+            self._input(n)
+            for a, n in zip(ids, self.actuators, strict=True)
+            if n not in self.laws and not model.actuator_biasprm[a, 1:3].any()
+        } & {n for n in self.inputs if self._driven[n]}
         self.weights = self._weights(model)
         self._terms: dict[tuple[Wire | None, ...], Terms] = {}
         self._physics: dict[tuple[Wire | None, ...], np.ndarray] = {}

@@ -13,12 +13,23 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from bo_sysid.checks.estimate import with_zero
-from bo_sysid.checks.hypothesis import ANGLES, INPUTS, LENGTHS, Evidence, Hypothesis, Units, Wire
+from bo_sysid.checks.hypothesis import (
+    ANGLES,
+    FREE,
+    INPUTS,
+    LENGTHS,
+    Evidence,
+    Hypothesis,
+    Units,
+    Wire,
+)
+from bo_sysid.checks.motors import scaled
 
 SUSPICIOUS = 0.08
 """J of a degree of freedom from which on its channels are doubted."""
 MARGIN = 0.8
 """Least gain of the score per fault."""
+_FITTED = 0.3  # of the score, that a fitted constant costs beside: a known unit comes first
 _TIE = 0.05  # of the score, within which two hypotheses are alike
 _STEPS = (0.012, 0.002, 0.0003)  # [s] of the delays tried; a stiff servo tells 0.3 ms
 _REACH = 9  # steps to either side
@@ -67,10 +78,15 @@ def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesi
         k = int(np.argmin(scores))
         if scores[k] < best:
             best, delay = float(scores[k]), float(delays[k])
+    return best + _paid(evidence, hypothesis), replace(hypothesis, delay=delay)
+
+
+def _paid(evidence: Evidence, hypothesis: Hypothesis) -> float:
+    """Return what the faults of a hypothesis cost."""
     # a command's sign is likelier wrong than an encoder's, where both say the same
     turned = sum(w.sign < 0 and n not in evidence.inputs for n, w in hypothesis.wires.items())
-    paid = MARGIN * len(hypothesis.causes) + 0.1 * _TIE * turned
-    return best + paid, replace(hypothesis, delay=delay)
+    fitted = sum(w.unit == FREE for w in hypothesis.wires.values())
+    return MARGIN * len(hypothesis.causes) + 0.1 * _TIE * turned + _FITTED * fitted
 
 
 def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
@@ -86,7 +102,7 @@ def _pruned(evidence: Evidence, best: tuple[float, Hypothesis]) -> Hypothesis:
             simpler = replace(hypothesis, wires={**hypothesis.wires, name: Wire(name)})
             if (
                 evidence.scores(simpler, [hypothesis.delay])[0]
-                < score - MARGIN * len(hypothesis.causes) + 0.1
+                < score - _paid(evidence, best[1]) + 0.1
             ):
                 hypothesis = simpler
     return hypothesis
@@ -96,6 +112,7 @@ def moves(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
     """Yield hypotheses with one more fault."""
     yield from _signs(h)
     yield from _units(evidence, h)
+    yield from scaled(evidence, h, _DELAYS)
     yield from _orders(evidence, h)
     yield from _confusions(evidence, h)
     yield from _zeros(evidence, h)

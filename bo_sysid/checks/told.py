@@ -7,15 +7,24 @@ import pandas as pd
 
 from bo_sysid.checks.estimate import Estimate
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import Hypothesis, Wire
+from bo_sysid.checks.hypothesis import FREE, Hypothesis, Wire
+from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.speeds import ALIKE
 
+_CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
-_UNBALANCED = 0.4  # J from which on the model does not explain a joint
 
 
-def wire_flags(wires: Mapping[str, Wire], balance: pd.DataFrame) -> list[Flag]:
-    """Return a flag for each fault, with J of the joints that it concerns, before and after."""
+def wire_flags(
+    wires: Mapping[str, Wire], balance: pd.DataFrame, gives: Mapping[str, str]
+) -> list[Flag]:
+    """Return a flag for each fault, with J of the joints that it concerns, before and after.
+
+    Args:
+        wires: what the channels really are.
+        balance: one row a joint.
+        gives: by control with a constant of its own, what one unit of it gives.
+    """
     support = _support(balance)
     kinds: dict[tuple[str, str], list[str]] = {}
     for name, wire in wires.items():
@@ -23,7 +32,8 @@ def wire_flags(wires: Mapping[str, Wire], balance: pd.DataFrame) -> list[Flag]:
             kinds.setdefault((kind, what), []).append(name)
     flags = []
     for (kind, what), names in kinds.items():
-        told = "; ".join(_told(n, wires[n], kind) for n in names)
+        told = "; ".join(gives[n] if kind == "scale" else _told(n, wires[n], kind) for n in names)
+        told += _CONSTANT if kind == "scale" else ""
         flags.append(Flag("wrong", kind, tuple(names), f"{what}: {told}. {support}"))
     return flags
 
@@ -59,7 +69,9 @@ def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
     if wire.source != name:
         same = wire.source.split(".", 1)[0] == name.split(".", 1)[0]
         faults.append(("order", "Order") if same else ("swap", "Commands and measurements swapped"))
-    if wire.unit:
+    if wire.unit == FREE:
+        faults.append(("scale", "Scale"))
+    elif wire.unit:
         faults.append(("unit", f"Unit is {wire.unit}"))
     if wire.sign < 0:
         faults.append(("sign", "Sign"))
@@ -124,14 +136,15 @@ def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
 
 def balance_flags(balance: pd.DataFrame) -> list[Flag]:
     """Return joints whose forces the model does not explain."""
-    bad = balance[balance["used"] & (balance["after"] > _UNBALANCED)]
+    bad = balance[balance["used"] & (balance["after"] > SUSPICIOUS)]
     return [
         Flag(
             "look",
             "balance",
             (joint,),
             f"{100 * share:.0f} % of the forces at {joint} are not explained by the model, under "
-            "any wiring that was tried: much is missing in it, or the motion is too small.",
+            "any wiring that was tried: something is missing in it, or a mass or a motor is far "
+            "from what it says, or the motion is too small.",
             {"share": share},
         )
         for joint, share in zip(bad["joint"], bad["after"], strict=True)

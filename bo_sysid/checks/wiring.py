@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from bo_sysid.checks import estimate
+from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
 from bo_sysid.checks.motion import beyond_range
-from bo_sysid.checks.search import search, zero_groups
+from bo_sysid.checks.search import SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.checks.traces import LATEST, Traces
@@ -71,25 +71,14 @@ def find_wiring(
     coarse = Evidence(copy.copy(model), traces, laws=laws)
     fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()
-    found, twins = search(coarse)
-    if found.causes and not _explains(fine, found):
-        found, twins = before, (found,)
-    found, late = _timed(fine, found)
-    found = _zeroed(fine, found)
+    found, twins = _searched(coarse, fine)
     found, late = _timed(fine, found)
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
-    delay = _common(late)
+    told = {n: e for n, e in late.items() if _joint(fine, n) not in _doubted(fine, found)}
+    delay = _common(told)
     certain = max(_LATE, _SURE * delay.sigma) < abs(delay.value) < LATEST
-    shares = [fine.shares(h, [h.delay])[0] for h in (before, found)]
-    balance = pd.DataFrame(
-        {
-            "joint": fine.joints,
-            "before": shares[0],
-            "after": shares[1],
-            "used": fine.weights > 0,
-        }
-    )
+    balance = _balance(fine, before, found)
     table = pd.DataFrame(
         {
             "control": list(late),
@@ -98,7 +87,8 @@ def find_wiring(
         }
     )
     value = delay.value if certain else 0.0
-    flags = [*wire_flags(wires, balance), *clock_flags(value, delay, late)]
+    gives = motors.in_words(fine, found, recordings)
+    flags = [*wire_flags(wires, balance, gives), *clock_flags(value, delay, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
     return Wiring(wires, value, table, balance, tuple(flags))
 
@@ -110,6 +100,27 @@ def _untested(reason: str) -> Wiring:
     return Wiring({}, 0.0, empty, balance, (flag,))
 
 
+def _balance(evidence: Evidence, before: Hypothesis, after: Hypothesis) -> pd.DataFrame:
+    """Return J of each joint under two hypotheses, and whether it counts."""
+    shares = [evidence.shares(h, [h.delay])[0] for h in (before, after)]
+    used = evidence.weights > 0
+    return pd.DataFrame(
+        {"joint": evidence.joints, "before": shares[0], "after": shares[1], "used": used}
+    )
+
+
+def _searched(coarse: Evidence, fine: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    """Return the hypothesis that is believed, with its zeros, and what may be instead."""
+    tried, twins = search(coarse)
+    tried = motors.refined(fine, tried)
+    found = _believed(fine, tried)
+    if found.wires != tried.wires:
+        twins = (tried,)
+    found, _ = _timed(fine, found)
+    found, _ = _timed(fine, _zeroed(fine, found))
+    return motors.refined(fine, found), twins
+
+
 def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, estimate.Estimate]]:
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
     controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
@@ -117,10 +128,43 @@ def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, 
     return (replace(h, delay=_common(late).value) if late else h), late
 
 
-def _explains(evidence: Evidence, h: Hypothesis) -> bool:
-    """Whether a hypothesis leaves little unexplained at any joint, or is no more than a try."""
+def _believed(evidence: Evidence, h: Hypothesis) -> Hypothesis:
+    """Return the hypothesis without what it changes at joints that it does not explain.
+
+    What leaves much at any joint is no more than a try, and nothing of it is believed.
+    """
+    while changed := {n for n, w in h.wires.items() if not w.plain(n)}:
+        if _doubted(evidence, h, _EXPLAINED):
+            return evidence.identity()
+        doubted = _doubted(evidence, h)
+        if not (out := {n for n in changed if _joint(evidence, n) in doubted}):
+            break
+        h = replace(
+            h, wires={n: Wire(n) if n in _linked(h, out) else w for n, w in h.wires.items()}
+        )
+    return h
+
+
+def _doubted(evidence: Evidence, h: Hypothesis, most: float = SUSPICIOUS) -> set[str]:
+    """Return the joints of which a hypothesis leaves more than a share unexplained."""
     shares = evidence.shares(h, [h.delay])[0]
-    return bool((shares[evidence.weights > 0] < _EXPLAINED).all())
+    bad = (shares > most) & (evidence.weights > 0)
+    return {j for j, doubted in zip(evidence.joints, bad, strict=True) if doubted}
+
+
+def _joint(evidence: Evidence, name: str) -> str:
+    """Return the joint that a position or a control is about."""
+    return evidence.driven(name) if name in evidence.inputs else name.removeprefix("qpos.")
+
+
+def _linked(h: Hypothesis, names: set[str]) -> set[str]:
+    """Return channels with all that were exchanged with them."""
+    while True:
+        sources = {h.wires[n].source for n in names}
+        more = names | {n for n, w in h.wires.items() if n in sources or w.source in names}
+        if more == names:
+            return names
+        names = more
 
 
 def _telling(evidence: Evidence, control: str) -> bool:
@@ -159,6 +203,8 @@ def _zeroed(evidence: Evidence, h: Hypothesis) -> Hypothesis:
             if not abs(moved.value) > max(_SURE_ZERO * moved.sigma, 0.0 if known else _LEAST_ZERO):
                 continue
             trial, _ = _timed(evidence, estimate.with_zero(h, names, moved.value))
+            if not known and _doubted(evidence, trial) & {_joint(evidence, n) for n in names}:
+                continue
             better = now - evidence.scores(trial, [trial.delay])[0]
             if better > gain or (known and better > 0.02):
                 best, gain = trial, max(better, gain)

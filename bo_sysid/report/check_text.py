@@ -4,6 +4,7 @@ import pandas as pd
 
 from bo_sysid.checks.check import Checked
 from bo_sysid.checks.flags import Flag
+from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.report.text import check_text, table
 
 _TITLES = {
@@ -11,7 +12,6 @@ _TITLES = {
     "look": "To be looked at:",
     "note": "Good to know:",
 }
-_EXPLAINED = 0.5  # share of a joint's forces left over, below which its channels were tested
 _MOST = 12  # remarks of one level that are shown
 
 
@@ -49,9 +49,9 @@ def checked_text(found: Checked) -> str:
 
 
 def _tested(found: Checked) -> bool:
-    """Whether the motion could show a wrong channel: the model explains most of its forces."""
+    """Whether the motion could show a wrong channel: the model explains the forces."""
     used = found.wiring.balance[found.wiring.balance["used"].astype(bool)]
-    return len(used) > 0 and float(used["after"].max()) < _EXPLAINED
+    return len(used) > 0 and float(used["after"].max()) <= SUSPICIOUS
 
 
 def _motion(found: Checked) -> pd.DataFrame:

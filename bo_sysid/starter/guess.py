@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 
+from bo_sysid.checks.hypothesis import FREE
 from bo_sysid.checks.proposal import Rule, proposed_clocks, proposed_columns
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped
@@ -24,6 +25,7 @@ _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
 _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
 _LIKELY = 0.7
+_MOTOR = "the motor's constant as the model's masses have it"
 _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
 
 
@@ -110,7 +112,10 @@ def by_behaviour(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rule
     changed = proposed_columns(rules.columns, wiring.wires, wraps)
     guesses = _agreed(rules.guesses, wiring.balance, changed)
     for channel, rule in changed.items():
-        reason = "the motion" if channel in wiring.wires else "its jumps"
+        wire = wiring.wires.get(channel)
+        reason = "the motion" if wire else "its jumps"
+        if wire and wire.unit == FREE:
+            reason = f"{_MOTOR}; the motion"
         share = _explained(wiring.balance)
         column = str(rule.get("from", channel))
         guesses[channel] = Guess(channel, column, "", f"{reason}: {share}", 0.8)
