@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, unexplained
-from bo_sysid.checks.hypothesis import FREE, Wire
+from bo_sysid.checks.hypothesis import FREE, Evidence, Wire
 from bo_sysid.checks.motion import channel_flags
+from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS
+from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
@@ -211,6 +213,26 @@ def test_a_motor_that_the_motion_does_not_need_has_no_constant() -> None:
     assert share > SUSPICIOUS
     assert flag.channels == ("elbow",)
     assert flag.sentence.startswith(f"{100 * share:.0f} % of the forces at elbow")
+
+
+def test_a_rotor_that_the_model_lacks_is_no_constant_of_a_motor() -> None:
+    """Without gravity 25 times the inertia is a 25th of the torque, but for the noise."""
+    turned = SERVO.format(kind="motor").replace('axis="0 1 0"', 'axis="0 0 1"')
+    turned = turned.replace("0 0 0 0 0 -.3", "0 0 0 .3 0 0").replace(' damping=".02"', "")
+    model = Model.from_xml(turned)
+    inertia = float(model.compile().dof_M0[0])
+    geared = Model.from_xml(turned.replace('".002"', f'"{24 * inertia}"'))
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = tones(time, 5)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(geared.compile(), start, np.repeat(ctrl, 4)[None, :, None])
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+    log = Recording.from_arrays(
+        time, qpos={"hinge": run.qpos[0, ::4, 0][:-1] + noise}, ctrl={"m": ctrl}
+    )
+    evidence = Evidence(model.compile(), Traces([log], ["qpos.hinge"]))
+    assert (evidence.shares(evidence.identity(), [0.0]) > SUSPICIOUS).all()
+    assert list(scaled(evidence, evidence.identity(), [0.0])) == []
 
 
 def test_a_correction_that_leaves_much_is_not_proposed() -> None:

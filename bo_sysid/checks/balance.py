@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import lsq_linear
 
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
@@ -178,17 +179,19 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
 
 def free_gain(
     terms: Terms, j: int, own: Float[np.ndarray, "D n"], rest: Float[np.ndarray, "D n"]
-) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, " D"]]:
+) -> tuple[float, float]:
     """Return the factor of one actuator's force that suits, whatever it is, beside friction.
 
     Args:
         terms: of the hypothesis about the measured channels.
         j: degree of freedom.
-        own: `D x n` force of the actuator along it, for D hypotheses.
+        own: `D x n` force of the actuator along it, for D hypotheses, of which the best counts.
         rest: `D x n` force of all others.
 
     Returns:
-        The factor, and what is left unexplained over what is left without the actuator.
+        The factor, and what it leaves unexplained over what is left without: with no actuator at
+        all, or with physics alone, a rotor that the model lacks among it. Each is a share of the
+        forces that it supposes, since noise in the acceleration counts with a rotor's inertia.
     """
     needed = terms.needed[:, j] - rest
     columns = np.empty((len(own), 3, own.shape[1]))
@@ -197,12 +200,29 @@ def free_gain(
     right = np.einsum("dan,dn->da", columns, needed)
     square = (needed**2).sum(axis=1)
     found = _bounded(gram, right, (-np.inf, np.inf), _MANY_SWEEPS)
-    none = _bounded(gram, right, (0.0, 0.0))
-    left, without = (_left(square, gram, right, x) for x in (found, none))
-    return found[:, 0], left / np.maximum(without, 1e-300)
+    left = _left(square, gram, right, found)
+    k = int(np.argmin(left))
+    none = _left(square[k], gram[k], right[k], _bounded(gram[k], right[k], (0.0, 0.0)))
+    gain, all_of_it = float(found[k, 0]), float(gram[k, 0, 0])
+    without = min(
+        float(none / square[k]),
+        _with_rotor(np.column_stack([*columns[k], -terms.acceleration[:, j]]), needed[k]),
+    )
+    return gain, float(left[k]) / max(gain**2 * all_of_it * without, 1e-300)
 
 
-def _left(square: np.ndarray, gram: np.ndarray, right: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _with_rotor(columns: Float[np.ndarray, "n 4"], needed: Float[np.ndarray, " n"]) -> float:
+    """Return the share of an actuator's force that its gain, friction and a rotor leave."""
+    size = np.sqrt((columns**2).mean(axis=0)) + 1e-300
+    low, high = np.array([GAIN[0], 0.0, 0.0, 0.0]), np.array([GAIN[1], *[np.inf] * 3])
+    found = lsq_linear(columns / size, needed, (low * size, high * size), method="bvls")
+    force = found.x[0] * columns[:, 0] / size[0]
+    return float(2 * found.cost / max(force @ force, 1e-300))
+
+
+def _left(
+    square: np.ndarray | np.float64, gram: np.ndarray, right: np.ndarray, x: np.ndarray
+) -> np.ndarray:
     """Return the sum of squares that coefficients leave."""
     explained = 2 * (x * right).sum(axis=-1) - np.einsum("...a,...ab,...b->...", x, gram, x)
     return np.asarray(square - explained)

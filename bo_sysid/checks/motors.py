@@ -14,7 +14,7 @@ from bo_sysid.checks.balance import GAIN, free_gain
 from bo_sysid.checks.hypothesis import FREE, Evidence, Hypothesis
 from bo_sysid.recording import Recording
 
-_FELT = exp(-0.8)  # of what is left without a motor, that is left with it, at most
+_TOLD = exp(-0.8)  # of what physics alone leaves, that a constant leaves at most
 
 
 def scaled(evidence: Evidence, h: Hypothesis, delays: Sequence[float]) -> Iterator[Hypothesis]:
@@ -71,14 +71,13 @@ def _with_gains(h: Hypothesis, gains: Mapping[str, float]) -> Hypothesis:
 
 
 def _gain(evidence: Evidence, h: Hypothesis, name: str, delays: Sequence[float]) -> float:
-    """Return the factor of a control at the delay that suits; 0 where it is hardly felt."""
+    """Return the factor of a control at the delay that suits; 0 where physics does as well."""
     terms, j = evidence.terms(h), evidence.dof(name)
     per_unit = _per_unit(evidence, h, name)
     own = np.stack([per_unit * evidence.value(h, name, held=True, delay=d) for d in delays])
     rest = np.stack([terms.actuated(evidence.controls(h, d))[:, j] for d in delays]) - own
-    gains, left = free_gain(terms, j, own, rest)
-    best = int(np.argmin(left))
-    return float(gains[best]) if left[best] < _FELT else 0.0
+    gain, left = free_gain(terms, j, own, rest)
+    return gain if left < _TOLD else 0.0
 
 
 def _per_unit(evidence: Evidence, h: Hypothesis, name: str) -> np.ndarray:
