@@ -303,6 +303,35 @@ def test_the_motion_tells_the_unit_of_a_wheel_that_turns_on(tmp_path: Path, fact
     assert (rule.source, rule.unit) == ("wheel_position", None if factor == 1.0 else "deg")
 
 
+def test_bounds_and_limits_are_those_of_all_logs_but_the_held_out(tmp_path: Path) -> None:
+    """The first log is the calmest, the held-out one the wildest."""
+    model = tmp_path / "wheel.xml"
+    model.write_text(WHEEL.format(limits=""))
+    compiled = Model.from_file(model).compile()
+    time = np.arange(0.0, 6.0, 0.004)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    turned, torque, paths = [], [], []
+    for k, drive in enumerate((0.1, 0.8, 0.5, 3.0)):
+        ctrl = drive * tones(time, k)
+        turned.append(Engine(1).rollout(compiled, start, ctrl[None, :, None]).qpos[0, :-1, 0])
+        torque.append(ctrl)
+        paths.append(tmp_path / f"log{k}.csv")
+        log = {"time": time, "wheel_position": turned[-1], "wheel_torque": ctrl}
+        pd.DataFrame(log).to_csv(paths[-1], index=False)
+    path = init(model, paths, tmp_path / "wheel.yaml").path
+    text = path.read_text()
+    low, high = (float(f(np.concatenate(turned[:3]))) for f in (np.min, np.max))
+    assert f"#   wheel: {{position: [{low:.3g}, {high:.3g}], velocity: " in text
+    told = float(text.split("velocity: ")[1].split("}")[0])
+    assert told == pytest.approx(np.abs(np.gradient(turned[1], time)).max(), rel=0.1)
+    bounds = {
+        p.addresses[0]: p.high for p in Study.load(path).parameter_set(Model.from_file(model))
+    }
+    assert bounds["joint[wheel].frictionloss"] == pytest.approx(
+        np.concatenate(torque[:3]).std(), rel=0.05
+    )
+
+
 def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control() -> None:
     joints = ("yaw", "shoulder", "elbow", "gripper")
     told = {f"qpos.{j}": (k + 1) * WAVE for k, j in enumerate(joints)}

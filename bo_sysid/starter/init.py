@@ -53,7 +53,10 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     if out.exists():
         raise UserError(f"{out}: exists; name another file with --out, or remove it")
     files = [Path(log) for log in logs]
-    tables = _alike([t for f in files for t in read_tables(f)])
+    held = max(len(files) // 4, 1) if len(files) > 1 else 0
+    train, holdout = files[: len(files) - held], files[len(files) - held :]
+    tables = _alike([t for f in train for t in read_tables(f)])
+    _alike([*tables[:1], *(t for f in holdout for t in read_tables(f))])
     whole, notes, fixed = _held_base(source, tables[0].columns)
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
     if edits:
@@ -70,11 +73,10 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     if rules.unmatched:
         notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
     out.parent.mkdir(parents=True, exist_ok=True)
-    holdout = files[-max(len(files) // 4, 1) :] if len(files) > 1 else []
     text = study_text(
         source.stem,
         relative(motors if edits else source, out.parent),
-        [relative(f, out.parent) for f in files[: len(files) - len(holdout)]],
+        [relative(f, out.parent) for f in train],
         [relative(f, out.parent) for f in holdout],
         rules,
         scales,
@@ -106,7 +108,7 @@ def _guessed(
         if rules.held:
             nominal = Model.from_file(read_from, base=base, hold=rules.held)
         rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
-        return rules, _scales(nominal, read(tables[0], rules))
+        return rules, _scales(nominal, [read(t, rules) for t in tables])
 
 
 def _alike(tables: list[RawTable]) -> list[RawTable]:
@@ -141,24 +143,30 @@ def _motors(model: Model) -> list[MotorEdit]:
     return [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
 
 
-def _scales(model: Model, recording: Recording) -> pd.DataFrame:
-    """Return bounds of what a joint may lack, and how it moved."""
+def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
+    """Return bounds of what a joint may lack, and how it moved in any recording.
+
+    Friction, damping or a rotor that alone needs what the actuators gave, as a standard deviation,
+    is the most that is worth trying; a joint without any is bounded by what moved it.
+    """
     compiled = model.compile()
-    machine = survey(compiled, [recording])
-    motion = excitation([recording], compiled).set_index("joint")
+    machine = survey(compiled, recordings)
+    fastest = excitation(recordings, compiled).groupby("joint")["fastest"].max()
     rows = []
     for name, joint in machine.joints.items():
-        values = recording.channels[f"qpos.{name}"].values
+        values = np.concatenate([r.channels[f"qpos.{name}"].values for r in recordings])
+        force = sum(machine.actuators[a].force_std for a in joint.actuators)
         rows.append(
             {
                 "joint": name,
-                "friction": joint.force,
-                "damping": joint.force / joint.speed,
-                "armature": joint.inertia,
+                "friction": force or joint.force,
+                "damping": (force or joint.force) / joint.speed,
+                "armature": force / joint.acceleration or joint.inertia,
                 "low": float(values.min()),
                 "high": float(values.max()),
-                "speed": float(motion.loc[name, "fastest"]),  # type: ignore[arg-type]
+                "speed": float(fastest[name]),
             }
         )
-    step = min(np.median(np.diff(c.time)) for c in recording.of_kind("qpos").values())
+    clocks = [c.time for r in recordings for c in r.of_kind("qpos").values()]
+    step = min(np.median(np.diff(time)) for time in clocks)
     return pd.DataFrame(rows).assign(horizon=max(round(_WINDOW / float(step)), 1))
