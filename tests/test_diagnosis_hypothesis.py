@@ -17,7 +17,8 @@ from bo_sysid.effects import CATALOGUE, Extent, Force, Reading, catalogue, load_
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Channel
+from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Controller
 
 MINE = Path(__file__).parent.parent / "studies" / "effects" / "my_effect.py"
@@ -163,3 +164,23 @@ def test_a_step_is_as_coarse_as_its_error_lets_it_be(
 ) -> None:
     fitted = Hypothesis(numerics=share)
     assert finer_step(coarsened(fitted, change).numerics) == division
+
+
+@pytest.mark.parametrize(("nearest_approach", "contact"), [(0.3, False), (0.02, True)])
+def test_contact_counts_where_the_machine_came_to_touch(
+    nearest_approach: float, contact: bool
+) -> None:
+    # a slide with a ball of 5 cm that comes as near as that to a wall
+    model = Model.from_xml(
+        '<mujoco><worldbody><geom name="wall" type="plane" size="1 1 .1" zaxis="1 0 0"/>'
+        '<body name="cart"><joint name="x" type="slide" axis="1 0 0"/>'
+        '<geom name="ball" size=".05"/></body></worldbody><actuator><motor name="push" joint="x"/></actuator></mujoco>'
+    )
+    time = np.arange(0, 4, 0.01)
+    position = nearest_approach + 0.2 * (1 + np.cos(3 * time))
+    recording = Recording.from_arrays(time, qpos={"x": position}, ctrl={"push": 0 * time})
+    evidence = make_evidence(model, [recording], effects=(), threads=1)
+    assert can_touch(evidence.model.compile()) is contact
+    assert can_touch(evidence.given.compile())
+    assert bool(evidence.notes) is not contact
+    assert (evidence.window < 0.2) is contact

@@ -22,8 +22,9 @@ from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.signatures import response_to_forces
 from bo_sysid.diagnosis.unknown import Clue, examine, needed_beside
-from bo_sysid.diagnosis.windowing import prepare, touching
+from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects.learned import learned_force
+from bo_sysid.mjcf.touching import touching
 
 AT_ELBOW = Clue("elbow", ("position",), 1.0)
 

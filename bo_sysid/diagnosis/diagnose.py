@@ -169,7 +169,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        tuple(dict.fromkeys((*notes, *held_notes(study), *said))),
+        tuple(dict.fromkeys((*notes, *held_notes(study), *evidence.notes, *said))),
         contact,
     )
     if run is not None:
@@ -234,7 +234,7 @@ def _repair(
         return ()
     folder = Path(run.path(MODEL)).parent
     written = write_model(
-        evidence.model, evidence.machine, outcome.repaired, folder, timestep=outcome.timestep
+        evidence.given, evidence.machine, outcome.repaired, folder, timestep=outcome.timestep
     )
     text = study_text(study, answer.findings, run.folder, written)
     run.write_text(STUDY, text)

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from bo_sysid.diagnosis.driven import driven
 from bo_sysid.diagnosis.hypothesis import (
     Candidate,
@@ -15,13 +17,14 @@ from bo_sysid.diagnosis.scales import channel_noise
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
-from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.mjcf.touching import can_touch, touching
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
+_POSES = 1000  # of each recording in which geoms may touch
 _CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
 
 
@@ -30,7 +33,8 @@ class Evidence:
     """What a diagnosis is made from.
 
     Attributes:
-        model: the nominal model.
+        model: the nominal model, without contact where the recordings show none.
+        given: the same as it was given.
         machine: the scales of its sites.
         recordings: the training recordings.
         sigma: noise of each observed channel.
@@ -43,6 +47,7 @@ class Evidence:
     """
 
     model: Model
+    given: Model
     machine: Machine
     recordings: tuple[Recording, ...]
     sigma: dict[str, float]
@@ -52,6 +57,13 @@ class Evidence:
     window: float
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the model, in words."""
+        if self.model is self.given:
+            return ()
+        return ("Nothing of the model touches in these recordings: contact is left out of them.",)
 
     @property
     def rigid(self) -> "Evidence":
@@ -94,12 +106,14 @@ def make_evidence(
         RecordingError: no joint's position was recorded, or none moves.
         ModelError: an address of `known` matches nothing.
     """
+    given, model = model, _as_it_moved(model, recordings)
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
     every = CATALOGUE.values() if effects is None else effects
     wanted = [e for e in every if e.family != "learned"]
     return Evidence(
         model,
+        given,
         machine,
         tuple(recordings),
         channel_noise(recordings, machine, noise or {}),
@@ -110,6 +124,25 @@ def make_evidence(
         Engine(threads),
         tuple(laws),
     )
+
+
+def _as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
+    """Return the model without contact, where none of its geoms touched as the machine moved.
+
+    Most robots' geoms can touch, and most motion is free: where impacts decide nothing, windows may
+    be long and slopes tell magnitudes. Where a coordinate was not recorded nothing is known.
+    """
+    compiled = model.compile()
+    if not can_touch(compiled):
+        return model
+    for r in recordings:
+        if not all(n in r.channels for n in model.qpos_channels):
+            return model
+        time = np.linspace(*r.span, _POSES)
+        poses = np.stack([r.channels[n].at(time) for n in model.qpos_channels], axis=1)
+        if touching(compiled, poses):
+            return model
+    return model.without_contact()
 
 
 def _felt(

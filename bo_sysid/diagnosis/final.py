@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.rounds import substitute, vary
-from bo_sysid.diagnosis.rules import admissible, clean, lost, ranked
+from bo_sysid.diagnosis.rules import LOOSE, admissible, clean, lost, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.starts import first_starts
@@ -21,6 +21,7 @@ from bo_sysid.mjcf.touching import can_touch
 
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
+_NEEDED = 0.5  # [sigma] that leaving out a part costs, from which it need not be fitted again
 _COMPARED = 3  # leading sets at most that are compared with others
 _POLISH = 6  # times at most that the leader is linearised anew on all windows
 _TOLD = 2.0  # standard deviations from which a bend is told from none
@@ -113,7 +114,7 @@ def _polish_rivals(final: Search, leader: Fit, polished: set[Names]) -> None:
     for f in ranked(final.fits.values(), final.prior):
         fewer = sum(c.size for c in f.members) < count and f.rms < _FAR * leader.rms
         shaped = any(ranges(c, problem.machine) for c in f.members) and f.rms < _NEAR * leader.rms
-        if f.size == leader.size and (fewer or shaped):
+        if f.size == leader.size and (fewer or shaped) and not f.names < leader.names:
             rivals.setdefault(f.names, f)
     for names in [n for n in rivals if n not in polished][:_RIVALS]:
         polished.add(names)
@@ -217,6 +218,12 @@ def _distance(before: Fit, after: Fit) -> float:
     return float(np.sqrt(max(change @ inverse @ change, 0.0)))
 
 
+def _lacks(fit: Fit, leader: Fit) -> bool:
+    """Whether a set is a part of one that leaves little, and what it lacks is clearly needed."""
+    part = fit.names < leader.names and leader.rms < LOOSE
+    return part and fit.excess > leader.excess + _NEEDED**2
+
+
 def _leader(search: Search) -> Fit:
     """Return the best of the fits whose every member is needed."""
     fits = list(search.fits.values())
@@ -227,7 +234,8 @@ def _leader(search: Search) -> Fit:
 def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
-    Of sets that differ in shapes alone only the first, since they are fitted again. Of those that
+    Of sets that differ in shapes alone only the first, since they are fitted again. Parts of a
+    leader that leaves little are no rivals, where they leave clearly more. Of those that
     leave many times as much as the leader only the best that is admissible, which may be what all
     windows admit, and the best that shares no name, to compare with. Where names are no explanation
     only the leader, and the best that is admissible.
@@ -241,6 +249,6 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     if lost(order[0], nominal):
         return list(dict.fromkeys((order[0], *able[:1])))
     held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
-    near = [f for f in held if f.rms < _FAR * order[0].rms]
+    near = [f for f in held if f.rms < _FAR * order[0].rms and not _lacks(f, order[0])]
     others = [f for f in order if f.members and not f.names & order[0].names]
     return list(dict.fromkeys((*near, *able[:1], *others[:1])))

@@ -8,7 +8,6 @@ projected difference between a finer step and the model's, with one coefficient.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -19,7 +18,7 @@ from bo_sysid.diagnosis.settling import better_of, settle
 from bo_sysid.diagnosis.starts import caught_up, first_starts
 from bo_sysid.diagnosis.timestep import FINER
 from bo_sysid.errors import ModelError
-from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.mjcf.touching import can_touch, touching
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
@@ -128,18 +127,6 @@ def nothing(problem: Problem) -> Hypothesis:
 def in_contact(problem: Problem) -> bool:
     """Whether geoms touch at the beginning of more than a few windows."""
     return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
-
-
-def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
-    """Return the share of poses in which geoms of the model touch."""
-    if not can_touch(model):
-        return 0.0
-    data, count = mujoco.MjData(model), 0
-    for pose in poses:
-        data.qpos[:] = pose
-        mujoco.mj_fwdPosition(model, data)
-        count += data.ncon > 0
-    return count / len(poses)
 
 
 def weighted_by_chaos(linear: Linear) -> Problem:

@@ -175,6 +175,12 @@ class Model:
         file = sources.menagerie_file(robot)
         return cls.from_file(file, base=base, hold=hold, name=Path(robot).stem)
 
+    def without_contact(self) -> "Model":
+        """Return the model in which nothing touches anything."""
+        spec = self.spec()
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        return Model(self.name, self.source, spec, self.unrecorded)
+
     def spec(self) -> mujoco.MjSpec:
         """Return a fresh copy of the spec, visuals kept."""
         return self._forms.full.copy()

@@ -2,25 +2,41 @@
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 
 def can_touch(model: mujoco.MjModel) -> bool:
     """Return whether MuJoCo would let any two geoms of a compiled model collide."""
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
-        return False
-    return bool(model.npair or partners(model).any())
+    return bool((model.npair and not _off(model)) or partners(model).any())
+
+
+def _off(model: mujoco.MjModel) -> bool:
+    return bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT))
+
+
+def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
+    """Return the share of poses in which geoms of the model touch."""
+    if not can_touch(model):
+        return 0.0
+    data, count = mujoco.MjData(model), 0
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(model, data)
+        count += data.ncon > 0
+    return count / len(poses)
 
 
 def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
     """Return which geoms can touch, pairs that the model lists left aside.
 
-    No contact within a body or what is welded to it, nor between a body and its parent (but the
-    world), nor between excluded bodies, nor where no bits of contype and conaffinity meet.
+    None where contacts are switched off. No contact within a body or what is welded to it, nor
+    between a body and its parent (but the world), nor between excluded bodies, nor where no bits of
+    contype and conaffinity meet.
     Source: MuJoCo documentation, Computation, Collision detection, Filtering.
     """
     kinds, affine = model.geom_contype, model.geom_conaffinity
     touch = ((kinds[:, None] & affine) | (affine[:, None] & kinds)) != 0
+    touch &= not _off(model)
     weld = model.body_weldid[model.geom_bodyid]
     parent = model.body_weldid[model.body_parentid[weld]]
     touch &= weld[:, None] != weld
