@@ -174,7 +174,8 @@ def test_contact_counts_where_the_machine_came_to_touch(
     model = Model.from_xml(
         '<mujoco><worldbody><geom name="wall" type="plane" size="1 1 .1" zaxis="1 0 0"/>'
         '<body name="cart"><joint name="x" type="slide" axis="1 0 0"/>'
-        '<geom name="ball" size=".05"/></body></worldbody><actuator><motor name="push" joint="x"/></actuator></mujoco>'
+        '<geom name="ball" size=".05"/></body></worldbody>'
+        '<actuator><motor name="push" joint="x"/></actuator></mujoco>'
     )
     time = np.arange(0, 4, 0.01)
     position = nearest_approach + 0.2 * (1 + np.cos(3 * time))
