@@ -17,7 +17,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.simulation import Engine, State
 from bo_sysid.starter.columns import derivatives, describe, words
-from bo_sysid.starter.guess import guess_rules
+from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
 from bo_sysid.study import Study
 
@@ -355,6 +355,42 @@ def test_a_model_without_hinges_and_slides_is_refused_in_words() -> None:
     ball = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
     with pytest.raises(RecordingError, match=r"hinges and slides.*'qpos.b.0'"):
         guess_rules(Model.from_xml(ball), RawTable("log", {"time": TIMES, "qpos.b.0": WAVE}))
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "kind", "words"),
+    [
+        ("Strom_ist [mA]", "mA", "other", ("strom", "ist")),
+        ("torque (mNm)", "mNm", "effort", ("torque",)),
+        ("tau_Nm", "Nm", "effort", ("tau",)),
+        ("motorCurrent_mA", "mA", "effort", ("motor", "current")),
+        ("u [V]", "V", "command", ("u",)),
+        ("Drehzahl [rpm]", "rpm", "velocity", ("drehzahl",)),
+        ("Winkel [°]", "°", "position", ("winkel",)),
+        ("shaft(deg/s)", "deg/s", "velocity", ("shaft",)),
+        ("joint(1)", "", "position", ("joint", "1")),
+        ("motor_A", "", "other", ("motor", "a")),
+        ("elbow [MA]", "", "other", ("elbow", "ma")),
+    ],
+)
+def test_units_in_brackets_are_read_before_names_are_split(
+    name: str, unit: str, kind: str, words: tuple[str, ...]
+) -> None:
+    table = RawTable("log", {"time": TIMES, name: WAVE})
+    (column,) = (c for c in describe(table) if c.name == name)
+    assert (column.unit, column.kind, column.words) == (unit, kind, words)
+
+
+@pytest.mark.parametrize(
+    ("column", "factor"), [("i [mA]", 1e-3), ("tau_mNm", 1e-3), ("i [A]", 1.0)]
+)
+def test_a_control_is_read_in_the_unit_that_its_column_carries(column: str, factor: float) -> None:
+    table = RawTable("log", {"t [ms]": 1e-3 * TIMES, "angle [deg]": 30 * WAVE, column: 50 * WAVE})
+    rules = guess_rules(Model.from_xml(WHEEL.format(limits="")), table)
+    channels = read(table, rules).channels
+    np.testing.assert_allclose(channels["ctrl.wheel"].values, 50 * factor * WAVE)
+    np.testing.assert_allclose(channels["qpos.wheel"].values, np.deg2rad(30 * WAVE))
+    np.testing.assert_allclose(channels["qpos.wheel"].time, 1e-6 * TIMES)
 
 
 def test_names_are_split() -> None:

@@ -9,6 +9,8 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
+from bo_sysid.recording.units import is_unit
+from bo_sysid.recording.units import unit as unit_called
 
 Kind = Literal["time", "position", "velocity", "command", "effort", "other"]
 
@@ -34,10 +36,17 @@ WORDS: dict[str, frozenset[str]] = {
 """Words in the names of columns, by what they say."""
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
-    "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "ma": "mA", "mnm": "mN m", "percent": "%",
+    "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "percent": "%",
 }  # fmt: skip
-"""Units that names of columns carry."""
+"""Units that names of columns carry as a word of theirs, in any letters."""
+_ENDINGS = ("mA", "mNm", "Nm")
+"""Units at the end of a name, in these letters; A and V alone may be the name of a motor."""
 _CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
+_BRACKETS = re.compile(r"\[([^\[\]]+)\]|\(([^()]+)\)")
+_BY_QUANTITY: dict[str, Kind] = {
+    "angle": "position", "length": "position", "angular velocity": "velocity",
+    "velocity": "velocity",
+}  # fmt: skip
 _PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
 """Units of positions: a column that carries one and says nothing else is a position."""
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
@@ -94,13 +103,26 @@ def words(name: str) -> tuple[str, ...]:
     return tuple(w.lower() for w in re.findall(r"[A-Za-z]+|\d+", spaced))
 
 
+def named_unit(name: str) -> tuple[str, str]:
+    """Return a name without the unit that it carries in brackets or at its end, and that unit."""
+    for found in _BRACKETS.finditer(name):
+        inside = (found[1] or found[2]).strip()
+        if is_unit(inside) and not inside.isdigit():
+            return f"{name[: found.start()]} {name[found.end() :]}".strip(), inside
+    for ending in _ENDINGS:
+        if re.search(rf"[^A-Za-z]{ending}$", name):
+            return name[: -len(ending)], ending
+    return name, ""
+
+
 def _named(name: str, unit: str) -> Column:
-    parts = words(name)
     by_channel = _CONVENTION.get(name.split(".", 1)[0]) if "." in name else None
     if by_channel is not None:  # the rest is the name of an element, and says nothing
-        return Column(name, by_channel, parts, unit, "its name")
+        return Column(name, by_channel, words(name), unit, "its name")
+    plain, told = named_unit(name)
+    parts = words(plain)
     said = {kind for kind, known in WORDS.items() if known & set(parts)}
-    unit = unit or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
     bare = tuple(w for w in parts if w not in UNITS)
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
@@ -113,6 +135,9 @@ def _named(name: str, unit: str) -> Column:
         kind = "velocity"
     elif unit and parts[-1:] == ("s",) and unit in _PLACES:
         kind, unit = "velocity", f"{unit}/s"
+    elif told:
+        kind = _BY_QUANTITY.get(unit_called(told, name).quantity, "other")
+        kind = "position" if kind == "other" and "position" in said else kind
     elif "position" in said or unit in _PLACES:
         kind = "position"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")

@@ -16,7 +16,7 @@ from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
-from bo_sysid.recording.units import is_unit, unit
+from bo_sysid.recording.units import Unit, is_unit, unit
 from bo_sysid.starter.columns import WORDS, Column, describe
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
 
@@ -26,6 +26,12 @@ _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
 _LIKELY = 0.7
 _MOTOR = "the motor's constant as the model's masses have it"
+_FITS = {
+    "qpos": ("angle", "length"),
+    "qvel": ("angular velocity", "velocity"),
+    "ctrl": ("current", "voltage", "torque", "force", "ratio", "angle", "length"),
+}
+_ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
 _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
 
 
@@ -206,17 +212,13 @@ def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule
     """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
     rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
     kind, element = guess.channel.split(".", 1)
-    fits = {
-        "qpos": ("deg", "mrad", "mm"),
-        "qvel": ("rpm", "deg/s", "mm/s"),
-        "ctrl": ("mA", "mN m", "%", "deg", "mrad", "mm"),
-    }
-    told = unit(guess.unit, guess.column).quantity if is_unit(guess.unit) else ""
-    if kind == "qpos" and told == "count":
+    said = unit(guess.unit, guess.column) if is_unit(guess.unit) else Unit("", "", 1.0)
+    fits = said.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
+    if kind == "qpos" and said.quantity == "count":
         rule |= _TICK_RULE
-    elif guess.unit in fits.get(kind, ()) and table.units.get(guess.column) is None:
+    elif fits and (said.factor != 1 or said.quantity in _ELECTRIC):
         rule["unit"] = guess.unit
-    elif kind == "qpos" and told != "angle":
+    elif kind == "qpos" and said.quantity != "angle":
         made, reach = _by_reach(table, compiled, element, guess.column)
         if made:
             reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
@@ -253,7 +255,7 @@ def _time(table: RawTable, columns: Sequence[Column]) -> Rule:
     values = table.column(clock.name)
     step = float(np.median(np.diff(values[np.isfinite(values)])))
     dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
-    named = clock.unit if clock.unit in ("ms", "us", "ns") and not dated else ""
+    named = clock.unit if clock.unit in ("ms", "us", "µs", "ns") and not dated else ""
     if not named and not dated:
         named = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
     rule: Rule = {} if clock.name == "time" else {"from": clock.name}
