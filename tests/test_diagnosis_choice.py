@@ -30,8 +30,9 @@ from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.sentences import doubts, rivals
 from bo_sysid.diagnosis.shapes import sharpened
-from bo_sysid.diagnosis.tables import doubts, explained, missing_force
+from bo_sysid.diagnosis.tables import explained, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller
@@ -151,6 +152,8 @@ def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> N
         ("gravity_tilt", "world"),
         ("encoder_offset", "shoulder"),
     }
+    (beside,) = rivals(made.decision, made.evidence.machine)
+    assert beside.startswith("Instead of an encoder offset at the shoulder it may be a tilt (0.0")
     said = next_experiment(made, explain(made), {}).sentence
     assert "tells an encoder offset at shoulder from a tilt by" in said
     assert said.endswith("What tells them apart: several postures; a known posture at rest.")

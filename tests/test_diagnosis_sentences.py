@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.findings import Quantity, sentence
+from bo_sysid.diagnosis.findings import Finding, Quantity, sentence
 from bo_sysid.diagnosis.hypothesis import candidates
+from bo_sysid.diagnosis.sentences import found_sentences
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.recording import Recording
@@ -72,3 +73,29 @@ def test_springs_that_cancel_rest_nowhere() -> None:
     details = CATALOGUE["joint_spring"].details
     assert details is not None
     assert not details(np.array([-10.0, 0.5]), machine(stiffness=10.0), Site("joint", "hinge"))
+
+
+def rubbing(site: str, value: float, before: float = 0.0, group: str | None = None) -> Finding:
+    quantity = Quantity(value, "N m", (value - 0.03, value + 0.03))
+    return Finding(
+        "dry_friction", "joint", site, quantity, before, before + value, {}, group, 0.9, (),
+        f"The {site} rubs.", (value,),
+    )  # fmt: skip
+
+
+def test_a_group_of_three_is_said_in_one_sentence_and_two_in_two() -> None:
+    three = [
+        rubbing(j, v, group="dry friction on 3 joints") for j, v in {"a": 1, "b": 2, "c": 4}.items()
+    ]
+    assert found_sentences(three) == [
+        "Dry friction on 3 joints, which the model lacks: a 1.00 ± 0.03 N m, b 2.00 ± 0.03 N m, "
+        "c 4.00 ± 0.03 N m."
+    ]
+    more = [rubbing(j, 1.0, 0.5, "dry friction on 3 joints") for j in "abc"]
+    assert found_sentences(more)[0].startswith("Dry friction on 3 joints, beyond the model's: a")
+    two = [rubbing(j, 1.0, group="dry friction on 2 joints") for j in "ab"]
+    assert found_sentences([*two, rubbing("c", 2.0)]) == [
+        "The a rubs.",
+        "The b rubs.",
+        "The c rubs.",
+    ]

@@ -17,14 +17,8 @@ from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.repaired_study import study_text
-from bo_sysid.diagnosis.tables import (
-    bent_pose,
-    doubts,
-    missing_force,
-    parameters_sentence,
-    rivals,
-    sets,
-)
+from bo_sysid.diagnosis.sentences import doubts, found_sentences, parameters_sentence, rivals
+from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
@@ -101,7 +95,7 @@ class Diagnosis:
     def sentences(self) -> tuple[str, ...]:
         """The answer in words."""
         fitted = parameters_sentence(self.parameters)
-        said = [f.sentence for f in self.answer.findings] + list(self.answer.unexplained.sentences)
+        said = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
         if not said:
             once = ", once its parameters are fitted" if fitted else ""
             said = [f"Nothing that these recordings could show is missing from the model{once}."]

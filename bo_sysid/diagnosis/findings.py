@@ -168,17 +168,17 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: flo
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
         low, high = quantity.interval
         whole = Quantity(begun + quantity.value, quantity.unit, (begun + low, begun + high))
-        now = _amount(whole)
+        now = amount(whole)
         text = f"{effect.noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
         text = effect.sentence
         for said, opposite in _OPPOSITE.items():
             if said in text and quantity.value < 0:
                 text, quantity = text.replace(said, opposite), _negated(quantity)
-        amount = _amount(quantity)
+        size = amount(quantity)
         if any(words in text for both in _OPPOSITE.items() for words in both):
-            amount = amount.removeprefix("+")
-        text = text.format(site=site, value=amount, interval="")
+            size = size.removeprefix("+")
+        text = text.format(site=site, value=size, interval="")
     return text[0].upper() + text[1:]
 
 
@@ -196,7 +196,7 @@ def spoken(site: Site) -> str:
     return f"the {name}" if plain else f"{site.kind} {site.name}"
 
 
-def _amount(quantity: Quantity) -> str:
+def amount(quantity: Quantity) -> str:
     """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
     half = 0.5 * (quantity.interval[1] - quantity.interval[0])
     spoken_unit = "" if quantity.unit in _UNSPOKEN else f" {quantity.unit}"

@@ -12,16 +12,13 @@ from bo_sysid.diagnosis.argmin import ArgminSets
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.explain import Outcome
-from bo_sysid.diagnosis.findings import spoken
-from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.fitted_starts import DIVERGING
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
+from bo_sysid.diagnosis.sentences import set_words
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
-from bo_sysid.effects import Machine
-from bo_sysid.effects.contract import unit_at
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -31,7 +28,6 @@ _ROUNDS = 3
 _SHARES = (1.0, 0.3, 0.09)  # of a Gauss-Newton step on the starts
 _PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical force
 _SETS = 12
-_RIVALS = 3
 _POSES = 2_000  # instants among which the pose is chosen
 _FORCE_COLUMNS = (
     "recording", "time", "joint", "position", "speed", "unit", "nominal", "repaired", "sigma",
@@ -161,24 +157,6 @@ def explained(
     return force, np.sqrt((inverse**2).sum(axis=2))
 
 
-def parameters_sentence(parameters: pd.DataFrame, most: int = 8) -> str:
-    """Return what the study's parameters were fitted to, in words; empty where it has none.
-
-    Args:
-        parameters: columns name, unit, model, fitted and at_bound.
-        most: how many are told.
-    """
-    if parameters.empty:
-        return ""
-    told = []
-    for p in parameters.head(most).itertuples():
-        bound = ", at its bound" if p.at_bound else ""
-        unit = "" if p.unit in ("", "1") else f" {p.unit}"
-        told.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
-    more = f" and {len(parameters) - most} more" if len(parameters) > most else ""
-    return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
-
-
 def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFrame:
     """Return the sets between which was decided, most probable first, "nothing" among them.
 
@@ -217,48 +195,6 @@ def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFra
     return pd.DataFrame(rows).astype({"p_boot": float})
 
 
-def rivals(decision: Decision, machine: Machine) -> list[str]:
-    """Return a sentence about what may be in the place of what is answered, if anything may."""
-    best, said = decision.best, dict[str, list[str]]()
-    for f in decision.equivalents[:_RIVALS]:
-        theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
-        if theirs and ours:
-            said.setdefault(ours, []).append(theirs)
-    return [
-        f"Instead of {ours} it may be {', or '.join(theirs)}: these recordings do not tell."
-        for ours, theirs in said.items()
-    ]
-
-
-def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> str:
-    """Return in words what a set names and another does not."""
-    words = []
-    for c, x in zip(fit.members, fit.x, strict=True):
-        if c.key in {d.key for d in other.members}:
-            continue
-        where = "" if c.site.kind == "world" else f" at {spoken(c.site)}"
-        value, unit = c.effect.reported(c.full(x), machine, c.site), _unit(c, machine)
-        words.append(f"{c.effect.noun}{where}" + (f" ({value:.3g}{unit})" if sized else ""))
-    return " with ".join(words)
-
-
-def _unit(c: Candidate, machine: Machine) -> str:
-    unit = unit_at(c.effect.unit, c.site, machine)
-    return "" if unit in ("", "1", "–", "relative") else f" {unit}"
-
-
-def doubts(decision: Decision, searched: ArgminSets) -> list[str]:
-    """Return a sentence where the search of the arg-min and the posterior disagree."""
-    if not searched.disagrees(decision.best):
-        return []
-    other = searched.best
-    return [
-        f"Which set it is, is open: over bootstraps of the recordings the least deviation lies in "
-        f"{set_words(other)} ({searched.of(other):.2f}) more often than in "
-        f"{set_words(decision.best)} ({searched.of(decision.best) or 0.0:.2f})."
-    ]
-
-
 def _unheard_of(answer: Answer) -> float:
     """Return the probability of an effect outside the catalogue."""
     unknown = (
@@ -267,18 +203,6 @@ def _unheard_of(answer: Answer) -> float:
         if any(f["effect"] == "unknown" for f in a["findings"])
     )
     return next(unknown, 0.0)
-
-
-def set_words(fit: Fit) -> str:
-    """Return a set in words: "dry friction at the elbow + payload at the forearm"."""
-    if not fit.members:
-        return "nothing is missing"
-    words: list[str] = []
-    for candidate, group in zip(fit.members, fit.groups, strict=True):
-        noun = candidate.effect.noun
-        where = f" at all {candidate.site.kind}s" if group else f" at {spoken(candidate.site)}"
-        words.append(noun if candidate.site.kind == "world" else noun + where)
-    return " + ".join(dict.fromkeys(words))
 
 
 def bent_pose(recordings: Sequence[Recording]) -> dict[str, float]:
