@@ -4,7 +4,8 @@ Cases are drawn with fixed seeds (`diagnosis_cases.py`): the nominal model with 
 stepped eight times finer, seen through noisy joint positions. Each figure is a share,
 the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
-hopper) from 3 sigma up, "unknown" what the training recordings show at all. Cases are computed in
+hopper) from 3 sigma up, "geared" a six-joint arm that lacks friction, damping and rotors at all
+joints, as a URDF does, "unknown" what the training recordings show at all. Cases are computed in
 parallel, one thread each. BO_SYSID_SUITES=unknown,pair computes no other suites; figures are made
 of all cases that are there.
 """
@@ -47,6 +48,8 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "unknown_named": share(strange, lambda r: bool(r["found"]) and not r["flagged"]),
         "groups": share(of("group"), lambda r: r["right"]),
         "groups_within_10": share(of("group"), _near),
+        "geared": share(of("geared"), lambda r: r["right"] and not r["flagged"]),
+        "geared_within_10": share(of("geared"), _near),
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),

@@ -149,6 +149,31 @@ def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:
     return Case(rig, (), (train,), (holdout,), sigma, {"kind": kind, "site": joint, "size": size})
 
 
+_GEARED = {
+    "dry_friction": (4.0, 5.0, 3.0, 0.8, 0.6, 0.15),
+    "viscous_damping": (1.0, 1.0, 0.6, 0.16, 0.12, 0.04),
+    "armature": (0.5, 0.5, 0.3, 0.08, 0.06, 0.02),
+}
+"""What the joints of a geared arm have, within a factor of two, and its URDF has not."""
+
+
+def draw_geared(rng: np.random.Generator, rig: str) -> Case:
+    """Draw a case in which friction, damping and rotors are missing at every joint of an arm."""
+    model, setting, sigma = load(rig), RIGS[rig], 1e-4
+    seed, time = int(rng.integers(2**31)), np.arange(0.0, 2.0, 0.01)
+    swing = {n: np.sin(time + k) for k, n in enumerate(model.joints)}
+    machine = survey(model.compile(), [Recording.from_arrays(time, qpos=swing, ctrl=swing)])
+    truth = []
+    for effect, usual in _GEARED.items():
+        for joint, x in zip(model.joints, usual * np.exp(rng.uniform(-0.7, 0.7, 6)), strict=True):
+            truth.append(Planted(effect, "joint", joint, (x,), 0.0, x))
+    train, holdout = (
+        simulate(model, setting, machine, truth, seed=seed + k, duration=d, sigma=sigma)
+        for k, d in ((1, 30.0), (2, 8.0))
+    )
+    return Case(rig, tuple(truth), (train,), (holdout,), sigma)
+
+
 def _runs_away(recording: Recording, nominal: Recording) -> bool:
     """Whether a force drives the machine far out of where it moves without it."""
     spans = [

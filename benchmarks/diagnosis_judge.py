@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from diagnosis_cases import Case, draw, draw_group, draw_strange
+from diagnosis_cases import Case, draw, draw_geared, draw_group, draw_strange
 from diagnosis_plant import Planted
 from diagnosis_rigs import CONTACT, LOGS, RIGS, load
 from diagnosis_strange import STRANGE
@@ -30,8 +30,9 @@ from bo_sysid.mjcf import Address
 from bo_sysid.parameters import Parameter
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
-LARGE = ("six_motors", "six_servos")
+LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
 ROUNDS, CONTACT_ROUNDS = 10, 2
+_GEARED_ROUNDS = 5
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
 SKIPPED = (
@@ -69,6 +70,8 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
                 chosen = ids[(len(SMALL) * (len(LOGS) * seed + k) + j) % len(ids)]
                 yield "log", (rig, *_turned(SMALL, j + 1)[:2]), seed, f"{chosen} at {log}"
         yield "lugre", _turned(rigs, seed), seed, "dry_friction"
+        if not quick and seed < _GEARED_ROUNDS:
+            yield "geared", (BARE,), seed, ""
         if not quick and seed < 2:
             for rig in LARGE:
                 for id in ("dry_friction", "armature"):
@@ -86,7 +89,7 @@ def _turned(rigs: tuple[str, ...], by: int) -> tuple[str, ...]:
 
 def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
     """Draw a case; None where the effect does not apply to the machine or cannot be sized."""
-    order = [*sorted(set(RIGS) - set(CONTACT)), *CONTACT]
+    order = [*sorted(set(RIGS) - {*CONTACT, BARE}), *CONTACT, BARE]  # later rigs last: seeds stay
     key = [seed, order.index(rig), *detail.encode()]
     rng = np.random.default_rng(key)
     ids = [i for i, e in CATALOGUE.items() if e.family != "learned" and i not in SKIPPED]
@@ -103,6 +106,8 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw(rng, rig, ids, 2)
     elif suite == "unknown":
         case = draw_strange(rng, rig, detail)
+    elif suite == "geared":
+        case = draw_geared(rng, rig)
     elif suite == "group":
         case = draw_group(rng, rig, detail)
     else:

@@ -44,6 +44,13 @@ RIGS = {
         1.0,
         _POSE,
     ),
+    "six_bare": Rig(
+        "six_joint_arm_bare.xml",
+        _SIX,
+        ((900.0, 1500.0, 900.0, 200.0, 120.0, 40.0), (40.0, 60.0, 36.0, 8.0, 5.0, 1.6)),
+        1.0,
+        _POSE,
+    ),
     "six_servos": Rig("six_joint_arm_servos.xml", _SIX, None, 1.0, _POSE),
     "cheetah": Rig("cheetah run", (1.0,) * 6, None, 2.5, sampling=0.01),
     "hopper": Rig("hopper stand", (1.0,) * 4, None, 2.5, sampling=0.005),
