@@ -289,6 +289,27 @@ def test_the_ways_to_write_a_csv_file(text, tmp_path):
     assert channels["ctrl.m"].time.tolist() == [0, 0.1, 0.2]
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_between_other_separators_are_read_and_said(separator, tmp_path):
+    path = tmp_path / "log.csv"
+    rows = ["0,0 -1,5 1 a true 2026-01-02", "0,1 2,25e1  b  ", "0,2 ,5 -3  false 2026-01-03"]
+    lines = ["time qpos.a ctrl.m note on day", *rows]
+    path.write_text("\n".join(line.replace(" ", separator) for line in lines))
+    rules = {"ctrl.m": {"missing": "skip"}}
+    log = read_recording(path, rules)
+    assert log.channels["qpos.a"].values.tolist() == [-1.5, 22.5, 0.5]
+    assert log.channels["qpos.a"].time.tolist() == [0, 0.1, 0.2]
+    assert log.channels["ctrl.m"].values.tolist() == [1, -3]
+    assert "Decimal commas read as points in columns 'time', 'qpos.a'." in log.notes
+
+
+def test_a_bad_cell_among_decimal_commas_is_named(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time;qpos.a\n0,0;1,5\n0,1;oops\n0,2;4,5\n")
+    with pytest.raises(RecordingError, match=r"column 'qpos.a', row 1: 'oops' is not a number"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize(
     ("text", "match"),
     [

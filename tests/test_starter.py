@@ -415,6 +415,27 @@ def test_columns_that_match_nothing(
     assert not (tmp_path / "arm.yaml").exists()
 
 
+def test_a_bad_cell_in_a_column_of_numbers_is_named(tmp_path: Path) -> None:
+    model = tmp_path / "wheel.xml"
+    model.write_text(WHEEL.format(limits=""))
+    time = np.arange(0.0, 4.0, 0.01)
+    frame = pd.DataFrame({"time": time, "wheel_pos": np.sin(time), "wheel_torque": np.cos(time)})
+    cells = frame.astype(object)
+    cells.loc[7, "wheel_torque"] = "foo"
+    cells.assign(remark="all well").to_csv(tmp_path / "log.csv", index=False)
+    started = init(model, [tmp_path / "log.csv"], tmp_path / "wheel.yaml")
+    assert [n for n in started.notes if "log.csv" in n] == [
+        f"{tmp_path / 'log.csv'}: column 'wheel_torque', row 7: 'foo' is not a number; a recorded "
+        "column holds numbers only."
+    ]
+    for column in ("wheel_pos", "time"):
+        cells = frame.astype(object)
+        cells.loc[7, column] = "foo"
+        cells.to_csv(tmp_path / "other.csv", index=False)
+        with pytest.raises(RecordingError, match=rf"column '{column}', row 7: 'foo' is not a numb"):
+            init(model, [tmp_path / "other.csv"], tmp_path / "other.yaml")
+
+
 def test_logs_of_two_formats_and_a_study_that_exists(tmp_path: Path) -> None:
     for name, column in (("a", "pos1"), ("b", "pos3")):
         pd.DataFrame({"time": [0, 1, 2], column: [1, 2, 4]}).to_csv(

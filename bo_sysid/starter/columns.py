@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
@@ -97,6 +98,19 @@ def describe(table: RawTable) -> tuple[Column, ...]:
     return tuple(_behaved(table, found))
 
 
+def spoilt(table: RawTable) -> tuple[str, ...]:
+    """Return which cells keep columns that are numbers for the rest from being read."""
+    found = []
+    for name, values in table.columns.items():
+        try:
+            table.column(name)
+        except RecordingError as error:
+            numbers = pd.to_numeric(pd.Series(values), errors="coerce").notna()
+            if 2 * numbers.sum() > len(values):
+                found.append(str(error))
+    return tuple(found)
+
+
 def words(name: str) -> tuple[str, ...]:
     """Return the parts of a name, split at marks, before capitals and before digits."""
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
@@ -157,7 +171,7 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
         raise RecordingError(
             f"{table.source}: no column looks like a clock among "
             f"{', '.join(repr(c.name) for c in found)}; expected one called time, t or stamp, or "
-            "one that rises in equal steps"
+            "one that rises in equal steps" + "".join(f"; {s}" for s in spoilt(table))
         )
     return [
         replace(c, kind="time", reason="it alone rises in equal steps") if c.name == best else c

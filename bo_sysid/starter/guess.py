@@ -17,7 +17,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.recording.units import Unit, is_unit, unit
-from bo_sysid.starter.columns import WORDS, Column, describe
+from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -83,7 +83,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         raise RecordingError(
             f"{table.source}: no column looks like the position of a joint of {model.source} "
             f"({', '.join(joints)}); it has {', '.join(map(repr, names))}; for {joints[0]!r}: "
-            f"{nearest(joints[0], names)}"
+            f"{nearest(joints[0], names)}" + "".join(f"; {s}" for s in spoilt(table))
         )
     velocities = rates_of(table, positions, columns) or match(
         "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]

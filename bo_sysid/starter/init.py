@@ -16,6 +16,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.runs import atomic
+from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, by_behaviour, guess_rules, read
 from bo_sysid.starter.write import relative, study_text
 
@@ -72,6 +73,8 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     rules, scales = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
     if rules.unmatched:
         notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
+    if rules.unmatched or rules.held:
+        notes += [f"{sentence}." for sentence in spoilt(tables[0])]
     out.parent.mkdir(parents=True, exist_ok=True)
     text = study_text(
         source.stem,

@@ -3,6 +3,7 @@
 import gzip
 import re
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from bo_sysid.recording.formats.parquet import arrow_columns
 from bo_sysid.recording.formats.registry import content, reader, require_content
 from bo_sysid.recording.table import RawTable
 
+_COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
 _TRAILING = ""  # name of the empty column after a separator at the end of each line
 
 
@@ -20,6 +22,7 @@ _TRAILING = ""  # name of the empty column after a separator at the end of each 
 def read_csv(path: Path) -> RawTable:
     """Read a text file with one header line; the separator is found in that line.
 
+    Between other separators than commas, numbers may have decimal commas.
     Blank lines and lines that start with ``#`` may stand before the header; the header itself may
     start with ``#``, as `numpy.savetxt` writes it.
     """
@@ -49,7 +52,29 @@ def read_csv(path: Path) -> RawTable:
     columns, _ = arrow_columns(table)
     if not pd.isna(columns.pop(_TRAILING, np.empty(0))).all():
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
-    return RawTable(str(path), columns)
+    pointed = separator == "," or any(map(pa.types.is_floating, table.schema.types))
+    commas = {} if pointed else _decimal_commas(columns)
+    note = f"Decimal commas read as points in columns {', '.join(map(repr, commas))}."
+    return RawTable(str(path), {**columns, **commas}, notes=(note,) if commas else ())
+
+
+def _decimal_commas(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the columns whose numbers have decimal commas.
+
+    A cell that is no number at all stays as it is, for whoever reads the column.
+    """
+    found = {}
+    for name, values in columns.items():
+        if not any(isinstance(c, str) for c in values):
+            continue
+        stripped = [c.strip() if isinstance(c, str) else None for c in values]
+        cells = pd.Series(stripped, dtype="object")
+        numbers = cells.str.fullmatch(_COMMA_NUMBER).eq(True)
+        if cells[numbers].str.contains(",").any() and 2 * numbers.sum() > cells.notna().sum():
+            pointed = cells.where(~numbers, cells.str.replace(",", "."))
+            whole = bool((numbers | cells.isna()).all())
+            found[name] = pointed.to_numpy(dtype=float if whole else object)
+    return found
 
 
 def _text(path: Path) -> str:
