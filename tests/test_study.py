@@ -280,6 +280,19 @@ def test_an_address_that_is_not_there_is_refused(folder: Path, address: str, exp
         study.parameter_set(load_model(study))
 
 
+def test_what_is_certain_must_be_a_number_of_the_model(folder: Path) -> None:
+    columns = {"qpos.elbow": "theta2"}
+    logs = {"train": "data/arm-1.csv", "columns": columns}
+    for known, expected in (
+        ("joint[elbw].damping", r"diagnosis\.known\.1: .*did you mean 'elbow'"),
+        ("joint[elbow].dmping", r"diagnosis\.known\.1: .*did you mean 'damping'"),
+    ):
+        certain = {"known": ["joint[elbow].damping", known]}
+        study = minimal(folder, recordings=logs, diagnosis=certain)
+        with pytest.raises(StudyError, match=expected):
+            check(study)
+
+
 def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
     entry = {"address": "joint[elbow].damping", "low": 0, "high": 1}
     study = minimal(folder, parameters=[entry, entry])

@@ -55,6 +55,11 @@ def message(folder: Path, text: str, **overrides: object) -> str:
             "arm.yaml, line 4: search.budget: must be greater than or equal to 1, not 0",
         ),
         (
+            "diagnosis: {known: [actuator_gain]}",
+            "line 4: diagnosis.known.0: must be the address of a number of the model, such as "
+            "\"body[base].mass\", not 'actuator_gain'; effects are left out with exclude",
+        ),
+        (
             "policy: {batch: 1}",
             "arm.yaml, line 4: policy.batch: must be greater than or equal to 2, not 1",
         ),

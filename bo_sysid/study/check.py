@@ -7,8 +7,8 @@ from itertools import compress
 import numpy as np
 import pandas as pd
 
-from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.mjcf import Model, nominal
+from bo_sysid.errors import ModelError, RecordingError, nearest
+from bo_sysid.mjcf import Address, Model, nominal
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
@@ -68,6 +68,7 @@ def check(study: Study, *, strict: bool = False) -> Check:
             near = nearest(name, model.actuators)
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
     parameters = study.parameter_set(model)
+    _require_numbers(study, model)
     unrecorded = dict.fromkeys(_deaf(model), "without effect")
     unrecorded |= {f"ctrl.{n}": f"computed by {a.law}" for n, a in study.actuators.items()}
     for recording in recordings:
@@ -82,6 +83,15 @@ def check(study: Study, *, strict: bool = False) -> Check:
         len(candidate_set(study, parameters)) if parameters else 0,
         tuple(dict.fromkeys(n for r in recordings for n in r.notes)),
     )
+
+
+def _require_numbers(study: Study, model: Model) -> None:
+    """Require that what a study calls certain is a number of its model."""
+    for i, address in enumerate(study.diagnosis.known):
+        try:
+            Address.parse(address).matches(model)
+        except ModelError as error:
+            raise study.error(("diagnosis", "known", i), str(error)) from None
 
 
 def require_known(model: Model, recording: Recording) -> None:

@@ -1,9 +1,10 @@
 """The sections of a study file about diagnosis, learning, comparison and plants."""
 
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from bo_sysid.study.base import (
     Count,
@@ -19,6 +20,15 @@ from bo_sysid.study.base import (
 from bo_sysid.study.sections import DmControl
 
 
+def _address(value: str) -> str:
+    if not re.fullmatch(r"\w+(\[.+\])?\.\w+(\[\d+\])?", value.strip()):
+        raise ValueError(
+            'must be the address of a number of the model, such as "body[base].mass", not '
+            f"{value!r}; effects are left out with exclude"
+        )
+    return value
+
+
 class Diagnosis(Section):
     """Which missing physics is looked for."""
 
@@ -26,7 +36,7 @@ class Diagnosis(Section):
     """all, or the ids of the effects to consider (`bo-sysid effects` lists them)."""
     exclude: tuple[Name, ...] = ()
     """Ids of effects to leave out."""
-    known: tuple[Name, ...] = ()
+    known: tuple[Annotated[Name, AfterValidator(_address)], ...] = ()
     """MJCF addresses whose values are certain."""
     most: Count = 3
     """Most findings at once; a group counts as one."""
