@@ -188,6 +188,25 @@ def test_a_proposal_continues_the_rules_that_are_there() -> None:
     assert yaml.safe_load(text) == {"columns": columns, "clocks": {"ctrl": {"shift": 0.006}}}
 
 
+def test_a_proposal_has_no_keys_at_their_defaults() -> None:
+    """As a resolved study has them, with all that was left out in it."""
+    data = {
+        "model": str(ARM),
+        "recordings": {
+            "train": "log.csv",
+            "columns": {"qpos.a": "theta", "ctrl.m": {"from": "i", "missing": "skip"}},
+            "clocks": {"ctrl": {"shift": 0.001}},
+        },
+    }
+    written = Study.from_dict(data, Path()).resolved()["recordings"]
+    wires = {n: Wire(n, sign=-1) for n in ("qpos.a", "ctrl.m")}
+    assert proposed_columns(written["columns"], wires, {}) == {
+        "qpos.a": {"from": "theta", "sign": -1},
+        "ctrl.m": {"from": "i", "missing": "skip", "sign": -1},
+    }
+    assert proposed_clocks(written["clocks"], "ctrl", 0.004) == {"ctrl": {"shift": 0.005}}
+
+
 def test_a_proposal_keeps_the_size_of_a_jump() -> None:
     written = {"qpos.a": {"from": "theta", "unwrap": 4.096}, "qpos.b": {"unwrap": True}}
     wires = {

@@ -1,15 +1,18 @@
 """The `columns:` and `clocks:` that a log should be read with, from what was found in it."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from math import isclose, pi
 from typing import Any
 
 from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.wraps import Wrap
+from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.units import UNITS
 
 Rule = dict[str, Any]
 _KEPT = ("unit", "signed", "hold", "clock", "missing")
+_DEFAULTS = {f.name: f.default for f in (*fields(ColumnRule), *fields(ClockRule))}
 
 
 def proposed_columns(
@@ -43,7 +46,7 @@ def proposed_columns(
             if wire.unit == "ticks":
                 rule["unit"] = "ticks"
         made: Rule = {} if column == name else {"from": column}
-        made |= {k: v for k, v in rule.items() if k in _KEPT}
+        made |= {k: v for k, v in rule.items() if k in _KEPT and v != _DEFAULTS[k]}
         if sign * wire.sign < 0:
             made["sign"] = -1
         if scale != 1:
@@ -73,7 +76,7 @@ def proposed_clocks(
     """Return the clock of the controls with `delay` [s] more in its shift."""
     if not delay:
         return {}
-    rule = dict(written.get(kind, {}))
+    rule = {k: v for k, v in written.get(kind, {}).items() if v != _DEFAULTS.get(k)}
     rule["shift"] = _rounded(rule.get("shift", 0.0) + delay, 3)
     return {kind: rule}
 
