@@ -123,6 +123,28 @@ def test_signs_and_units_are_found_by_behaviour(tmp_path: Path) -> None:
     assert check(study).proposal == ""
 
 
+@pytest.mark.parametrize(("samples", "side"), [(2, "earlier"), (-2, "later")])
+def test_when_the_controls_act_is_said_without_a_sign(
+    tmp_path: Path, samples: int, side: str
+) -> None:
+    """The log has each command two samples of 4 ms after, or before, it acted."""
+    time, qpos, _, ctrl = moved(TWO, 1.0)
+    logged = np.roll(ctrl, samples, axis=0)
+    frame = pd.DataFrame(
+        {
+            "time": time, "pos_shoulder": qpos[:, 0], "pos_elbow": qpos[:, 1],
+            "cmd_shoulder": logged[:, 0], "cmd_elbow": logged[:, 1],
+        }
+    )  # fmt: skip
+    frame[10:-10].to_csv(tmp_path / "log.csv", index=False)
+    path = init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml").path
+    shift = Study.load(path).recordings.clocks["ctrl"].shift
+    assert shift == pytest.approx(-0.004 * samples, abs=2e-3)
+    (line,) = (x for x in path.read_text().splitlines() if "shift" in x)
+    assert re.search(rf"likely: {1e3 * abs(shift):.1f} ms \(± .*\) {side} than stamped", line)
+    assert ("between samples" in line) == (side == "earlier")
+
+
 def test_columns_called_like_the_joints_are_positions_and_their_units_are_read(
     tmp_path: Path,
 ) -> None:

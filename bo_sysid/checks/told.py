@@ -12,6 +12,10 @@ from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.speeds import ALIKE
 
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
+_SIDES = {
+    True: ("later", "actuators that are late"),
+    False: ("earlier", "commands that change between samples"),
+}
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
 
 
@@ -92,14 +96,14 @@ def clock_flags(value: float, common: Estimate, late: Mapping[str, Estimate]) ->
     """Return what is to be said about when the controls act."""
     flags = []
     if value:
-        side = "later" if value > 0 else "earlier"
+        side, cause = _SIDES[value > 0]
         flags.append(
             Flag(
                 "wrong",
                 "clock",
                 tuple(late),
                 f"The controls act {1e3 * abs(value):.1f} ± {1.96e3 * common.sigma:.1f} ms {side} "
-                "than their stamps say: another clock, or actuators that are late.",
+                f"than their stamps say: another clock, or {cause}.",
                 {"delay": value, "sigma": common.sigma},
             )
         )

@@ -10,7 +10,7 @@ import pandas as pd
 
 from bo_sysid.checks.hypothesis import FREE
 from bo_sysid.checks.proposal import Rule, proposed_clocks, proposed_columns
-from bo_sysid.checks.wiring import find_wiring
+from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.mjcf import Model
@@ -127,10 +127,16 @@ def by_behaviour(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rule
         guesses[channel] = Guess(channel, column, "", f"{reason}: {share}", 0.8)
     clocks = proposed_clocks({}, "ctrl", wiring.delay)
     if clocks:
-        row = wiring.delays.iloc[0]
-        reason = f"{1e3 * wiring.delay:.1f} ms (± {row['sigma']:.1f}) later than stamped"
-        guesses["clocks.ctrl"] = Guess("clocks.ctrl", "", "", reason, 0.7)
+        guesses["clocks.ctrl"] = Guess("clocks.ctrl", "", "", _late(wiring), 0.7)
     return replace(rules, columns={**rules.columns, **changed}, clocks=clocks, guesses=guesses)
+
+
+def _late(wiring: Wiring) -> str:
+    """Return when the controls act, in words."""
+    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {wiring.delays['sigma'].iloc[0]:.1f})"
+    if wiring.delay > 0:
+        return f"{told} later than stamped"
+    return f"{told} earlier than stamped; a command that changes between samples looks so"
 
 
 def _agreed(
