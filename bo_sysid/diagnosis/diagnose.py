@@ -30,6 +30,7 @@ from bo_sysid.study.check import require_scales
 from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train, study_effects
 
 _STAGES = 6
+_UNMOVED = 1e-6  # of a parameter's range: what its bounds leave beside the model's own value
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ class Diagnosis:
         rows = []
         for c, x, bound in zip(h.nuisances, h.nuisance_x, h.bound, strict=True):
             model = c.effect.nominal(c.site, machine)
-            rows.append((c.site.name, c.effect.unit, model, model + float(x[0]), bound))
+            moved = 0.0 if abs(x[0]) < _UNMOVED * (c.high - c.low)[0] else float(x[0])
+            rows.append((c.site.name, c.effect.unit, model, model + moved, bound))
         return pd.DataFrame(rows, columns=columns)
 
     @property
