@@ -78,10 +78,11 @@ def _left(fit: Fit, fits: Iterable[Fit]) -> float:
     """Return what stays unexplained, in sigma: by a fit, or by twice what any fit leaves.
 
     What others explain is no unknown: without that bound every member that is left out raises the
-    bar for the next, and of a set that explains the recordings nothing remains. Joints that follow
-    whatever is missing explain nothing.
+    bar for the next, and of a set that explains the recordings nothing remains. Joints that were
+    added explain nothing where much is left: they follow whatever is missing.
     """
-    least = min((f.excess for f in fits if not follows(f)), default=fit.excess)
+    rigid = (f for f in fits if f.rms <= LOOSE or not any(c.effect.hidden for c in f.members))
+    least = min((f.excess for f in rigid), default=fit.excess)
     return min(sqrt(fit.excess), _UNKNOWN * sqrt(least))
 
 
