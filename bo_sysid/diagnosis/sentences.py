@@ -99,12 +99,15 @@ def doubts(decision: Decision, searched: ArgminSets) -> list[str]:
 
 
 def set_words(fit: Fit) -> str:
-    """Return a set in words: "dry friction at the elbow + payload at the forearm"."""
+    """Return a set in words: "dry friction at 6 joints + payload at the forearm"."""
     if not fit.members:
         return "nothing is missing"
     words: list[str] = []
     for candidate, group in zip(fit.members, fit.groups, strict=True):
         noun = candidate.effect.noun
-        where = f" at all {candidate.site.kind}s" if group else f" at {spoken(candidate.site)}"
+        kind = candidate.site.kind
+        where = (
+            f" at {fit.groups.count(group)} {kind}s" if group else f" at {spoken(candidate.site)}"
+        )
         words.append(noun if candidate.site.kind == "world" else noun + where)
     return " + ".join(dict.fromkeys(words))
