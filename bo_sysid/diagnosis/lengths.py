@@ -3,6 +3,7 @@
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
+from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.windowing import Prepared, nothing, prepare
@@ -50,15 +51,21 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
     )
 
 
-def stable(evidence: Evidence, horizon: int, step: float) -> int:
+def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None = None) -> int:
     """Shorten the windows until little disturbances do not grow to many times their size in them.
 
     λ = max log|eig A|/h of one step of the linear model of the mechanics is the rate at which the
     motion leaves a recorded one; where λ ≥ 15/s (a short pendulum upright), 0.3 s multiply what the
     model lacks by a hundred, and a fit follows those moments alone.
+
+    Args:
+        evidence: the recordings and the nominal model.
+        horizon: instants in a full window.
+        step: of the simulation in [s].
+        at: the set whose mechanics are meant, by default nothing.
     """
     problem = windows_of(evidence, max(int(horizon * _SHORTEST), LEAST), step)
-    linear = linearise(problem, nothing(problem), problem.windows.start)
+    linear = linearise(problem, at or nothing(problem), problem.windows.start)
     mechanics = slice(0, 2 * evidence.machine.model.nv)
     growth = np.abs(np.linalg.eigvals(linear.A[..., mechanics, mechanics])).max(axis=-1)
     rates = np.log(np.maximum(growth, 1e-12)) / (linear.macro * problem.windows.timestep)

@@ -22,6 +22,7 @@ _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _CARRIED = 4
+_LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which all windows are searched
 
 
@@ -78,21 +79,33 @@ def _located(evidence: Evidence, tell: Callable[[str], None]) -> Located:
 
 def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, int, float]:
     """Search in windows that grow; return their full length in instants and the time step."""
-    horizon = max(round(evidence.window / evidence.machine.sampling), LEAST)
+    full = max(round(evidence.window / evidence.machine.sampling), LEAST)
     step = evidence.machine.model.opt.timestep
-    horizon = stable(evidence, horizon, step)
+    horizon = stable(evidence, full, step)
     prepared, length = tractable(evidence, horizon, step)
     if length == horizon or in_contact(prepared.problem):
         prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     search, step = _explored(evidence, search, length, step)
-    while length < horizon:
+    while length < horizon or (horizon := _calmer(evidence, search, horizon, full, step)) > length:
         step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
         search, step = _explored(evidence, search, length, step, rounds=3)
         tell(f"windows of {length} instants: {_said(search.best)}")
     return search, horizon, step
+
+
+def _calmer(evidence: Evidence, search: Search, horizon: int, full: int, step: float) -> int:
+    """Lengthen the windows where what explains them is stabler than the nominal model.
+
+    A wrist without damping and rotor falls within hundredths of a second, and so short windows
+    hardly tell how it is damped; the one that was recorded does not fall.
+    """
+    if horizon == full or search.best.rms > ROUGH:
+        return horizon
+    longer = stable(evidence, full, step, search.best.hypothesis)
+    return longer if longer > _LONGER * horizon else horizon
 
 
 def _short_enough(
