@@ -7,6 +7,7 @@ import pytest
 from diagnosis_helpers import candidate, posed, record
 
 from bo_sysid.diagnosis.decide import decide
+from bo_sysid.diagnosis.final import _finalists
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.rules import Prior, admissible, lost, required, sizes
@@ -312,3 +313,14 @@ def test_a_member_of_no_magnitude_is_not_needed_however_far_off_the_fit_is(machi
         unique=(5.0, 0.0),
     )  # fmt: skip
     assert sizes(both, [fit((payload,), 9.0)])[1] == 0.0
+
+
+def test_a_part_that_leaves_clearly_more_than_the_leader_is_no_finalist(machine) -> None:
+    one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
+    pair, nominal = fit((one, two), 1.0), fit((), 5.0)
+    needed, nearly = fit((one,), 1.3), fit((one,), 1.05)
+    assert needed not in _finalists([pair, needed, nominal], nominal)
+    assert nearly in _finalists([pair, nearly, nominal], nominal)
+    # far from the recordings no such size is known
+    far, rest, nothing = fit((one, two), 4.0), fit((one,), 4.5), fit((), 50.0)
+    assert rest in _finalists([far, rest, nothing], nothing)

@@ -64,6 +64,18 @@ def tracked(seed: int, duration: float = 5.0) -> Recording:
     )
 
 
+def test_bounds_hold_what_a_gear_and_a_gripper_can_do() -> None:
+    chosen = [CATALOGUE[e] for e in ("armature", "payload")]
+    evidence = make_evidence(
+        Model.from_xml(XML), [tracked(1, 2.0)], effects=chosen, noise={"qpos": SIGMA}, threads=1
+    )
+    high = {c.key: float(c.high[0]) for c in evidence.candidates}
+    link = evidence.machine.joints["wrist"].inertia
+    assert link < ROTORS[1] / 20  # a bound of a few of it would hold the rotor out
+    assert ROTORS[1] < high["armature", "wrist"] < 100 * ROTORS[1]
+    assert high["payload", "hand"] == pytest.approx(1.8 + 0.3)  # what moves, not five hands
+
+
 @pytest.mark.slow
 def test_rotors_friction_and_damping_of_all_joints_are_named_with_their_sizes() -> None:
     wanted = ("dry_friction", "viscous_damping", "armature")
