@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
@@ -26,7 +26,8 @@ _WORTH_A_ROUND = 1e-3  # of the squared residual, what a round must gain
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
-_CHAOTIC = 4.0  # windows whose correction is this many medians above are dropped
+_CHAOTIC = 4.0  # medians of the correction, from which it may decide a window
+_DECIDES = 0.5  # of what the hypothesis usually leaves, that one which does is beyond them
 _TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
@@ -75,8 +76,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     if contact:
         linear, change = _weighted_by_step(linear, change)
     correction = project(linear.Q, change)
-    size = np.sqrt((correction**2).mean(axis=1))
-    keep = size < _CHAOTIC * np.median(size) + 0.5
+    keep = _undecided(linear, correction)
     linear, correction = linear.rows(keep), correction[keep]
     problem, start = linear.problem, linear.start
     rms, unfitted = (float(np.sqrt((c**2).sum() / problem.dof)) for c in (correction, change[keep]))
@@ -163,6 +163,18 @@ def _weighted_by_step(
     light = 1.0 / np.sqrt(1.0 + (_NOT_SHARED * project(linear.Q, change)) ** 2)
     weight = linear.problem.weight * light.reshape(linear.problem.weight.shape)
     return linear.observing(replace(linear.problem, weight=weight)), change * light
+
+
+def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.ndarray, " W"]:
+    """Return the windows that the time step does not decide.
+
+    Where motion reverses under friction a finer step changes more than where it goes on. That is no
+    reason to drop a window as long as the hypothesis usually leaves more.
+    """
+    r = project(linear.Q, linear.problem.residual(linear.hypothesis, linear.start))
+    size, left = (np.sqrt((e**2).mean(axis=1)) for e in (correction, r))
+    most = _CHAOTIC * np.median(size) + _DECIDES * max(float(np.median(left)), 1.0)
+    return np.asarray(size < most)
 
 
 def _by_a_finer_step(linear: Linear) -> Float[np.ndarray, "W R"]:
