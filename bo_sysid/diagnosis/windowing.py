@@ -27,7 +27,7 @@ _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
 _NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
 _CHAOTIC = 4.0  # medians of the correction, from which it may decide a window
-_DECIDES = 0.5  # of what the hypothesis usually leaves, that one which does is beyond them
+_DECIDES = 0.5  # of what the hypothesis leaves, that one which does is beyond them
 _TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
@@ -169,12 +169,12 @@ def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.
     """Return the windows that the time step does not decide.
 
     Where motion reverses under friction a finer step changes more than where it goes on. That is no
-    reason to drop a window as long as the hypothesis usually leaves more.
+    reason to drop a window where the hypothesis leaves much more, there or in most of them.
     """
     r = project(linear.Q, linear.problem.residual(linear.hypothesis, linear.start))
     size, left = (np.sqrt((e**2).mean(axis=1)) for e in (correction, r))
-    most = _CHAOTIC * np.median(size) + _DECIDES * max(float(np.median(left)), 1.0)
-    return np.asarray(size < most)
+    left = np.maximum(left, max(float(np.median(left)), 1.0))
+    return np.asarray(size < _CHAOTIC * np.median(size) + _DECIDES * left)
 
 
 def _by_a_finer_step(linear: Linear) -> Float[np.ndarray, "W R"]:

@@ -1,0 +1,57 @@
+"""Which windows are compared."""
+
+import mujoco
+import numpy as np
+
+from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.lengths import windows_of
+from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.effects import CATALOGUE
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+
+STEP, SIGMA, DURATION, STROKE = 0.002, 1e-7, 30.0, 2.0
+HORIZON = 150
+XML = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="x" type="slide" axis="1 0 0" frictionloss="4"/>
+      <geom type="box" size=".1 .1 .1" mass="10"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="x"/></actuator>
+</mujoco>
+"""
+
+
+def strokes() -> Evidence:
+    """A cart with friction goes to and fro over magnets; few windows hold a turn."""
+    plant = mujoco.MjModel.from_xml_string(XML)
+    plant.opt.timestep = STEP / 20
+    data, time = mujoco.MjData(plant), np.arange(0, DURATION, STEP)
+    phase = time / STROKE % 2
+    goal = 0.3 * np.where(phase < 1, phase, 2 - phase)
+    x, u = np.empty((len(time), 1)), np.empty((len(time), 1))
+    for k in range(len(time)):
+        x[k] = data.qpos
+        u[k] = data.ctrl[:] = 400 * (goal[k] - data.qpos) - 60 * data.qvel
+        data.qfrc_applied[:] = 1.5 * np.sin(60 * data.qpos)
+        mujoco.mj_step(plant, data, 20)
+    x += SIGMA * np.random.default_rng(0).normal(size=x.shape)
+    recording = Recording.from_arrays(time, qpos={"x": x[:, 0]}, ctrl={"motor": u[:, 0]})
+    return make_evidence(
+        Model.from_xml(XML), [recording], effects=[CATALOGUE["link_mass"]],
+        noise={"qpos": SIGMA}, threads=1,
+    )  # fmt: skip
+
+
+def test_far_from_the_recordings_no_window_is_dropped_for_its_time_step() -> None:
+    problem = windows_of(strokes(), HORIZON, STEP, everything=True)
+    prepared = prepare(problem)
+    assert len(prepared.start) == len(problem.windows)
+    left = prepared.problem.residual(prepared.linear.hypothesis, prepared.start)
+    assert np.sqrt((left**2).mean()) > 100  # sigma, of the magnets that the model lacks
+    size = np.sqrt((prepared.problem.correction**2).mean(axis=1))
+    assert size.max() > 4 * np.median(size) + 0.5  # some turn, most do not
