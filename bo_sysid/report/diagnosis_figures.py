@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 from bo_sysid.report.look import (
     COLOURS,
@@ -33,6 +33,8 @@ _LINES = {
 _WIDTH = 7.2  # inches
 _CHANNELS = 3
 _JOINTS = 3
+_ROOM = 2.8  # axis of the evidence, in lengths of its longest bar: words stand beside it
+_FEW = 20.0  # [sigma] below which two and five are marked as well
 
 
 def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Figure:
@@ -124,6 +126,13 @@ def forces(pieces: pd.DataFrame) -> Figure:
     return figure
 
 
+def _round_to(largest: float) -> list[float]:
+    """Return the round numbers from one up to where bars end."""
+    steps = (1.0, 2.0, 5.0) if largest < _FEW else (1.0,)
+    decades = 10.0 ** np.arange(int(np.log10(largest)) + 1)
+    return [float(s * d) for d in decades for s in steps if s * d <= largest]
+
+
 def evidence(sets: pd.DataFrame) -> Figure:
     """Return what each of the best explanations leaves unexplained, and its probability.
 
@@ -139,8 +148,10 @@ def evidence(sets: pd.DataFrame) -> Figure:
     axis.barh(place, shown["rms"] - left, left=left, color=colours, height=0.6)
     axis.set_xscale("log")
     largest = max(float(shown["rms"].max()), 2.0)
-    axis.set_xlim(left, left * (largest / left) ** 2.0)  # room for the words
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_xlim(left, left * (largest / left) ** _ROOM)
+    axis.set_xticks(_round_to(largest))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+    axis.xaxis.set_minor_locator(NullLocator())
     axis.axvline(1.0, color=RECORDED, linewidth=1.0, linestyle="--")
     axis.text(1.0, len(shown) - 0.45, " sensor noise", fontsize="small", va="bottom")
     axis.set_ylim(-0.6, len(shown) + 0.1)

@@ -91,4 +91,5 @@ def left_words(rms: float, probability: float, p_boot: float = np.nan) -> str:
     chance = "below 0.001" if probability < 0.001 else f"{probability:.3g}"
     words = f"probability {'above 0.999' if probability > 0.999 else chance}"
     words += f", P_boot {p_boot:.2f}" if np.isfinite(p_boot) else ""
-    return f"{rms:.3g}, {words}" if np.isfinite(rms) else words
+    left = f"{rms:,.0f}" if rms >= 1000 else f"{rms:.3g}"
+    return f"{left}, {words}" if np.isfinite(rms) else words
