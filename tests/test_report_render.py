@@ -11,6 +11,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import SkyEdit
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot import Posed, find_site, outline, view
+from bo_sysid.report.robot_figure import robot
 
 ARM = Path(__file__).parents[1] / "studies" / "diagnosis" / "two_link_arm.xml"
 ELBOW = [0.0, 0.0, -0.3]  # [m] in the pose of all zeros
@@ -58,6 +59,22 @@ def test_joints_lie_where_kinematics_puts_them() -> None:
     np.testing.assert_allclose(site.point, ELBOW, atol=1e-9)
     assert find_site(posed, "world", "world").point is None
     assert find_site(posed, "body", "forearm").geoms == (posed.model.geom("forearm").id,)
+
+
+def test_words_of_many_sites_stand_in_a_list_and_their_numbers_at_the_sites() -> None:
+    posed = Posed.of(Model.from_file(ARM), POSE)
+    named = [("joint", "shoulder"), ("joint", "elbow"), ("body", "forearm"), ("actuator", "elbow")]
+    sites = [(find_site(posed, kind, name), f"{name}:\n{kind}") for kind, name in named]
+    few, many = robot(posed, sites[:3]), robot(posed, sites)
+    assert len(few.axes) == 1
+    drawing, beside = many.axes
+    (said,) = (t.get_text() for t in beside.texts)
+    assert [line for line in said.splitlines() if line[0].isdigit()] == [
+        "1  shoulder:", "2  elbow:", "3  forearm:", "4  elbow:"
+    ]  # fmt: skip
+    at = {t.get_text(): t.xy for t in drawing.texts if t.get_text()[0].isdigit()}
+    assert at.keys() == {"1", "2, 4", "3"}
+    np.testing.assert_allclose(at["2, 4"], view(posed) @ ELBOW, atol=1e-3)
 
 
 def test_the_view_shows_the_plane_in_which_the_arm_moves() -> None:

@@ -73,9 +73,10 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
         top.plot(time, part[model], label=MODELS[model], **style)
         error = recorded - part[model]
         rms = float(np.sqrt(np.nanmean(np.square(error))))
-        below.plot(time, error, label=f"{model}: {rms:.2g} {unit} rms", **style)
+        below.plot(time, error, label=f"{model}: {float(f'{rms:.2g}'):g} {unit} rms", **style)
     low, high = float(recorded.min()), float(recorded.max())
-    margin = 0.5 * max(high - low, 1e-9)  # a forecast that leaves is cut off
+    span = max(high - low, 1e-9)
+    margin = 0.5 * span  # a forecast that leaves is cut off
     view = top.get_ylim()
     top.set_ylim(max(view[0], low - margin), min(view[1], high + margin))
     said = f"[{unit}]" if unit else ""
@@ -83,7 +84,7 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
     below.legend(fontsize="x-small", ncols=3, loc="upper center", framealpha=0.9)
-    low, high = below.get_ylim()
+    low, high = np.clip(below.get_ylim(), -span, span)
     below.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
 
 

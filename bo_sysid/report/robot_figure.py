@@ -16,6 +16,7 @@ _FILL, _EDGE = "#D9DEE4", "#5A6673"
 _GUILTY = "#F4B183"
 _WIDTH, _TALLEST, _LOWEST = 6.0, 6.0, 3.2  # inches
 _NAMED = 8  # joints whose names are written
+_BESIDE, _LIST = 3, 3.6  # sites whose words stand beside them; inches of the list for more
 
 
 def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> Figure:
@@ -30,15 +31,20 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> F
     shapes = {g: outline(posed.surface(g), onto) for g in posed.geoms}
     box = _box(posed, shapes.values(), onto)
     tall = float(np.ptp(box[:, 1]) / np.ptp(box[:, 0])) * _WIDTH
-    figure = Figure(figsize=(_WIDTH, float(np.clip(tall, _LOWEST, _TALLEST)) + 0.4))
+    widths = [_WIDTH, _LIST] if len(sites) > _BESIDE else [_WIDTH]
+    figure = Figure(figsize=(sum(widths), float(np.clip(tall, _LOWEST, _TALLEST)) + 0.4))
     figure.set_layout_engine("constrained")
-    axis = figure.subplots()
+    axis, *beside = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
     guilty = {g for site, _ in sites for g in site.geoms}
     for g in depth_order(posed, posed.geoms, onto):
         colour = _GUILTY if int(g) in guilty else _FILL
         axis.add_patch(Polygon(shapes[int(g)], facecolor=colour, edgecolor=_EDGE, linewidth=1.0))
     _joints(axis, posed, onto, [s for s, _ in sites])
-    _marks(axis, sites, onto, box)
+    if beside:
+        _numbers(axis, sites, onto)
+        _list(beside[0], sites)
+    else:
+        _marks(axis, sites, onto, box)
     _gravity(axis, posed, onto)
     axis.set_xlim(*box[:, 0])
     axis.set_ylim(*box[:, 1])
@@ -134,3 +140,26 @@ def _marks(
             bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": NOMINAL},
             arrowprops={"arrowstyle": "-", "color": NOMINAL, "linewidth": 1.5, "shrinkB": 13},
         )
+
+
+def _numbers(axis: Axes, sites: Sequence[tuple[Site, str]], onto: Float[np.ndarray, "2 3"]) -> None:
+    """Ring each site, and write its number there; those of one place beside each other."""
+    at: dict[tuple[float, float], list[str]] = {}
+    for k, (site, _) in enumerate(sites, start=1):
+        if site.point is not None:
+            x, y = np.round(onto @ site.point, 3).tolist()
+            at.setdefault((x, y), []).append(str(k))
+    for place, numbers in at.items():
+        axis.plot(*place, "o", markersize=22, markerfacecolor="white", markeredgecolor=NOMINAL,
+                  markeredgewidth=3)  # fmt: skip
+        axis.annotate(", ".join(numbers), place, ha="center", va="center_baseline")
+
+
+def _list(axis: Axes, sites: Sequence[tuple[Site, str]]) -> None:
+    """Write the words of all sites under each other, by number."""
+    axis.set_axis_off()
+    said = [
+        f"{k}  " + words.replace("\n", "\n     ") for k, (_, words) in enumerate(sites, start=1)
+    ]
+    axis.text(0.0, 0.5, "\n".join(said), transform=axis.transAxes, va="center", fontsize="small",
+              linespacing=1.35)  # fmt: skip
