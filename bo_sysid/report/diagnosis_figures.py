@@ -33,8 +33,9 @@ _LINES = {
 _WIDTH = 7.2  # inches
 _CHANNELS = 3
 _JOINTS = 3
-_ROOM = 2.8  # axis of the evidence, in lengths of its longest bar: words stand beside it
+_ROOM = 2.6  # axis of the evidence, in lengths of its longest bar: words stand beside it
 _FEW = 20.0  # [sigma] below which two and five are marked as well
+_MARKS = 4  # decades from which every other one is marked
 
 
 def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Figure:
@@ -130,7 +131,8 @@ def forces(pieces: pd.DataFrame) -> Figure:
 def _round_to(largest: float) -> list[float]:
     """Return the round numbers from one up to where bars end."""
     steps = (1.0, 2.0, 5.0) if largest < _FEW else (1.0,)
-    decades = 10.0 ** np.arange(int(np.log10(largest)) + 1)
+    most = int(np.log10(largest))
+    decades = 10.0 ** np.arange(0, most + 1, 1 + most // _MARKS)
     return [float(s * d) for d in decades for s in steps if s * d <= largest]
 
 
