@@ -164,6 +164,6 @@ def evidence(sets: pd.DataFrame) -> Figure:
         rms = float(row["rms"])
         words = f" {left_words(rms, row['probability'], row.get('p_boot', np.nan))}"
         axis.text(np.nan_to_num(rms, nan=left), y, words, va="center", fontsize="small")
-    axis.set_xlabel("what the training recordings leave unexplained [sensor sigma, rms]")
+    axis.set_xlabel("training residual [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)
     return figure

@@ -25,7 +25,8 @@ BACKENDS = ("egl", "osmesa")
 _SIZE = (480, 640)  # pixels, rows and columns
 _SECONDS = 60.0
 _SIDEWAYS, _ABOVE = 20.0, 12.0  # [deg] off the plain side view, for depth
-_MARK = 0.09  # of the robot's size
+_MARK = 0.07  # of the robot's size
+_SEEN_THROUGH = 0.5  # opacity of the robot
 
 
 def rendered(
@@ -81,8 +82,12 @@ def _draw(model: Path, pose: Mapping[str, float], points: np.ndarray, out: Path)
     surfaces = np.concatenate([posed.surface(g) for g in posed.geoms])
     low, high = surfaces.min(axis=0), surfaces.max(axis=0)
     size = float((high - low).max())
+    seen_through = mujoco.MjvOption()  # a mark may lie inside a thick link
+    seen_through.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = True
+    compiled.vis.map.alpha = _SEEN_THROUGH
+    camera = _camera(posed, 0.5 * (low + high), size)
     with mujoco.Renderer(compiled, *_SIZE) as renderer:
-        renderer.update_scene(data, _camera(posed, 0.5 * (low + high), size))
+        renderer.update_scene(data, camera, scene_option=seen_through)
         for point in points:
             _mark(renderer.scene, point, _MARK * size)
         imsave(out, renderer.render())
