@@ -88,12 +88,15 @@ def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, 
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     search, step = _explored(evidence, search, length, step)
-    while length < horizon or (horizon := _calmer(evidence, search, horizon, full, step)) > length:
+    while True:
+        if length >= horizon:
+            horizon = _calmer(evidence, search, horizon, full, step)
+        if length >= horizon:
+            return search, horizon, step
         step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
         search, step = _explored(evidence, search, length, step, rounds=3)
         tell(f"windows of {length} instants: {_said(search.best)}")
-    return search, horizon, step
 
 
 def _calmer(evidence: Evidence, search: Search, horizon: int, full: int, step: float) -> int:
