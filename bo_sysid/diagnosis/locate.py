@@ -90,7 +90,8 @@ def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, 
     search, step = _explored(evidence, search, length, step)
     while True:
         if length >= horizon:
-            horizon = _calmer(evidence, search, horizon, full, step)
+            horizon, before = _calmer(evidence, search, horizon, full, step), horizon
+            step = step / 2 if horizon > before else step  # what a step does grows with a window
         if length >= horizon:
             return search, horizon, step
         step = _step_for(search, search.best, step)
