@@ -10,7 +10,7 @@ import pytest
 
 from bo_sysid.checks.balance import Dynamics, unexplained
 from bo_sysid.checks.hypothesis import FREE, Evidence, Wire
-from bo_sysid.checks.motion import channel_flags
+from bo_sysid.checks.motion import channel_flags, turned_inside
 from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS
@@ -303,3 +303,50 @@ def test_what_cannot_be_tested_is_said() -> None:
     (flag,) = find_wiring(free.compile(), [log]).flags
     assert flag.level == "note"
     assert "not tested" in flag.sentence
+
+
+def test_a_drive_that_is_late_is_no_clock() -> None:
+    log, late = recorded(), 0.025
+    channels = dict(log.channels)
+    told = channels["ctrl.b"]
+    channels["ctrl.b"] = Channel(told.time - late, told.values, told.unit, "ctrl.b", told.hold)
+    found = find_wiring(Model.from_xml(ARM).compile(), [Recording("log", channels)])
+    assert found.delay == 0.0
+    assert found.wires == {}
+    assert [(f.level, f.kind, f.channels) for f in found.flags] == [("look", "clock", ("ctrl.b",))]
+    delays = found.delays.set_index("control")["delay"]
+    assert delays["ctrl.b"] == pytest.approx(1e3 * late, abs=1.5)
+    assert delays["ctrl.a"] == pytest.approx(0.0, abs=1.0)
+
+
+@functools.cache
+def sprung() -> Recording:
+    """Return a log of the arm with a spring about the elbow's 1 rad that the model lacks."""
+    spring = 'name="elbow" axis="0 1 0" stiffness="6" springref="57.3"'
+    plant = Model.from_xml(ARM.replace('name="elbow" axis="0 1 0"', spring)).compile()
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
+    start = State(np.array([[0.0, 0.8]]), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(plant, start, np.repeat(ctrl, 4, axis=0)[None])
+    qpos = run.qpos[0, ::4][:-1] + 3e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    return Recording.from_arrays(
+        time,
+        qpos={"shoulder": qpos[:, 0], "elbow": -qpos[:, 1]},
+        ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+
+
+def test_an_encoder_is_turned_where_its_range_says_so() -> None:
+    """Beside a spring that the model lacks, no sign explains the forces."""
+    model = Model.from_xml(ARM.replace('name="elbow"', 'name="elbow" range="-10 150"')).compile()
+    found = find_wiring(model, [sprung()])
+    assert found.wires == {"qpos.elbow": Wire("qpos.elbow", sign=-1)}
+    assert [f.kind for f in found.flags if f.level == "wrong"] == ["sign"]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "turned"), [(-10, 150, True), (-150, 150, False), (-10, 20, False)]
+)
+def test_a_range_says_that_an_encoder_is_turned(low: int, high: int, turned: bool) -> None:
+    ranged = ARM.replace('name="elbow"', f'name="elbow" range="{low} {high}"')
+    assert turned_inside(Model.from_xml(ranged).compile(), [sprung()]) == ["elbow"] * turned

@@ -21,6 +21,7 @@ from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.execution import Report, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
@@ -71,12 +72,13 @@ class Checked:
         return as_yaml(self.columns, self.clocks)
 
 
-def check(study: Study, *, strict: bool = False) -> Checked:
+def check(study: Study, *, strict: bool = False, progress: Report = silent) -> Checked:
     """Check a study: wiring, clocks, excitation, identifiability, noise; nothing is fitted.
 
     Args:
         study: the study.
         strict: refuse messy recordings.
+        progress: is called while other wirings are tried.
 
     Raises:
         UserError: something is wrong or does not fit together.
@@ -88,7 +90,7 @@ def check(study: Study, *, strict: bool = False) -> Checked:
     wraps = find_wraps(read)
     whole = unwrapped(read, wraps)
     compiled = model.compile()
-    wiring = find_wiring(compiled, whole, laws)
+    wiring = find_wiring(compiled, whole, laws, progress)
     kind = "goal" if laws else "ctrl"
     right = rewired(whole, wiring.wires, wiring.delay, kind)
     motion = excitation(right, compiled)

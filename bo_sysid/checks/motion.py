@@ -130,9 +130,19 @@ def beyond_range(
     return found
 
 
+def turned_inside(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[str]:
+    """Return the joints that moved farther than the model lets them, and would not, turned."""
+    found = []
+    for name, (least, most) in beyond_range(model, recordings).items():
+        low, high = model.joint(name).range
+        if max(low + most, -least - high) <= _BEYOND * (high - low):
+            found.append(name)
+    return found
+
+
 def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
     """Return the joints that moved farther than the model lets them."""
-    flags = []
+    flags, turned = [], turned_inside(model, recordings)
     for name, (least, most) in beyond_range(model, recordings).items():
         low, high = (float(v) for v in model.joint(name).range)
         hinge = int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -140,7 +150,9 @@ def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[
             f"{name} moved from {least:.3g} to {most:.3g}, but the model's range is {low:.3g} to "
             f"{high:.3g} {'rad' if hinge else 'm'}: its stops would act on it."
         )
-        if hinge and low * 180 / np.pi <= least and most <= high * 180 / np.pi:
+        if name in turned:
+            sentence += " With its sign turned it would stay inside."
+        elif hinge and low * 180 / np.pi <= least and most <= high * 180 / np.pi:
             sentence += (
                 ' A range that is written in radians needs <compiler angle="radian"/> in the MJCF.'
             )

@@ -24,6 +24,7 @@ from bo_sysid.checks.hypothesis import (
     Wire,
 )
 from bo_sysid.checks.motors import scaled
+from bo_sysid.execution import Progress, Report, silent
 
 SUSPICIOUS = 0.08
 """J of a degree of freedom from which on its channels are doubted."""
@@ -38,18 +39,25 @@ _BEAM, _WIDE, _FEW = 3, 10, 3  # hypotheses that are followed; more for so few j
 _MOST = 4  # faults at once
 
 
-def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+def search(
+    evidence: Evidence, first: Hypothesis, progress: Report = silent
+) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Return the hypothesis that the recordings support, with the fewest faults, and its twins.
 
     Twins are others with as many faults that the recordings support as well: those of a machine
     that is its own mirror image, for instance.
+
+    Args:
+        evidence: the recordings.
+        first: what is supposed before any fault.
+        progress: is called with each number of faults that is tried.
     """
     twins: tuple[Hypothesis, ...] = ()
     width = _WIDE if len(evidence.joints) <= _FEW else _BEAM
-    best = _timed(evidence, evidence.identity())
+    best = _timed(evidence, first)
     seen = {best[1].key}
     beam = [best]
-    for _ in range(_MOST):
+    for fault in range(_MOST):
         if not _doubtful(evidence, best[1]):
             break
         grown = []
@@ -58,6 +66,8 @@ def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
                 if child.key not in seen:
                     seen.add(child.key)
                     grown.append(_timed(evidence, child))
+                    told = f"{len(seen)} wirings tried, since the forces are not explained"
+                    progress(Progress(fault + 1, _MOST + 1, told))
         beam = sorted(grown, key=lambda pair: pair[0])[:width]
         if not beam:
             break
@@ -66,7 +76,7 @@ def search(evidence: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
             twins = tuple(h for score, h in beam[1:] if score < best[0] + _TIE)
         elif len(beam[0][1].causes) > len(best[1].causes) + 1:
             break  # two faults more did not help either
-    return _pruned(evidence, best), twins
+    return _pruned(evidence, best, first), twins
 
 
 def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesis]:
@@ -90,16 +100,17 @@ def _paid(evidence: Evidence, hypothesis: Hypothesis) -> float:
 
 
 def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
-    shares = evidence.shares(hypothesis, [hypothesis.delay])[0]
+    """Whether a joint's forces are not explained, however late its own control may act."""
+    shares = evidence.shares(hypothesis, [hypothesis.delay, *_DELAYS]).min(axis=0)
     return bool((shares[evidence.weights > 0] > SUSPICIOUS).any())
 
 
-def _pruned(evidence: Evidence, best: tuple[float, Hypothesis]) -> Hypothesis:
+def _pruned(evidence: Evidence, best: tuple[float, Hypothesis], first: Hypothesis) -> Hypothesis:
     """Return the hypothesis without channels whose change it does not need."""
     score, hypothesis = best
     for name, wire in sorted(hypothesis.wires.items()):
-        if wire.source == name and not wire.plain(name):
-            simpler = replace(hypothesis, wires={**hypothesis.wires, name: Wire(name)})
+        if wire.source == name and wire != first.wires[name]:
+            simpler = replace(hypothesis, wires={**hypothesis.wires, name: first.wires[name]})
             if (
                 evidence.scores(simpler, [hypothesis.delay])[0]
                 < score - _paid(evidence, best[1]) + 0.1

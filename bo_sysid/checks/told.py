@@ -2,21 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 import pandas as pd
 
-from bo_sysid.checks.estimate import Estimate
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FREE, Hypothesis, Wire
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.speeds import ALIKE
 
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
-_SIDES = {
-    True: ("later", "actuators that are late"),
-    False: ("earlier", "commands that change between samples"),
-}
-_APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
 
 
 def wire_flags(
@@ -90,37 +83,6 @@ def _told(name: str, wire: Wire, kind: str) -> str:
     if kind == "zero":
         return f"{name} lacks {wire.offset:+.4g}"
     return name
-
-
-def clock_flags(value: float, common: Estimate, late: Mapping[str, Estimate]) -> list[Flag]:
-    """Return what is to be said about when the controls act."""
-    flags = []
-    if value:
-        side, cause = _SIDES[value > 0]
-        flags.append(
-            Flag(
-                "wrong",
-                "clock",
-                tuple(late),
-                f"The controls act {1e3 * abs(value):.1f} ± {1.96e3 * common.sigma:.1f} ms {side} "
-                f"than their stamps say: another clock, or {cause}.",
-                {"delay": value, "sigma": common.sigma},
-            )
-        )
-    for name, e in late.items():
-        apart = e.value - common.value
-        if len(late) > 1 and abs(apart) > max(_APART, 6 * np.hypot(e.sigma, common.sigma)):
-            flags.append(
-                Flag(
-                    "look",
-                    "clock",
-                    (name,),
-                    f"{name} acts {1e3 * e.value:.1f} ± {1.96e3 * e.sigma:.1f} ms after its "
-                    f"stamps, the others {1e3 * common.value:.1f} ms.",
-                    {"delay": e.value, "sigma": e.sigma},
-                )
-            )
-    return flags
 
 
 def speed_flags(alike: Mapping[str, float]) -> list[Flag]:

@@ -1,29 +1,29 @@
 """The wiring of a log: what each channel really is, when the controls act, and how sure that is."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from bo_sysid.checks import estimate, motors
+from bo_sysid.checks.clocks import clock_flags, clock_of
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
-from bo_sysid.checks.motion import beyond_range
+from bo_sysid.checks.motion import beyond_range, turned_inside
 from bo_sysid.checks.search import SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
-from bo_sysid.checks.told import balance_flags, clock_flags, speed_flags, twin_flags, wire_flags
-from bo_sysid.checks.traces import LATEST, Traces
+from bo_sysid.checks.told import balance_flags, speed_flags, twin_flags, wire_flags
+from bo_sysid.checks.traces import Traces
+from bo_sysid.execution import Report, silent
 from bo_sysid.recording import Recording
 
-_LATE = 2.5e-3  # [s] a delay below is not worth a word
-_SURE = 4.0  # standard deviations that a delay, and
-_SURE_ZERO = 6.0  # that a zero must differ from nothing
+_SURE_ZERO = 6.0  # standard deviations that a zero must differ from nothing
 _LEAST_ZERO = 0.015  # [rad] or [m]
 _LEAST_GAIN = 0.5  # of the score, that a zero must bring
-_FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
 _EXPLAINED = 0.3  # J that a hypothesis must reach at every joint to be proposed
 _MOST, _LEAST = 1500, 60  # instants that are looked at
 
@@ -48,7 +48,10 @@ class Wiring:
 
 
 def find_wiring(
-    model: mujoco.MjModel, recordings: Sequence[Recording], laws: Laws | None = None
+    model: mujoco.MjModel,
+    recordings: Sequence[Recording],
+    laws: Laws | None = None,
+    progress: Report = silent,
 ) -> Wiring:
     """Find out what the channels of some recordings are.
 
@@ -56,6 +59,7 @@ def find_wiring(
         model: the compiled nominal model; it is not changed.
         recordings: as read with the study's column rules.
         laws: by actuator, the law that computes its control and the channels that it reads.
+        progress: is called while other wirings are tried, which may take a minute.
     """
     scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
@@ -65,20 +69,24 @@ def find_wiring(
     traces = Traces(recordings, measured, _MOST)
     if traces.count < _LEAST:
         return _untested("the recordings are too short")
+    turned = turned_inside(model, recordings)
     model = copy.copy(model)
     for joint in beyond_range(model, recordings):  # its stops did not act
         model.jnt_limited[model.joint(joint).id] = 0
     coarse = Evidence(copy.copy(model), traces, laws=laws)
     fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()
-    found, twins = _searched(coarse, fine)
+    found, twins = _searched(coarse, fine, _turned(fine, turned), progress)
     found, late = _timed(fine, found)
+    left = _left(fine, found, late)
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
-    told = {n: e for n, e in late.items() if _joint(fine, n) not in _doubted(fine, found)}
-    delay = _common(told)
-    certain = max(_LATE, _SURE * delay.sigma) < abs(delay.value) < LATEST
-    balance = _balance(fine, before, found)
+    told = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
+    clock = clock_of(told)
+    first = fine.shares(before, [before.delay])[0]
+    balance = pd.DataFrame(
+        {"joint": fine.joints, "before": first, "after": left, "used": fine.weights > 0}
+    )
     table = pd.DataFrame(
         {
             "control": list(late),
@@ -86,11 +94,10 @@ def find_wiring(
             "sigma": [1e3 * e.sigma for e in late.values()],
         }
     )
-    value = delay.value if certain else 0.0
     gives = motors.in_words(fine, found, recordings)
-    flags = [*wire_flags(wires, balance, gives), *clock_flags(value, delay, told)]
+    flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
-    return Wiring(wires, value, table, balance, tuple(flags))
+    return Wiring(wires, clock.delay, table, balance, tuple(flags))
 
 
 def _untested(reason: str) -> Wiring:
@@ -100,20 +107,35 @@ def _untested(reason: str) -> Wiring:
     return Wiring({}, 0.0, empty, balance, (flag,))
 
 
-def _balance(evidence: Evidence, before: Hypothesis, after: Hypothesis) -> pd.DataFrame:
-    """Return J of each joint under two hypotheses, and whether it counts."""
-    shares = [evidence.shares(h, [h.delay])[0] for h in (before, after)]
-    used = evidence.weights > 0
-    return pd.DataFrame(
-        {"joint": evidence.joints, "before": shares[0], "after": shares[1], "used": used}
-    )
+def _left(
+    evidence: Evidence, h: Hypothesis, late: Mapping[str, estimate.Estimate]
+) -> Float[np.ndarray, " nv"]:
+    """Return J of each degree of freedom, with its own control as late as that acts."""
+    left = evidence.shares(h, [h.delay])[0].copy()
+    for name, e in late.items():
+        j = evidence.dof(name)
+        left[j] = min(left[j], evidence.shares(h, [e.value])[0, j])
+    return np.asarray(left)
 
 
-def _searched(coarse: Evidence, fine: Evidence) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+def _turned(evidence: Evidence, joints: Iterable[str]) -> Hypothesis:
+    """Return the log as it is, encoders turned whose range says so and the forces do not deny."""
+    h = evidence.identity()
+    for name in (f"qpos.{j}" for j in joints):
+        turned = replace(h, wires={**h.wires, name: Wire(name, sign=-1)})
+        scores = [evidence.scores(t, [t.delay])[0] for t in (h, _timed(evidence, turned)[0])]
+        if scores[1] < scores[0]:
+            h = turned
+    return h
+
+
+def _searched(
+    coarse: Evidence, fine: Evidence, first: Hypothesis, progress: Report
+) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Return the hypothesis that is believed, with its zeros, and what may be instead."""
-    tried, twins = search(coarse)
+    tried, twins = search(coarse, first, progress)
     tried = motors.refined(fine, tried)
-    found = _believed(fine, tried)
+    found = _believed(fine, tried, first)
     if found.wires != tried.wires:
         twins = (tried,)
     found, _ = _timed(fine, found)
@@ -125,22 +147,23 @@ def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, 
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
     controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
     late = {n: estimate.delay(evidence, h, n) for n in controls}
-    return (replace(h, delay=_common(late).value) if late else h), late
+    return (replace(h, delay=clock_of(late).common.value) if late else h), late
 
 
-def _believed(evidence: Evidence, h: Hypothesis) -> Hypothesis:
+def _believed(evidence: Evidence, h: Hypothesis, first: Hypothesis) -> Hypothesis:
     """Return the hypothesis without what it changes at joints that it does not explain.
 
-    What leaves much at any joint is no more than a try, and nothing of it is believed.
+    What leaves much at any joint is no more than a try, and nothing of it is believed: that is
+    the first hypothesis then.
     """
-    while changed := {n for n, w in h.wires.items() if not w.plain(n)}:
+    while changed := {n for n, w in h.wires.items() if w != first.wires[n]}:
         if _doubted(evidence, h, _EXPLAINED):
-            return evidence.identity()
+            return first
         doubted = _doubted(evidence, h)
         if not (out := {n for n in changed if _joint(evidence, n) in doubted}):
             break
         h = replace(
-            h, wires={n: Wire(n) if n in _linked(h, out) else w for n, w in h.wires.items()}
+            h, wires={n: first.wires[n] if n in _linked(h, out) else w for n, w in h.wires.items()}
         )
     return h
 
@@ -170,26 +193,6 @@ def _linked(h: Hypothesis, names: set[str]) -> set[str]:
 def _telling(evidence: Evidence, control: str) -> bool:
     """Whether a control drives a joint whose balance is known."""
     return bool(evidence.driven(control) and evidence.weights[evidence.dof(control)] > 0)
-
-
-def _common(late: Mapping[str, estimate.Estimate]) -> estimate.Estimate:
-    """Return the weighted mean of the delays, without those far from their median."""
-    if not late:
-        return estimate.Estimate(0.0, np.inf)
-    values = np.array([e.value for e in late.values()])
-    sigmas = np.hypot([e.sigma for e in late.values()], _FLOOR)
-    middle = _weighted_median(values, 1 / sigmas)
-    near = np.abs(values - middle) <= np.maximum(3 * sigmas, 1e-3)
-    weight = 1 / sigmas[near] ** 2
-    return estimate.Estimate(
-        float(weight @ values[near] / weight.sum()), float(weight.sum() ** -0.5)
-    )
-
-
-def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
-    order = np.argsort(values)
-    share = np.cumsum(weight[order]) / weight.sum()
-    return float(values[order][np.searchsorted(share, 0.5)])
 
 
 def _zeroed(evidence: Evidence, h: Hypothesis) -> Hypothesis:

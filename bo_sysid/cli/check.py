@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study
+from bo_sysid.cli.progress import shown
 
 if TYPE_CHECKING:
     from bo_sysid.checks.check import Checked
@@ -43,8 +44,8 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.execution import use_threads
     from bo_sysid.report.check_text import checked_text
 
-    with use_threads(args.threads):
-        found = check(study, strict=args.strict)
+    with use_threads(args.threads), shown("check") as progress:
+        found = check(study, strict=args.strict, progress=progress)
     print(checked_text(found))
     if args.render:
         print(f"\n{rendering(study, args.out)}")
