@@ -143,6 +143,23 @@ def test_the_time_column_is_named_and_converted():
     assert "Time stamps in column 't' converted from ms to s." in recording.notes
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_stamps_that_are_seconds_apart_ask_for_their_unit(factor, unit):
+    table = RawTable("log.csv", {"t": factor * TIME, "qpos.a": WAVE})
+    with pytest.raises(RecordingError, match=f"log.csv: .*'t' are .* s apart.*unit: {unit}}}"):
+        to_recording(table, {"time": {"from": "t"}})
+    recording = to_recording(table, {"time": {"from": "t", "unit": unit}})
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, TIME, atol=1e-12)
+
+
+def test_slow_commands_and_stated_seconds_are_taken_as_they_are():
+    slow = 100 * TIME
+    commanded = read(None, {"ctrl": {"from": "slow"}}, ctrl__m=WAVE, slow=slow)
+    np.testing.assert_array_equal(commanded.channels["ctrl.m"].time, slow)
+    stated = read({"time": {"from": "time", "unit": "s"}}, time=slow)
+    np.testing.assert_array_equal(stated.channels["qpos.a"].time, slow)
+
+
 def test_a_kind_or_a_channel_can_have_a_clock_of_its_own():
     late = TIME + 0.003
     arrays = {"ctrl__m": WAVE, "ctrl__n": WAVE, "t_cmd": late, "t_n": 1000 * (TIME + 0.004)}

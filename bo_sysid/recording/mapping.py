@@ -22,9 +22,11 @@ from bo_sysid.recording.cleaning import (
 )
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.table import RawTable
-from bo_sysid.recording.units import is_unit, require_scale, unit_of_kind
+from bo_sysid.recording.units import UNITS, is_unit, require_scale, unit_of_kind
 from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
 
+_SEVERAL = 20  # stamps, from which their distance is looked at
+_FAST, _SLOW = 5e-5, 0.5  # [s] between which motions are sampled
 _DATES = {
     "M": "Dates in column {} converted to seconds since 1970",
     "m": "Durations in column {} converted to seconds",
@@ -108,6 +110,8 @@ class _Mapper:
         dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
         self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
         if hold == "none":
+            if column != name or _kind(clock.column) != "time":  # of the convention are seconds
+                self._require_fast(stated, clock)
             self._measured.add(stated)
         self.notes += [f"{name}: {note}." for note in notes]
         values, si = self._converted(name, rule, column, raw[rows], where)
@@ -207,6 +211,20 @@ class _Mapper:
             )
             stamps[filled] = unwrapped
         return read_clock(column, stamps + stated.offset, where)
+
+    def _require_fast(self, stated: ColumnRule, clock: Clock) -> None:
+        """Refuse stamps without a unit that are seconds apart and would be usual in another."""
+        if stated.unit or self.table.units.get(clock.column) or len(clock.stamps) < _SEVERAL:
+            return
+        apart = float(np.nanmedian(np.diff(clock.stamps)))
+        units = (u for u in ("ms", "us", "ns") if _FAST < (UNITS[u].factor or 1.0) * apart < _SLOW)
+        if apart > _SLOW and (fitting := next(units, None)):
+            raise RecordingError(
+                f"{self.table.source}: time stamps in column {clock.column!r} are {apart:g} s "
+                f"apart, which is no sampling of a motion; are they in {fitting}? "
+                f"Say so: columns: {{time: {{from: {clock.column}, unit: {fitting}}}}} (unit: s "
+                "where they are seconds)"
+            )
 
     def _converted(
         self, name: str, rule: ColumnRule, column: str, raw: np.ndarray, where: str
