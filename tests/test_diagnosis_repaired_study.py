@@ -1,7 +1,10 @@
 """The study that goes on with a repaired model, beside parameters that the study had."""
 
+from collections.abc import Callable
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 import yaml
 from diagnosis_helpers import ARM, arm, record
@@ -9,7 +12,7 @@ from diagnosis_helpers import ARM, arm, record
 from bo_sysid.diagnosis.findings import Finding, Quantity
 from bo_sysid.diagnosis.repaired import MODEL, Written
 from bo_sysid.diagnosis.repaired_study import study_text
-from bo_sysid.mjcf import parameter_edits
+from bo_sysid.mjcf import Address, parameter_edits
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -20,6 +23,11 @@ FOUND = Finding(
 )  # fmt: skip
 
 
+def damped(spec: mujoco.MjSpec) -> None:
+    """Write what was found."""
+    spec.joint("elbow").damping[0] = FOUND.after
+
+
 def repaired(folder: Path, *parameters: dict[str, object]) -> list[dict[str, object]]:
     """Return the parameters of the repaired study of an arm whose elbow is damped."""
     write_recording(record(duration=1.0), folder / "train.parquet")
@@ -28,7 +36,7 @@ def repaired(folder: Path, *parameters: dict[str, object]) -> list[dict[str, obj
         "parameters": list(parameters),
     }  # fmt: skip
     (folder / "study.yaml").write_text(yaml.safe_dump(content))
-    arm().export(folder / MODEL)
+    arm().export(folder / MODEL, [damped])
     text = study_text(Study.load(folder / "study.yaml"), [FOUND], folder, Written((), {}))
     (folder / "repaired.yaml").write_text(text)
     study = Study.load(folder / "repaired.yaml")
@@ -71,6 +79,57 @@ def test_a_parameter_that_scales_the_model_scales_what_was_repaired(tmp_path: Pa
     scale = {"address": "joint[elbow].damping", "low": 0.5, "high": 2.0, "apply": "scale"}
     (made,) = repaired(tmp_path, scale)
     assert (made["address"], made["low"]) == (("joint[elbow].damping",), 0.5)
+
+
+SPRING = Finding(
+    "joint_spring", "joint", "elbow", Quantity(4.0, "N m/rad", (3.9, 4.1)), 0.0, 4.0,
+    {"rest angle": Quantity(0.5, "rad", (0.49, 0.51))}, None, 0.98, (), "", (4.0, 2.0),
+)  # fmt: skip
+LAG = Finding(
+    "actuator_lag", "actuator", "elbow", Quantity(0.025, "s", (0.024, 0.026)), 0.0, 0.025,
+    {}, None, 0.98, (), "", (0.025,),
+)  # fmt: skip
+
+
+def as_said(spec: mujoco.MjSpec) -> None:
+    """Write a spring about 0.5 rad and a lag of 25 ms."""
+    elbow = spec.joint("elbow")
+    elbow.stiffness[0], elbow.springref = 4.0, np.degrees(0.5) if spec.compiler.degree else 0.5
+    spec.actuator("elbow").dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    spec.actuator("elbow").dynprm[0] = 0.025
+
+
+def already_slow(spec: mujoco.MjSpec) -> None:
+    """Write an actuator with a lag of its own; what was found stands beside the model."""
+    as_said(spec)
+    spec.actuator("elbow").dynprm[0] = 0.1
+
+
+@pytest.mark.parametrize(("write", "lag"), [(as_said, True), (already_slow, False)])
+def test_every_number_of_a_finding_is_a_parameter_where_the_model_has_it(
+    tmp_path: Path, write: Callable[[mujoco.MjSpec], None], lag: bool
+) -> None:
+    write_recording(record(duration=1.0), tmp_path / "train.parquet")
+    content = {
+        "version": 1,
+        "name": "arm",
+        "model": str(ARM),
+        "recordings": {"train": ["train.parquet"]},
+    }
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(content))
+    arm().export(tmp_path / MODEL, [write])
+    study = Study.load(tmp_path / "study.yaml")
+    text = study_text(study, [SPRING, LAG], tmp_path, Written((), {}))
+    (tmp_path / "repaired.yaml").write_text(text)
+    model, held = load_model(Study.load(tmp_path / "repaired.yaml")), yaml.safe_load(text)
+    wanted = {"joint[elbow].stiffness": 4.0, "joint[elbow].springref": 0.5}
+    wanted |= {"actuator[elbow].dynprm[0]": 0.025} if lag else {}
+    assert {p["address"] for p in held["parameters"]} == set(wanted)
+    for p in held["parameters"]:
+        assert Address.parse(p["address"]).read(model) == pytest.approx(wanted[p["address"]])
+        assert p["low"] < wanted[p["address"]] < p["high"]
+    assert ("actuator_lag at elbow" in text) != lag  # what is no parameter is said
+    assert "policy" not in held  # nor what stands at its default
 
 
 def test_what_was_written_says_that_it_steps_finer() -> None:

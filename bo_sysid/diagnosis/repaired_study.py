@@ -4,24 +4,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from bo_sysid.diagnosis.findings import Finding
+from bo_sysid.diagnosis.findings import Finding, Quantity
 from bo_sysid.diagnosis.repaired import BESIDE, MODEL, Written
 from bo_sysid.effects.friction import BEND
-from bo_sysid.mjcf import Model
+from bo_sysid.errors import ModelError
+from bo_sysid.mjcf import Address, Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.study import Study
 
-_ADDRESS = {
-    "dry_friction": "joint[{site}].frictionloss",
-    "viscous_damping": "joint[{site}].damping",
-    "quadratic_damping": "joint[{site}].damping[1]",
-    "armature": "joint[{site}].armature",
-    "link_mass": "body[{site}].mass",
-    "payload": "body[{site}_payload].mass",
-    "contact_friction": "geom[{site}].friction[0]",
+_ADDRESSES = {
+    "dry_friction": {"": "joint[{site}].frictionloss"},
+    "viscous_damping": {"": "joint[{site}].damping"},
+    "quadratic_damping": {"": "joint[{site}].damping[1]"},
+    "joint_spring": {"": "joint[{site}].stiffness", "rest angle": "joint[{site}].springref"},
+    "armature": {"": "joint[{site}].armature"},
+    "link_mass": {"": "body[{site}].mass"},
+    "payload": {"": "body[{site}_payload].mass"},
+    "contact_friction": {"": "geom[{site}].friction[0]"},
+    "actuator_lag": {"": "actuator[{site}].dynprm[0]"},
 }
+"""Where the repaired model has an effect at `{site}`, and the details of it by name."""
+_SAME = 1e-3  # relative difference of what was found from what the repaired model has
+_NO_ADDRESS = "# no parameter, since no number of the repaired model is it"
 _BRISTLES = tuple(f"actuator[{{site}}_friction].biasprm[{k}]" for k in (3, 4))  # at speed, at rest
 
 
@@ -38,7 +45,7 @@ def study_text(
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
     finding's leaves it.
     """
-    data: dict[str, Any] = study.resolved(relative_to=folder)
+    data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
     beside = list(data["model"].get("beside", ()))
     if written.beside:
@@ -47,18 +54,38 @@ def study_text(
     if written.unrecorded or study.model.unrecorded:
         data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
     model = Model.from_file(folder / MODEL)
+    absent = []
     for f in found:
-        own = _named(model, [a.format(site=f.site) for a in _addresses(f)])
-        if own and not _taken(model, data.get("parameters", ()), f, own):
-            data.setdefault("parameters", []).append(_parameter(f, own))
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+        for made in (parameters := _parameters(model, f)):
+            if not _taken(model, data.get("parameters", ()), made):
+                data.setdefault("parameters", []).append(made)
+        absent += [] if parameters else [f"{_NO_ADDRESS}: {f.effect} at {f.site}\n"]
+    return "".join(absent) + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
 
 
-def _addresses(finding: Finding) -> tuple[str, ...]:
-    """Return where the repaired model has a finding, by `{site}`; () where at no address."""
+def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
+    """Return what a finding is in the repaired model; nothing where it is no number of it."""
     if finding.effect == "dry_friction" and any(finding.x[BEND:]):
-        return _BRISTLES
-    return (_ADDRESS[finding.effect],) if finding.effect in _ADDRESS else ()
+        own = _named(model, [a.format(site=finding.site) for a in _BRISTLES])
+        return [_parameter(finding, "", own)]
+    places = _ADDRESSES.get(finding.effect, {})
+    named = {detail: a.format(site=finding.site) for detail, a in places.items()}
+    held = {d: a for d, a in named.items() if _holds(model, a, _found(finding, d)[0])}
+    return [_parameter(finding, d, _named(model, [a])) for d, a in held.items()]
+
+
+def _found(finding: Finding, detail: str) -> tuple[float, Quantity]:
+    """Return the value in the repaired model of a finding, or of a detail of it."""
+    q = finding.details[detail] if detail else finding.quantity
+    return (q.value if detail else finding.after), q
+
+
+def _holds(model: Model, address: str, value: float) -> bool:
+    """Whether a model has a value there, and not, such as a second lag, beside it."""
+    try:
+        return bool(np.isclose(Address.parse(address).read(model), value, rtol=_SAME))
+    except ModelError:
+        return False
 
 
 def _named(model: Model, addresses: Sequence[str]) -> list[str]:
@@ -66,32 +93,27 @@ def _named(model: Model, addresses: Sequence[str]) -> list[str]:
     return [t.address for a in addresses for t in resolve(model, a)]
 
 
-def _bounds(finding: Finding) -> tuple[float, float]:
-    low, high = finding.quantity.interval
-    width = max(high - low, 0.02 * abs(finding.after), 1e-9)
-    return float(max(finding.after - 3 * width, 0.0)), float(finding.after + 3 * width)
-
-
-def _parameter(finding: Finding, own: Sequence[str]) -> dict[str, Any]:
-    low, high = _bounds(finding)
+def _parameter(finding: Finding, detail: str, own: Sequence[str]) -> dict[str, Any]:
+    """Return a parameter about a finding's magnitude, or about a detail of it."""
+    value, q = _found(finding, detail)
+    low, high = q.interval
+    width = 3 * max(high - low, 0.02 * abs(value), 1e-9)
+    name = f"{finding.effect.replace('_', ' ')} of {finding.site}"
     return {
-        "name": f"{finding.effect.replace('_', ' ')} of {finding.site}",
+        "name": f"{name}, {detail}" if detail else name,
         "address": own[0] if len(own) == 1 else list(own),
-        "low": low,
-        "high": high,
-        "unit": finding.quantity.unit,
+        "low": float(value - width if detail else max(value - width, 0.0)),
+        "high": float(value + width),
+        "unit": q.unit,
     }
 
 
-def _taken(
-    model: Model, parameters: Sequence[dict[str, Any]], finding: Finding, own: Sequence[str]
-) -> bool:
+def _taken(model: Model, parameters: Sequence[dict[str, Any]], made: dict[str, Any]) -> bool:
     """Whether parameters of the study vary a finding's numbers; they are made to hold its value."""
-    low, high = _bounds(finding)
-    taken = False
+    taken, own = False, set(_list(made["address"]))
     for p in parameters:
         named = _named(model, _list(p["address"]))
-        if not set(named) & set(own):
+        if not set(named) & own:
             continue
         others = [a for a in named if a not in own]
         if p.get("apply", "set") != "set":  # it changes the repaired model's own value
@@ -99,7 +121,7 @@ def _taken(
         elif others and not p.get("each"):
             p["address"] = others[0] if len(others) == 1 else others
         else:
-            p["low"], p["high"] = min(p["low"], low), max(p["high"], high)
+            p["low"], p["high"] = min(p["low"], made["low"]), max(p["high"], made["high"])
             taken = True
     return taken
 

@@ -216,17 +216,23 @@ class Study(Section):
                 )
         return tuple(found.values())
 
-    def resolved(self, relative_to: str | Path | None = None) -> dict[str, Any]:
+    def resolved(
+        self, relative_to: str | Path | None = None, *, defaults: bool = True
+    ) -> dict[str, Any]:
         """Return the study with all defaults, as a mapping for YAML or JSON.
 
         Args:
             relative_to: folder that relative paths shall be relative to, where the mapping is
                 written to another folder than the study's.
+            defaults: whether keys at their defaults are there as well.
         """
         move = None
         if relative_to is not None:
             move = Relocation(self._folder.resolve(), Path(relative_to).resolve())
-        return self.model_dump(mode="json", exclude_none=True, context=move)
+        left_out = not defaults
+        return self.model_dump(
+            mode="json", exclude_none=True, exclude_defaults=left_out, context=move
+        )
 
     @property
     def sha256(self) -> str:
