@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.lengths import windows_of
+from bo_sysid.diagnosis.lengths import telling, windows_of
+from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
@@ -26,8 +27,11 @@ XML = """
 """
 
 
-def strokes() -> Evidence:
-    """A cart with friction goes to and fro over magnets; few windows hold a turn."""
+def strokes(magnets: float = 1.5, knocked_at: float | None = None) -> Evidence:
+    """A cart with friction goes to and fro over magnets; few windows hold a turn.
+
+    It is knocked once, for 50 ms, where a time is given.
+    """
     plant = mujoco.MjModel.from_xml_string(XML)
     plant.opt.timestep = STEP / 20
     data, time = mujoco.MjData(plant), np.arange(0, DURATION, STEP)
@@ -37,7 +41,8 @@ def strokes() -> Evidence:
     for k in range(len(time)):
         x[k] = data.qpos
         u[k] = data.ctrl[:] = 400 * (goal[k] - data.qpos) - 60 * data.qvel
-        data.qfrc_applied[:] = 1.5 * np.sin(60 * data.qpos)
+        knocked = knocked_at is not None and 0 <= time[k] - knocked_at < 0.05
+        data.qfrc_applied[:] = magnets * np.sin(60 * data.qpos) + 30 * knocked
         mujoco.mj_step(plant, data, 20)
     x += SIGMA * np.random.default_rng(0).normal(size=x.shape)
     recording = Recording.from_arrays(time, qpos={"x": x[:, 0]}, ctrl={"motor": u[:, 0]})
@@ -55,3 +60,19 @@ def test_far_from_the_recordings_no_window_is_dropped_for_its_time_step() -> Non
     assert np.sqrt((left**2).mean()) > 100  # sigma, of the magnets that the model lacks
     size = np.sqrt((prepared.problem.correction**2).mean(axis=1))
     assert size.max() > 4 * np.median(size) + 0.5  # some turn, most do not
+
+
+def test_a_window_that_leaves_most_is_searched_beside_evenly_spread_ones() -> None:
+    hit = 17.33
+    problem = windows_of(strokes(0.05, hit), 100, STEP, everything=True)
+    prepared = prepare(problem)
+    nominal = Search.on(prepared, [], 1, None).nominal
+    some = telling(prepared, nominal)
+    began = np.array(some.problem.windows.time)
+    length = 100 * STEP
+    assert ((began <= hit) & (hit < began + length)).any()
+    assert len(began) == 48 < len(problem.windows) / 3
+    assert np.diff(began).max() < 1.5 * DURATION / 24  # all of the recording is seen
+    own = np.isin(prepared.problem.windows.time, began)
+    known = prepared.linear.residual[own]
+    np.testing.assert_allclose(some.linear.residual, known, atol=1e-6 * np.abs(known).max())

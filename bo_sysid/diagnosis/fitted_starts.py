@@ -103,15 +103,19 @@ class FittedStarts:
             left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
         return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
 
-    def rested(self) -> None:
+    def rested(self, *, half: bool = False) -> None:
         """Try slow joints that friction may hold at rest, where windows leave more than noise.
 
         From the smoother's starts, then from these; with the joint kept at rest as well, since the
         slopes of one that slips, taken beside it, mislead those that move it.
+
+        Args:
+            half: only in the half of the windows that leaves more.
         """
         smooth = self._problem.windows.start
         for joint in held_joints(self._problem, self._hypothesis):
             rows = self.left_behind(anywhere=True)
+            rows = rows[self.cost[rows] >= np.median(self.cost)] if half else rows
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
+from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise, project
 from bo_sysid.diagnosis.problem import Problem, pose
@@ -87,3 +88,16 @@ def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, 
             return prepared, length
         factor = max(min((_TRACTABLE / rms) ** 0.4, 0.75), 0.4)
         length = max(int(length * factor), least)
+
+
+def telling(prepared: Prepared, fit: Fit) -> Prepared:
+    """Return as many of all windows as a search takes, and as many that a fit leaves most of.
+
+    What acts once in a recording, such as a limit that is reached, is seen in few windows.
+    """
+    left = (project(prepared.linear.Q, fit.residual) ** 2).sum(axis=1)
+    keep = np.zeros(len(left), bool)
+    keep[np.linspace(0, len(left) - 1, _WINDOWS).round().astype(int)] = True
+    others = np.argsort(np.where(keep, -1.0, left))
+    keep[others[-_WINDOWS:]] = True
+    return prepared.rows(keep)

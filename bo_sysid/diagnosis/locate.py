@@ -7,7 +7,7 @@ from bo_sysid.diagnosis.decide import Decision, decide
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.final import compare, final_fits
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.lengths import LEAST, stable, tractable, windows_of
+from bo_sysid.diagnosis.lengths import LEAST, stable, telling, tractable, windows_of
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.rules import ROUGH, clean, follows, lost
 from bo_sysid.diagnosis.search import Search
@@ -23,7 +23,7 @@ _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _CARRIED = 4
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
-_RARE = 1.5  # times what the search leaves of its windows, above which all windows are searched
+_RARE = 1.5  # times what the search leaves of its windows, above which it needs others
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ def _located(evidence: Evidence, tell: Callable[[str], None]) -> Located:
     step = _step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
     if final.best.rms > _RARE * search.best.rms:
-        tell(f"all windows, since others show more: {_said(final.best)}")
-        search = carried(search, final.prepared, _CARRIED)
+        tell(f"other windows, since they show more: {_said(final.best)}")
+        search = carried(search, telling(final.prepared, final.best), _CARRIED)
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final)
@@ -90,10 +90,10 @@ def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, 
     search, step = _explored(evidence, search, length, step)
     while True:
         if length >= horizon:
-            horizon, before = _calmer(evidence, search, horizon, full, step), horizon
-            step = step / 2 if horizon > before else step  # what a step does grows with a window
-        if length >= horizon:
-            return search, horizon, step
+            longer = _calmer(evidence, search, horizon, full, step)
+            if longer <= horizon:
+                return search, horizon, step
+            horizon, step = longer, step / 2  # what a step does grows with a window
         step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
         search, step = _explored(evidence, search, length, step, rounds=3)

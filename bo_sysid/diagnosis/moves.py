@@ -111,8 +111,9 @@ def _joints_beside(search: Search, base: Fit) -> list[list[_Point]]:
     some = np.arange(len(search.prepared.start)) % 2 == 0
     frame = search.frame.rows(some)
     added = [c for c in search.candidates if c.effect.hidden and not clashes([*base.members, c])]
+    points = {(set_key([c]), tuple(x)): (c, x) for c in added for x in c.points}
     left: dict[tuple[str, str], list[_Point]] = {}
-    for c, x in [(one, x) for one in added for x in one.points]:
+    for c, x in points.values():  # points of a grid have the same further starts
         h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, x))
         start, r = first_start(frame.problem, h, base.start.rows(some))
         r = settle(frame.problem, frame, h, start, 1, r=r)[1]

@@ -151,8 +151,12 @@ def _settled(frame: Linear, space: _Space, point: _Point) -> _Point:
 def _caught_up(
     frame: Linear, space: _Space, point: _Point, J: np.ndarray, effort: Effort
 ) -> tuple[_Point, np.ndarray]:
-    """Return a point whose windows were fitted on each by itself, and magnitudes with them."""
-    for go_on in (True, False) if effort.final else (True,):
+    """Return a point whose windows were fitted on each by itself, and magnitudes with them.
+
+    Once only far from the recordings, where windows that are fitted once more gain little.
+    """
+    near = point.rss / frame.problem.dof < ROUGH**2
+    for go_on in (True, False) if effort.final and near else (True,):
         if np.sqrt(point.rss / frame.problem.dof) > _HOPELESS * max(effort.rival, 1.0):
             break
         hypothesis = space.hypothesis(point.theta)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.fitted_starts import FittedStarts
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.problem import Problem
+from bo_sysid.diagnosis.rules import ROUGH
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
@@ -49,7 +50,8 @@ def caught_up(
     In contact a start decides when something is touched, and no small step leads from one order of
     impacts to another; what is left there asks for names that are not there. Each such window
     begins anew at the smoother's start and is fitted to its first part, then to more of it. Slow
-    joints that friction may hold are tried at rest.
+    joints that friction may hold are tried at rest, far from the recordings in half of the windows:
+    all of them leave more than noise there.
 
     Args:
         problem: the windows.
@@ -59,7 +61,8 @@ def caught_up(
     found = FittedStarts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
         found.grown()
-    found.rested()
+    far = bool(np.median(found.cost) > ROUGH**2 * problem.count)
+    found.rested(half=far)
     return found.start, found.residual
 
 

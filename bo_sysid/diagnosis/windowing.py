@@ -51,6 +51,11 @@ class Prepared:
     correction_rms: float
     step_rms: float
 
+    def rows(self, keep: Bool[np.ndarray, " W"]) -> "Prepared":
+        """Return some of the windows, as they were prepared among all."""
+        linear = self.linear.rows(keep)
+        return replace(self, problem=linear.problem, start=linear.start, linear=linear)
+
 
 def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None = None) -> Prepared:
     """Fit the starts of a hypothesis, by default of nothing, and add the correction there.
@@ -171,7 +176,7 @@ def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.
     Where motion reverses under friction a finer step changes more than where it goes on. That is no
     reason to drop a window where the hypothesis leaves much more, there or in most of them.
     """
-    r = project(linear.Q, linear.problem.residual(linear.hypothesis, linear.start))
+    r = project(linear.Q, linear.residual)
     size, left = (np.sqrt((e**2).mean(axis=1)) for e in (correction, r))
     left = np.maximum(left, max(float(np.median(left)), 1.0))
     return np.asarray(size < _CHAOTIC * np.median(size) + _DECIDES * left)
@@ -179,6 +184,5 @@ def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.
 
 def _by_a_finer_step(linear: Linear) -> Float[np.ndarray, "W R"]:
     """Return the difference that a finer time step makes to a hypothesis."""
-    problem, plain = linear.problem, replace(linear.hypothesis, numerics=0.0)
-    fine = problem.residual(plain, linear.start, finer=FINER)
-    return np.asarray(problem.residual(plain, linear.start) - fine)
+    fine = linear.problem.residual(linear.hypothesis, linear.start, finer=FINER)
+    return np.asarray(linear.residual - fine)
