@@ -582,12 +582,12 @@ def test_columns_of_no_name_are_matched_by_what_they_move(tmp_path: Path) -> Non
     log = moved_gantry(tmp_path / "gantry.xml")
     rng = np.random.default_rng(3)
     log["vbat"] = 24 + 0.1 * rng.standard_normal(len(log))
-    names = {"TqX": "ch7", "CmdY_mm": "ch3"}
+    names = {"TqX": "ch7", "CmdY_mm": "ch3_mm"}
     log.rename(columns=names).to_csv(tmp_path / "log.csv", index=False)
     started = init(tmp_path / "gantry.xml", [tmp_path / "log.csv"], tmp_path / "gantry.yaml")
     rules = started.rules
     assert (rules.columns["ctrl.x_motor"]["from"], rules.columns["ctrl.y_servo"]["from"]) == (
-        "ch7", "ch3",
+        "ch7", "ch3_mm",
     )  # fmt: skip
     assert "the force at x_axis" in rules.guesses["ctrl.x_motor"].reason
     assert rules.unused == ("vbat",)
@@ -642,6 +642,28 @@ def test_a_sign_that_the_range_asks_for_stands_unless_the_motion_disagrees(
     guess = started.rules.guesses["qpos.boom_joint"]
     assert ("the mirror image inside" in guess.reason) == (sign < 0)
     assert guess.confidence == pytest.approx(0.95 if (sign, zero) == (1, 0.0) else 0.8)
+
+
+def test_a_current_is_no_goal_of_a_servo() -> None:
+    servo = BOOM.replace('<motor name="boom_drive" joint="boom_joint" gear="50"/>',
+                         '<position name="boom_drive" joint="boom_joint" kp="20"/>')  # fmt: skip
+    table = RawTable("log", {"time": TIMES, "enc_boom_deg": 30 * WAVE, "i_boom_A": WAVE})
+    rules = guess_rules(Model.from_xml(servo), table)
+    assert (rules.unmatched, rules.unused) == (("boom_drive",), ("i_boom_A",))
+
+
+def test_a_current_of_which_the_model_explains_nothing_lacks_its_scale(tmp_path: Path) -> None:
+    """The current of something else is in it, so that no constant explains the motion."""
+    time, angle, ctrl = held_up(tmp_path / "boom.xml")
+    bend = np.gradient(np.gradient(angle, time), time)
+    torque = 50 * ctrl + 3 * np.convolve(bend, np.ones(25) / 25, mode="same") + 9 * np.cos(9 * time)
+    log = pd.DataFrame({"time": time, "enc_boom": angle, "i_boom_A": torque})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
+    guess = started.rules.guesses["ctrl.boom_drive"]
+    assert "scale" not in started.rules.columns["ctrl.boom_drive"]
+    assert "its scale is missing" in guess.reason
+    assert guess.confidence <= 0.5
 
 
 def test_a_current_is_told_to_need_the_motors_constant(tmp_path: Path) -> None:

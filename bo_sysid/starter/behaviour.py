@@ -21,6 +21,7 @@ from bo_sysid.starter.signs import Tested, tested_signs, turned_by_range
 
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
 _LIKELY = 0.7
+_AGREED = "the motion agrees"
 _MOTOR = "the motor's constant as the model's masses have it"
 _MOVED = ("the motion", "its jumps", _MOTOR)
 
@@ -80,10 +81,17 @@ def _judged(
             reason = f"{g.reason}; its sign is not told: {tested.untold[n]}"
             g = replace(g, reason=reason, confidence=min(g.confidence, _LIKELY))
         elif share <= _AGREES and not g.reason.startswith(_MOVED):
-            told = f"the motion agrees (unexplained forces {share:.2g})"
+            told = f"{_AGREED} (unexplained forces {share:.2g})"
             g = replace(g, reason=f"{g.reason}; {told}", confidence=max(g.confidence, _LIKELY))
+        elif n.startswith("qpos.") and share > _AGREES:
+            g = replace(g, reason=f"{g.reason}; the motion of others tells its sign")
         out[n] = g
     return out
+
+
+def agrees(guess: Guess) -> bool:
+    """Whether the motion agrees with a guess."""
+    return _AGREED in guess.reason
 
 
 def _explained(balance: pd.DataFrame, joint: str) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -13,7 +14,7 @@ from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
-from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_joint
+from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
 
 _BODY = 0.85  # what the name of a joint's body counts, of its own
 
@@ -78,7 +79,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         [c for c in columns if c.kind == "position" or named_after(joints, c)],
         [_body(compiled, j) for j in joints],
         trust=_BODY,
-        fits=lambda joint, column: fits_joint(compiled, joint, column),
+        fits=partial(fits_joint, compiled),
     )
     if not positions and (bad := spoilt(table)):
         raise RecordingError(
@@ -130,7 +131,8 @@ def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column])
             left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
             some = [c for c in columns if c.commands and c.name not in used]
             some = [c for c in some if wanted(c) is told or (not told)]
-            found += match("ctrl", left, some, [also[names.index(n)] for n in left])
+            beside = [also[names.index(n)] for n in left]
+            found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
     return found
 
 
@@ -142,6 +144,8 @@ def _last_one(
     without = [a for a in model.controlled if f"ctrl.{a}" not in told]
     left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
+    compiled = model.compile()
+    left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
     if len(without) != 1 or len(left) != 1:
         return []
     return [Guess(f"ctrl.{without[0]}", left[0].name, left[0].unit, "nothing else is left", 0.3)]

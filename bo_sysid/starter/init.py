@@ -1,7 +1,7 @@
 """`init`: from a model and logs to a study that can be checked."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -16,10 +16,10 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.runs import atomic
-from bo_sysid.starter.behaviour import by_behaviour
+from bo_sysid.starter.behaviour import agrees, by_behaviour
 from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, guess_rules, read
-from bo_sysid.starter.reading import constant_hint
+from bo_sysid.starter.reading import constant_hint, without_constant
 from bo_sysid.starter.write import relative, study_text
 
 _WINDOW = 0.3  # [s]
@@ -117,10 +117,15 @@ def _guessed(
             nominal = Model.from_file(read_from, base=base, hold=rules.held)
             rules = rules.without_controls(set(free) - set(nominal.controlled))
         if rules.missing:
-            return rules, pd.DataFrame(), _hints(nominal, tables[0], rules)
+            return rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
         scales = _scales(nominal, [read(t, rules) for t in tables])
-        return rules, scales, _hints(nominal, tables[0], rules)
+        hints = _hints(nominal, tables[0], rules)
+        bare = [
+            n for n in hints if "scale" not in rules.columns[n] and not agrees(rules.guesses[n])
+        ]
+        marked = {n: without_constant(rules.guesses[n]) for n in bare}
+        return replace(rules, guesses={**rules.guesses, **marked}), scales, hints
 
 
 def _hints(model: Model, table: RawTable, rules: Rules) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -18,8 +19,8 @@ from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.value import KINDS
 from bo_sysid.starter.columns import Column, describe
 from bo_sysid.starter.guess import Rules, read
-from bo_sysid.starter.matching import Guess
-from bo_sysid.starter.reading import column_rule
+from bo_sysid.starter.matching import Fits, Guess
+from bo_sysid.starter.reading import column_rule, fits_control
 
 _LEAST, _MOST = 60, 800  # instants
 _TELLS = 0.8  # share of what moves a joint, that a column must tell
@@ -61,7 +62,8 @@ def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules
     evidence = evidence_of(compiled, unwrapped(recordings, find_wraps(recordings)))
     if evidence is None:
         return rules
-    guesses = _told(evidence, rules.unmatched, [columns[n] for n in channels], channels)
+    fits = partial(fits_control, compiled)
+    guesses = _told(evidence, rules.unmatched, [columns[n] for n in channels], channels, fits)
     ruled = {g.channel: column_rule(tables[0], compiled, g) for g in guesses}
     used = {g.column for g in guesses}
     return replace(
@@ -87,12 +89,15 @@ def _told(
     actuators: Sequence[str],
     columns: Sequence[Column],
     channels: Mapping[str, str],
+    fits: Fits,
 ) -> list[Guess]:
     """Return the columns that tell what some actuators did."""
     known = [a for a in actuators if evidence.driven(f"ctrl.{a}") in _recorded(evidence)]
     if not known:
         return []
-    share = np.array([[_share(evidence, a, channels[c.name]) for c in columns] for a in known])
+    share = np.array(
+        [[fits(a, c) * _share(evidence, a, channels[c.name]) for c in columns] for a in known]
+    )
     found = []
     rows, picked = linear_sum_assignment(-share)
     for r, p in zip(rows.tolist(), picked.tolist(), strict=True):

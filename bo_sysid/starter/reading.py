@@ -22,6 +22,7 @@ _FITS = {
     "ctrl": ("current", "voltage", "torque", "force", "ratio", "angle", "length"),
 }
 _ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
+_FORCES = ("current", "voltage", "torque", "force")
 _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
 
 
@@ -34,6 +35,13 @@ def fits_joint(compiled: mujoco.MjModel, joint: str, column: Column) -> bool:
     """Whether a column's unit lets it be a joint's position: no length is that of a hinge."""
     hinge = int(compiled.joint(joint).type[0]) == _HINGE
     return told_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
+
+
+def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
+    """Whether a column's unit lets it be a control: no current is a servo's goal."""
+    servo = bool(compiled.actuator(actuator).biasprm[1])
+    quantity = told_unit(column.unit, column.name).quantity
+    return quantity not in (_FORCES if servo else ("angle", "length"))
 
 
 def driven(compiled: mujoco.MjModel, channel: str) -> str:
@@ -61,6 +69,12 @@ def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:
     force = "N" if slides and gear == 1 else "N m"
     before = "" if gear == 1 else f" before the gear; the model multiplies by its gear of {gear:g}"
     return f"{actuator} is told in A: scale is the motor's constant in {force}/A{before}"
+
+
+def without_constant(guess: Guess) -> Guess:
+    """Return the guess of a current of which nothing says what force it gives."""
+    reason = f"{guess.reason}; its scale is missing, 1 A counts as 1 N m (N)"
+    return replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
 
 
 def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule, Guess]:
