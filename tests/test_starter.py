@@ -599,7 +599,8 @@ def test_a_log_that_fits_nothing_gives_a_study_to_fill_in(tmp_path: Path) -> Non
     log.to_csv(tmp_path / "log.csv", index=False)
     started = init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml")
     assert started.notes == (
-        "No column was found for: shoulder, elbow, shoulder, elbow. Fill in what is marked.",
+        "No column was found for: qpos.shoulder, qpos.elbow, ctrl.shoulder, ctrl.elbow. Fill in "
+        "what is marked.",
     )
     study = Study.load(started.path)
     rules = {n: r.source for n, r in study.recordings.columns.items()}

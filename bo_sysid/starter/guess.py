@@ -41,6 +41,12 @@ class Rules:
     unmatched: tuple[str, ...]
     unused: tuple[str, ...]
 
+    @property
+    def to_fill_in(self) -> tuple[str, ...]:
+        """Channels that the user has to say."""
+        joints = (f"qpos.{j}" for j in self.missing)
+        return (*joints, *(f"ctrl.{a}" for a in self.unmatched))
+
     def without_controls(self, actuators: Collection[str]) -> "Rules":
         """Return the rules without those of actuators that a model lacks, as of held joints."""
         out = {f"ctrl.{a}" for a in actuators} & set(self.columns)

@@ -74,7 +74,7 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
                 "another study with --out"
             )
     rules, scales, hints = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
-    if not_found := [*rules.missing, *rules.unmatched]:
+    if not_found := rules.to_fill_in:
         notes.append(f"No column was found for: {', '.join(not_found)}. Fill in what is marked.")
     if not_found or rules.held:
         notes += [f"{sentence}." for sentence in spoilt(tables[0])]

@@ -79,9 +79,8 @@ def _open(rules: Rules) -> list[str]:
     left = "one of those below"
     if len(rules.unused) <= _FEW:
         left = f"one of: {', '.join(rules.unused)}" if rules.unused else "no column is left"
-    channels = [*(f"qpos.{j}" for j in rules.missing), *(f"ctrl.{a}" for a in rules.unmatched)]
-    lines = [] if rules.columns or not channels else ["  columns:"]
-    lines += [f"    {c}: {{from: FILL IN}}  # not found; {left}" for c in channels]
+    lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
+    lines += [f"    {c}: {{from: FILL IN}}  # not found; {left}" for c in rules.to_fill_in]
     held = rules.held if rules.unused else ()
     return lines + [f"    # qpos.{j}: {{from: FILL IN}}  # or held; {left}" for j in held]
 
