@@ -124,6 +124,11 @@ def test_wrong_input_gives_one_message(
             r"'qpos.hing' is not in the model.*'q",
         ),
         ("time,qpos.hinge\n0,0\n1,1\n2,3\n", r"no channel 'ctrl.motor', which the model needs"),
+        (
+            "time,qpos.hinge,i_A\n0,0,0\n1,1,2\n2,3,1\n",
+            r"no channel 'ctrl.motor', which the model needs; it has 'qpos.hinge'; "
+            r"columns not used: i_A",
+        ),
         ("time,qvel.hinge\n0,0\n1,1\n2,3\n", r"no channel 'qpos.hinge', which the model needs"),
         ("time,qpos.hinge\n0,0\n1,nan\n2,3\n", "qpos.hinge"),
         ("time,qpos.hinge\n0,0\n2,1\n1,3\n", "row"),

@@ -165,6 +165,17 @@ def test_columns_called_like_the_joints_are_positions_and_their_units_are_read(
     assert (rules["ctrl.shoulder"].source, rules["ctrl.elbow"].source) == ("u_shoulder", "u_elbow")
 
 
+def test_the_control_of_a_joint_that_is_held_is_not_read(tmp_path: Path) -> None:
+    """Holding a joint takes its actuator out of the model, and a channel of it would be refused."""
+    time, qpos, _, ctrl = moved(TWO, 1.0)
+    log = {"time": time, "pos_shoulder": qpos[:, 0], "tau_shoulder": ctrl[:, 0]}
+    pd.DataFrame(log | {"tau_elbow": ctrl[:, 1]}).to_csv(tmp_path / "log.csv", index=False)
+    started = init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml")
+    assert (started.rules.held, started.rules.unused) == (("elbow",), ("tau_elbow",))
+    assert "ctrl.elbow" not in Study.load(started.path).recordings.columns
+    check(Study.load(started.path))
+
+
 def test_a_urdf_gets_motors_and_a_joint_without_a_column_is_held(tmp_path: Path) -> None:
     link = (
         '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 -.1"/>'
@@ -205,7 +216,7 @@ def test_a_model_without_actuators_stays_as_it_was_written(tmp_path: Path) -> No
     names = ("yaw", "shoulder", "elbow", "gripper")
     log = pd.DataFrame({"time": time, **{f"{n}_pos": np.sin(3 * time + len(n)) for n in names}})
     log.to_csv(tmp_path / "log.csv", index=False)
-    log[["time"]].assign(other=1.0).to_csv(tmp_path / "empty.csv", index=False)
+    log[["yaw_pos"]].to_csv(tmp_path / "empty.csv", index=False)
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
     with pytest.raises(UserError):
         init(model, [tmp_path / "empty.csv"], tmp_path / "arm.yaml")
@@ -424,7 +435,7 @@ def test_names_are_split() -> None:
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [
-        ({"time": [0, 1, 2], "temp": [1, 2, 4]}, r"no column looks like the position.*shoulder"),
+        ({"temp": [4, 2, 5]}, r"no column looks like a clock among 'temp'"),
         ({"a": [0, 3, 1], "pos1": [1, 2, 4]}, r"no column looks like a clock among 'a', 'pos1'"),
     ],
 )
@@ -485,3 +496,196 @@ def test_the_command_says_what_it_guessed(
     assert main(["check", "two_link_arm.yaml", "--out", "found"]) == 0
     assert "nothing to correct" in capsys.readouterr().out
     assert (tmp_path / "found" / "log.png").stat().st_size > 10_000
+
+
+GANTRY = """
+<mujoco model="gantry"><option timestep="0.004"/><worldbody><body>
+  <joint name="x_axis" type="slide" axis="1 0 0" range="-5 5" limited="true" damping="12"/>
+  <geom type="box" size=".1 .3 .04" mass="4" contype="0" conaffinity="0"/><body>
+  <joint name="y_axis" type="slide" axis="0 1 0" damping="8"/>
+  <geom type="box" size=".05 .05 .03" mass="1.5" contype="0" conaffinity="0"/>
+  <body name="pendulum"><joint name="swing" axis="0 1 0" damping=".002"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".5" contype="0" conaffinity="0"/>
+  </body></body></body></worldbody>
+  <actuator><motor name="x_motor" joint="x_axis" gear="600"/>
+  <position name="y_servo" joint="y_axis" kp="900" kv="40"/></actuator></mujoco>"""
+BOOM = """
+<mujoco><option timestep="0.004"/><compiler angle="degree"/><worldbody><body name="boom">
+  <joint name="boom_joint" axis="0 1 0" range="-30 150" limited="true" damping=".05"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body></worldbody>
+  <actuator><motor name="boom_drive" joint="boom_joint" gear="50"/></actuator></mujoco>"""
+
+
+def held_up(path: Path, centre: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return time, angle and control of a boom that a controller moves about an angle."""
+    path.write_text(BOOM)
+    model = Model.from_file(path).compile()
+    data, time = mujoco.MjData(model), np.arange(0.0, 12.0, model.opt.timestep)
+    wanted, angles, ctrl = centre + 0.6 * tones(time, 2), [], []
+    data.qpos[:] = wanted[0]
+    for goal in wanted:
+        data.ctrl[:] = (20 * (goal - data.qpos[0]) - data.qvel[0]) / 50
+        angles.append(float(data.qpos[0]))
+        ctrl.append(float(data.ctrl[0]))
+        mujoco.mj_step(model, data)
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+    return time, np.array(angles) + noise, np.array(ctrl)
+
+
+def moved_gantry(path: Path) -> pd.DataFrame:
+    """Return the log of a gantry, whose motor has gear and whose servo is told in mm."""
+    path.write_text(GANTRY)
+    model = Model.from_file(path).compile()
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([0.05 * tones(time, 3), 0.1 * tones(time, 4)], axis=1)
+    start = State(np.zeros((1, model.nq)), np.zeros((1, model.nv)), np.zeros((1, 0)))
+    q = Engine(1).rollout(model, start, ctrl[None]).qpos[0, :-1]
+    q = q + 1e-5 * np.random.default_rng(0).standard_normal(q.shape)
+    return pd.DataFrame(
+        {"epoch": 1.7e9 + time, "PosX_mm": 1e3 * q[:, 0], "PosY_mm": 1e3 * q[:, 1],
+         "Pend_deg": np.rad2deg(q[:, 2]), "TqX": ctrl[:, 0], "CmdY_mm": 1e3 * ctrl[:, 1]}
+    )  # fmt: skip
+
+
+def test_letters_and_beginnings_of_words_are_names(tmp_path: Path) -> None:
+    moved_gantry(tmp_path / "gantry.xml").to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "gantry.xml", [tmp_path / "log.csv"], tmp_path / "gantry.yaml")
+    rules = {n: (r.source, r.unit) for n, r in Study.load(started.path).recordings.columns.items()}
+    assert rules == {
+        "time": ("epoch", None), "qpos.x_axis": ("PosX_mm", "mm"), "qpos.y_axis": ("PosY_mm", "mm"),
+        "qpos.swing": ("Pend_deg", "deg"), "ctrl.x_motor": ("TqX", None),
+        "ctrl.y_servo": ("CmdY_mm", "mm"),
+    }  # fmt: skip
+    assert all("the motion agrees" in g.reason for g in started.rules.guesses.values())
+    assert check(Study.load(started.path)).proposal == ""
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (("a1_deg", "b1_mm", "b2_mm"), {"swing": 0, "x_axis": 1, "y_axis": 2}),
+        (("a_mm", "b_deg", "c_mm"), {"swing": 1, "x_axis": 0, "y_axis": 2}),
+        (("a_mm", "b_deg"), {"swing": 1}),
+    ],
+)
+def test_a_unit_keeps_a_column_from_a_joint_that_cannot_have_it(
+    names: tuple[str, ...], expected: dict[str, int]
+) -> None:
+    """By their order alone, an angle would be a slide's position, and a length a hinge's."""
+    table = RawTable("log", {"time": TIMES, **{n: (k + 1) * WAVE for k, n in enumerate(names)}})
+    rules = guess_rules(Model.from_xml(GANTRY.replace('name="pendulum"', "")), table).columns
+    found = {n: names.index(r["from"]) for n, r in rules.items() if n != "time"}
+    assert {n.removeprefix("qpos."): k for n, k in found.items()} == expected
+
+
+def test_columns_of_no_name_are_matched_by_what_they_move(tmp_path: Path) -> None:
+    log = moved_gantry(tmp_path / "gantry.xml")
+    rng = np.random.default_rng(3)
+    log["vbat"] = 24 + 0.1 * rng.standard_normal(len(log))
+    names = {"TqX": "ch7", "CmdY_mm": "ch3_mm"}
+    log.rename(columns=names).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "gantry.xml", [tmp_path / "log.csv"], tmp_path / "gantry.yaml")
+    rules = started.rules
+    assert (rules.columns["ctrl.x_motor"]["from"], rules.columns["ctrl.y_servo"]["from"]) == (
+        "ch7", "ch3_mm",
+    )  # fmt: skip
+    assert "the force at x_axis" in rules.guesses["ctrl.x_motor"].reason
+    assert rules.unused == ("vbat",)
+
+
+def test_a_log_that_fits_nothing_gives_a_study_to_fill_in(tmp_path: Path) -> None:
+    time = np.arange(0.0, 2.0, 0.01)
+    log = pd.DataFrame({"time": time, "temp": 30 + time, "code": np.cos(9 * time)})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(TWO, [tmp_path / "log.csv"], tmp_path / "arm.yaml")
+    assert started.notes == (
+        "No column was found for: qpos.shoulder, qpos.elbow, ctrl.shoulder, ctrl.elbow. Fill in "
+        "what is marked.",
+    )
+    study = Study.load(started.path)
+    rules = {n: r.source for n, r in study.recordings.columns.items()}
+    channels = ("qpos.shoulder", "qpos.elbow", "ctrl.shoulder", "ctrl.elbow")
+    assert rules == dict.fromkeys(channels, "FILL IN")
+    assert (
+        "qpos.elbow: {from: FILL IN}  # not found; one of: temp, code" in started.path.read_text()
+    )
+    with pytest.raises(RecordingError, match=r"no column 'FILL IN'.*shoulder.*'code', 'temp'"):
+        check(study)
+
+
+def test_a_control_without_a_column_is_to_be_filled_in(tmp_path: Path) -> None:
+    time, angle, _ = held_up(tmp_path / "boom.xml")
+    spare = np.random.default_rng(2).standard_normal((2, len(time)))
+    log = pd.DataFrame({"time": time, "enc_boom": angle, "vbat": spare[0], "code": spare[1]})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
+    text = started.path.read_text()
+    assert "ctrl.boom_drive: {from: FILL IN}  # not found; one of: vbat, code" in text
+    guess = started.rules.guesses["qpos.boom_joint"]  # its sign is known by nobody
+    assert guess.confidence <= 0.7
+    assert "its sign is not told: not all that moves boom_joint is known" in guess.reason
+
+
+@pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 0.0), (1, -2.2)])
+def test_a_sign_that_the_range_asks_for_stands_unless_the_motion_disagrees(
+    tmp_path: Path, sign: int, zero: float
+) -> None:
+    """An encoder that is 2.2 rad off lies outside the range, its mirror image inside."""
+    time, angle, ctrl = held_up(tmp_path / "boom.xml")
+    encoder = np.rad2deg(sign * angle + zero)
+    assert -150 < -encoder.max() < -encoder.min() < 150
+    log = pd.DataFrame({"time": time, "enc_boom_deg": encoder, "tau_boom_Nm": ctrl})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
+    rule = Study.load(started.path).recordings.columns["qpos.boom_joint"]
+    assert rule.sign == sign
+    assert rule.offset == pytest.approx(-zero, abs=0.02)
+    guess = started.rules.guesses["qpos.boom_joint"]
+    assert ("the mirror image inside" in guess.reason) == (sign < 0)
+    assert guess.confidence == pytest.approx(0.95 if (sign, zero) == (1, 0.0) else 0.8)
+
+
+def test_a_current_is_no_goal_of_a_servo() -> None:
+    servo = BOOM.replace('<motor name="boom_drive" joint="boom_joint" gear="50"/>',
+                         '<position name="boom_drive" joint="boom_joint" kp="20"/>')  # fmt: skip
+    table = RawTable("log", {"time": TIMES, "enc_boom_deg": 30 * WAVE, "i_boom_A": WAVE})
+    rules = guess_rules(Model.from_xml(servo), table)
+    assert (rules.unmatched, rules.unused) == (("boom_drive",), ("i_boom_A",))
+
+
+def test_a_current_of_which_the_model_explains_nothing_lacks_its_scale(tmp_path: Path) -> None:
+    """The current of something else is in it, so that no constant explains the motion."""
+    time, angle, ctrl = held_up(tmp_path / "boom.xml")
+    bend = np.gradient(np.gradient(angle, time), time)
+    torque = 50 * ctrl + 3 * np.convolve(bend, np.ones(25) / 25, mode="same") + 9 * np.cos(9 * time)
+    log = pd.DataFrame({"time": time, "enc_boom": angle, "i_boom_A": torque})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
+    guess = started.rules.guesses["ctrl.boom_drive"]
+    assert "scale" not in started.rules.columns["ctrl.boom_drive"]
+    assert "its scale is missing" in guess.reason
+    assert guess.confidence <= 0.5
+
+
+def test_a_current_is_told_to_need_the_motors_constant(tmp_path: Path) -> None:
+    time, angle, ctrl = held_up(tmp_path / "boom.xml")
+    log = pd.DataFrame({"time": time, "enc_boom": angle, "i_boom_A": ctrl / 0.08})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "boom.xml", [tmp_path / "log.csv"], tmp_path / "boom.yaml")
+    rule = Study.load(started.path).recordings.columns["ctrl.boom_drive"]
+    assert (rule.source, rule.unit) == ("i_boom_A", "A")
+    assert rule.scale == pytest.approx(0.08, rel=0.02)
+    before = started.path.read_text().split("    ctrl.boom_drive:")[0].splitlines()[-1]
+    assert before.strip() == (
+        "# boom_drive is told in A: scale is the motor's constant in N m/A before the gear; the "
+        "model multiplies by its gear of 50"
+    )
+
+
+def test_a_drive_that_is_late_alone_gives_no_clock(tmp_path: Path) -> None:
+    log = moved_gantry(tmp_path / "gantry.xml")
+    log["TqX"] = np.roll(log["TqX"], -6)  # logged 24 ms before it acts
+    log[10:-10].to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "gantry.xml", [tmp_path / "log.csv"], tmp_path / "gantry.yaml")
+    assert Study.load(started.path).recordings.clocks == {}
+    assert started.rules.columns["ctrl.x_motor"]["from"] == "TqX"

@@ -23,7 +23,7 @@ from bo_sysid.recording.cleaning import (
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.units import UNITS, is_unit, require_scale, unit_of_kind
-from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
+from bo_sysid.recording.value import HELD_KINDS, KINDS, UNUSED, Channel, Hold, Recording
 
 _SEVERAL = 20  # stamps, from which their distance is looked at
 _FAST, _SLOW = 5e-5, 0.5  # [s] between which motions are sampled
@@ -135,7 +135,7 @@ class _Mapper:
         used |= {clock.column for clock in self._clocks.values()}
         unused = [column for column in self.table.columns if column not in used]
         if unused:
-            sentences.append(f"Columns not used: {', '.join(unused)}.")
+            sentences.append(f"{UNUSED}{', '.join(unused)}.")
         return sentences
 
     def _hold(self, name: str, rule: ColumnRule, column: str) -> Hold:

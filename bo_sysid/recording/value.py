@@ -17,6 +17,9 @@ KINDS = ("qpos", "qvel", "act", "ctrl", "goal", "sensor", "aux")
 HELD_KINDS = frozenset({"act", "ctrl", "goal", "aux"})
 _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 
+UNUSED = "Columns not used: "
+"""What the note of a recording begins with that lists them."""
+
 Hold = Literal["none", "zero"]
 UNNAMED = "recording"
 """Name of a recording that was given none; written to a file, it takes that file's."""
@@ -99,6 +102,12 @@ class Recording:
                     f"{nearest(prefix, KINDS)}"
                 )
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    def hint(self, missing: str) -> str:
+        """Return what may stand for a channel that is not there: those nearest, unused columns."""
+        unused = [n[0].lower() + n[1:-1] for n in self.notes if n.startswith(UNUSED)]
+        near = nearest(missing, self.channels)
+        return "; ".join([near.replace("valid:", "it has", 1) if unused else near, *unused])
 
     @classmethod
     def from_arrays(

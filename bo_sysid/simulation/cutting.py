@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
-from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled, deaf_controls
 from bo_sysid.recording import Channel, Recording
@@ -115,7 +115,7 @@ def _require(recording: Recording, missing: list[str], what: str) -> None:
     if missing:
         raise RecordingError(
             f"{recording.name}: no channel {missing[0]!r}, the {what} that the model needs; "
-            f"{nearest(missing[0], recording.channels)}"
+            f"{recording.hint(missing[0])}"
         )
 
 

@@ -29,8 +29,8 @@ WORDS: dict[str, frozenset[str]] = {
          "reference", "setpoint", "input", "inputs", "u", "con", "control"}
     ),
     "effort": frozenset(
-        {"torque", "tau", "effort", "efforts", "current", "pwm", "duty", "load", "force", "volts",
-         "voltage"}
+        {"torque", "tau", "tq", "trq", "effort", "efforts", "current", "cur", "curr", "amps", "pwm",
+         "duty", "load", "force", "volts", "voltage"}
     ),
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
 }  # fmt: skip
@@ -41,7 +41,12 @@ UNITS = {
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
 _ENDINGS = ("mA", "mNm", "Nm")
-"""Units at the end of a name, in these letters; A and V alone may be the name of a motor."""
+"""Units at the end of a name, in these letters."""
+_ELECTRIC = {
+    "A": frozenset({"i", "current", "cur", "curr", "amps"}),
+    "V": frozenset({"u", "voltage", "volts"}),
+}
+"""Words beside which A and V at the end are units; alone they may be the name of a motor."""
 _CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
 _BRACKETS = re.compile(r"\[([^\[\]]+)\]|\(([^()]+)\)")
 _BY_QUANTITY: dict[str, Kind] = {
@@ -126,6 +131,8 @@ def named_unit(name: str) -> tuple[str, str]:
     for ending in _ENDINGS:
         if re.search(rf"[^A-Za-z]{ending}$", name):
             return name[: -len(ending)], ending
+    if re.search(r"[^A-Za-z][AV]$", name) and _ELECTRIC[name[-1]] & set(words(name[:-1])):
+        return name[:-1], name[-1]
     return name, ""
 
 
@@ -135,7 +142,7 @@ def _named(name: str, unit: str) -> Column:
         return Column(name, by_channel, words(name), unit, "its name")
     plain, told = named_unit(name)
     parts = words(plain)
-    said = {kind for kind, known in WORDS.items() if known & set(parts)}
+    said = _said(parts)
     unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
     bare = tuple(w for w in parts if w not in UNITS)
     kind: Kind = "other"
@@ -155,6 +162,13 @@ def _named(name: str, unit: str) -> Column:
     elif "position" in said or unit in _PLACES:
         kind = "position"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
+
+
+def _said(parts: Sequence[str]) -> set[str]:
+    """Return what the words of a name say; of the letters x and i, only where they come first."""
+    plain = {w for k, w in enumerate(parts) if w != "x" or k == 0}
+    said = {kind for kind, known in WORDS.items() if known & plain}
+    return said | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else said
 
 
 def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:

@@ -1,38 +1,22 @@
 """From a model and a log to the rules that read it, each with a reason and a confidence."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from functools import partial
 
 import mujoco
 import numpy as np
-import pandas as pd
 
-from bo_sysid.checks.hypothesis import FREE
-from bo_sysid.checks.proposal import Rule, proposed_clocks, proposed_columns
-from bo_sysid.checks.wiring import Wiring, find_wiring
-from bo_sysid.checks.wraps import find_wraps, unwrapped
-from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.checks.proposal import Rule
+from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
-from bo_sysid.recording.units import Unit, is_unit, unit
 from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
+from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
 
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-_TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
-_TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
-_AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
-_LIKELY = 0.7
-_MOTOR = "the motor's constant as the model's masses have it"
-_FITS = {
-    "qpos": ("angle", "length"),
-    "qvel": ("angular velocity", "velocity"),
-    "ctrl": ("current", "voltage", "torque", "force", "ratio", "angle", "length"),
-}
-_ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
-_UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
+_BODY = 0.85  # what the name of a joint's body counts, of its own
 
 
 @dataclass(frozen=True)
@@ -43,7 +27,8 @@ class Rules:
         columns: by channel, the rule as it stands in a study.
         clocks: by kind, the clock as it stands in a study.
         guesses: by channel (or ``time``), the reason and the confidence of its rule.
-        held: joints that were not recorded.
+        held: joints that were not recorded, of a model of which others were.
+        missing: all joints, where a column was found for none.
         unmatched: actuators without a column.
         unused: columns that nothing was matched with.
     """
@@ -52,8 +37,26 @@ class Rules:
     clocks: Mapping[str, Rule]
     guesses: Mapping[str, Guess]
     held: tuple[str, ...]
+    missing: tuple[str, ...]
     unmatched: tuple[str, ...]
     unused: tuple[str, ...]
+
+    @property
+    def to_fill_in(self) -> tuple[str, ...]:
+        """Channels that the user has to say."""
+        joints = (f"qpos.{j}" for j in self.missing)
+        return (*joints, *(f"ctrl.{a}" for a in self.unmatched))
+
+    def without_controls(self, actuators: Collection[str]) -> "Rules":
+        """Return the rules without those of actuators that a model lacks, as of held joints."""
+        out = {f"ctrl.{a}" for a in actuators} & set(self.columns)
+        return replace(
+            self,
+            columns={n: r for n, r in self.columns.items() if n not in out},
+            guesses={n: g for n, g in self.guesses.items() if n not in out},
+            unmatched=tuple(a for a in self.unmatched if a not in actuators),
+            unused=(*self.unused, *(self.guesses[n].column for n in sorted(out))),
+        )
 
 
 def guess_rules(model: Model, table: RawTable) -> Rules:
@@ -64,7 +67,8 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         table: the first log, as a reader returned it.
 
     Raises:
-        RecordingError: no column fits a joint.
+        RecordingError: the model has no hinge and no slide, the log no clock, or cells that are
+            no numbers hide its positions.
     """
     columns = describe(table)
     compiled = model.compile()
@@ -76,14 +80,17 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
             + ", ".join(repr(n) for n in model.qpos_channels[:4])
         )
     positions = match(
-        "qpos", joints, [c for c in columns if c.kind == "position" or named_after(joints, c)]
+        "qpos",
+        joints,
+        [c for c in columns if c.kind == "position" or named_after(joints, c)],
+        [_body(compiled, j) for j in joints],
+        trust=_BODY,
+        fits=partial(fits_joint, compiled),
     )
-    if not positions:
-        names = [c.name for c in columns]
+    if not positions and (bad := spoilt(table)):
         raise RecordingError(
             f"{table.source}: no column looks like the position of a joint of {model.source} "
-            f"({', '.join(joints)}); it has {', '.join(map(repr, names))}; for {joints[0]!r}: "
-            f"{nearest(joints[0], names)}" + "".join(f"; {s}" for s in spoilt(table))
+            f"({', '.join(joints)}); {'; '.join(bad)}"
         )
     velocities = rates_of(table, positions, columns) or match(
         "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
@@ -91,81 +98,29 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     commands = _commands(model, compiled, columns)
     commands += _last_one(model, table, columns, (*positions, *velocities, *commands))
     guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
-    time = _time(table, columns)
-    ruled = {n: _rule(table, compiled, g) for n, g in guesses.items()}
+    time = clock_rule(table, columns)
+    ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
-    if time:
-        rules = {"time": time, **rules}
-    found = Rules(
-        rules,
+    used = {g.column for g in guesses.values()} | {*model.qpos_channels, *model.qvel_channels}
+    return Rules(
+        {"time": time, **rules} if time else rules,
         {},
         guesses,
-        tuple(j for j in joints if f"qpos.{j}" not in guesses),
+        tuple(j for j in joints if positions and f"qpos.{j}" not in guesses),
+        () if positions else tuple(joints),
         tuple(a for a in model.controlled if f"ctrl.{a}" not in guesses),
-        tuple(c.name for c in columns if c.kind != "time"
-              and c.name not in {g.column for g in guesses.values()}
-              and c.name not in (*model.qpos_channels, *model.qvel_channels)),
-    )  # fmt: skip
-    return found
+        tuple(c.name for c in columns if c.kind != "time" and c.name not in used),
+    )
 
 
-def by_behaviour(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules:
-    """Return the rules corrected by what the recordings support (`checks.wiring`)."""
-    recordings = [read(t, rules) for t in tables]
-    wraps = find_wraps(recordings)
-    wiring = find_wiring(model.compile(), unwrapped(recordings, wraps))
-    changed = proposed_columns(rules.columns, wiring.wires, wraps)
-    guesses = _agreed(rules.guesses, wiring.balance, changed)
-    for channel, rule in changed.items():
-        wire = wiring.wires.get(channel)
-        reason = "the motion" if wire else "its jumps"
-        if wire and wire.unit == FREE:
-            reason = f"{_MOTOR}; the motion"
-        share = _explained(wiring.balance)
-        column = str(rule.get("from", channel))
-        guesses[channel] = Guess(channel, column, "", f"{reason}: {share}", 0.8)
-    clocks = proposed_clocks({}, "ctrl", wiring.delay)
-    if clocks:
-        guesses["clocks.ctrl"] = Guess("clocks.ctrl", "", "", _late(wiring), 0.7)
-    return replace(rules, columns={**rules.columns, **changed}, clocks=clocks, guesses=guesses)
-
-
-def _late(wiring: Wiring) -> str:
-    """Return when the controls act, in words."""
-    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {wiring.delays['sigma'].iloc[0]:.1f})"
-    if wiring.delay > 0:
-        return f"{told} later than stamped"
-    return f"{told} earlier than stamped; a command that changes between samples looks so"
-
-
-def _agreed(
-    guesses: Mapping[str, Guess], balance: pd.DataFrame, changed: Mapping[str, Rule]
-) -> dict[str, Guess]:
-    """Return the guesses, surer where the motion is balanced as they say."""
-    used = balance[balance["used"]]
-    if used.empty or float(used["after"].max()) > _AGREES:
-        return dict(guesses)
-    told = f"the motion agrees (unexplained forces {float(used['after'].max()):.2g})"
-    return {
-        n: g
-        if n in changed or g.confidence > _LIKELY
-        else replace(g, reason=f"{g.reason}; {told}", confidence=_LIKELY)
-        for n, g in guesses.items()
-    }
+def _body(compiled: mujoco.MjModel, joint: str) -> str:
+    return str(compiled.body(int(compiled.joint(joint).bodyid[0])).name)
 
 
 def read(table: RawTable, rules: Rules) -> Recording:
     """Return the table as the rules read it."""
     return to_recording(table, rules.columns, rules.clocks, name=table.name or "log")
-
-
-def _explained(balance: pd.DataFrame) -> str:
-    used = balance[balance["used"]]
-    if used.empty:
-        return "tested"
-    before, after = float(used["before"].max()), float(used["after"].max())
-    return f"unexplained forces {before:.2g} → {after:.2g}"
 
 
 def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column]) -> list[Guess]:
@@ -176,13 +131,14 @@ def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column])
         (servos if compiled.actuator(name).biasprm[1] else motors).append(name)
     found: list[Guess] = []
     for names, wanted in ((servos, _is_goal), (motors, _is_effort)):
-        also = [_driven(compiled, model, n) for n in names]
+        also = [driven(compiled, f"ctrl.{n}") or n for n in names]
         for told in (True, False):
             used = {g.column for g in found}
             left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
             some = [c for c in columns if c.commands and c.name not in used]
             some = [c for c in some if wanted(c) is told or (not told)]
-            found += match("ctrl", left, some, [also[names.index(n)] for n in left])
+            beside = [also[names.index(n)] for n in left]
+            found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
     return found
 
 
@@ -194,6 +150,8 @@ def _last_one(
     without = [a for a in model.controlled if f"ctrl.{a}" not in told]
     left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
+    compiled = model.compile()
+    left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
     if len(without) != 1 or len(left) != 1:
         return []
     return [Guess(f"ctrl.{without[0]}", left[0].name, left[0].unit, "nothing else is left", 0.3)]
@@ -204,67 +162,6 @@ def _is_goal(column: Column) -> bool:
 
 
 def _is_effort(column: Column) -> bool:
+    if column.kind == "effort":
+        return True
     return bool(WORDS["effort"] & set(column.words)) or column.words[-1:] == ("u",)
-
-
-def _driven(compiled: mujoco.MjModel, model: Model, actuator: str) -> str:
-    a = model.actuators.index(actuator)
-    if int(compiled.actuator_trntype[a]) != int(mujoco.mjtTrn.mjTRN_JOINT):
-        return actuator
-    return str(compiled.joint(int(compiled.actuator_trnid[a, 0])).name)
-
-
-def _rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule, Guess]:
-    """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
-    rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
-    kind, element = guess.channel.split(".", 1)
-    said = unit(guess.unit, guess.column) if is_unit(guess.unit) else Unit("", "", 1.0)
-    fits = said.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
-    if kind == "qpos" and said.quantity == "count":
-        rule |= _TICK_RULE
-    elif fits and (said.factor != 1 or said.quantity in _ELECTRIC):
-        rule["unit"] = guess.unit
-    elif kind == "qpos" and said.quantity != "angle":
-        made, reach = _by_reach(table, compiled, element, guess.column)
-        if made:
-            reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
-            guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
-        rule |= made
-    return rule, guess
-
-
-def _by_reach(
-    table: RawTable, compiled: mujoco.MjModel, joint: str, column: str
-) -> tuple[Rule, float]:
-    """Return the unit of a hinge by how far it seems to move; none where it may be rad.
-
-    A hinge without limits may turn as often as it likes: what the motion says decides.
-    """
-    values = table.column(column)
-    values = values[np.isfinite(values)]
-    whole = bool((values == np.rint(values)).all())
-    reach = float(np.abs(values).max())
-    place = compiled.joint(joint).id
-    if int(compiled.jnt_type[place]) != _HINGE:
-        return {}, reach
-    if whole and reach > 500:
-        return _TICK_RULE, reach
-    return {"unit": "deg"} if reach > _TURNS and compiled.jnt_limited[place] else {}, reach
-
-
-def _time(table: RawTable, columns: Sequence[Column]) -> Rule:
-    """Return the rule of the clock where it has another name or unit; empty where it is told."""
-    clocks = [c for c in columns if c.kind == "time"]
-    if table.clocks or not clocks:
-        return {}
-    clock = clocks[0]
-    values = table.column(clock.name)
-    step = float(np.median(np.diff(values[np.isfinite(values)])))
-    dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
-    named = clock.unit if clock.unit in ("ms", "us", "µs", "ns") and not dated else ""
-    if not named and not dated:
-        named = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
-    rule: Rule = {} if clock.name == "time" else {"from": clock.name}
-    if named:
-        rule["unit"] = named
-    return rule

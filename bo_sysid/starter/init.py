@@ -1,7 +1,7 @@
 """`init`: from a model and logs to a study that can be checked."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -16,8 +16,10 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.runs import atomic
+from bo_sysid.starter.behaviour import agrees, by_behaviour
 from bo_sysid.starter.columns import spoilt
-from bo_sysid.starter.guess import Rules, by_behaviour, guess_rules, read
+from bo_sysid.starter.guess import Rules, guess_rules, read
+from bo_sysid.starter.reading import constant_hint, without_constant
 from bo_sysid.starter.write import relative, study_text
 
 _WINDOW = 0.3  # [s]
@@ -48,7 +50,8 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
         out: the study file to be written, which must not exist.
 
     Raises:
-        UserError: the study exists, a file cannot be read, or nothing in the logs fits the model.
+        UserError: the study exists, a file cannot be read, a log has no clock, or the model no
+            hinge and no slide.
     """
     out, source = Path(out), Path(model)
     if out.exists():
@@ -70,10 +73,10 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
                 f"{motors}: exists, where the model with motors belongs; remove it, or name "
                 "another study with --out"
             )
-    rules, scales = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
-    if rules.unmatched:
-        notes.append(f"No column was found for: {', '.join(rules.unmatched)}.")
-    if rules.unmatched or rules.held:
+    rules, scales, hints = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
+    if not_found := rules.to_fill_in:
+        notes.append(f"No column was found for: {', '.join(not_found)}. Fill in what is marked.")
+    if not_found or rules.held:
         notes += [f"{sentence}." for sentence in spoilt(tables[0])]
     out.parent.mkdir(parents=True, exist_ok=True)
     text = study_text(
@@ -83,6 +86,7 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
         [relative(f, out.parent) for f in holdout],
         rules,
         scales,
+        hints,
         base_fixed=fixed,
         notes=notes,
     )
@@ -99,8 +103,8 @@ def _guessed(
     edits: Sequence[MotorEdit],
     tables: Sequence[RawTable],
     base: Literal["free", "fixed"],
-) -> tuple[Rules, pd.DataFrame]:
-    """Return the rules that read the tables on a model, with its motors, and its scales."""
+) -> tuple[Rules, pd.DataFrame, dict[str, str]]:
+    """Return the rules that read the tables on a model with its motors, its scales, and hints."""
     with TemporaryDirectory() as spare:
         read_from, nominal = source, whole
         if edits:
@@ -109,9 +113,31 @@ def _guessed(
             nominal = Model.from_file(read_from)
         rules = guess_rules(nominal, tables[0])
         if rules.held:
+            free = nominal.controlled
             nominal = Model.from_file(read_from, base=base, hold=rules.held)
+            rules = rules.without_controls(set(free) - set(nominal.controlled))
+        if rules.missing:
+            return rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
-        return rules, _scales(nominal, [read(t, rules) for t in tables])
+        scales = _scales(nominal, [read(t, rules) for t in tables])
+        hints = _hints(nominal, tables[0], rules)
+        bare = [
+            n for n in hints if "scale" not in rules.columns[n] and not agrees(rules.guesses[n])
+        ]
+        marked = {n: without_constant(rules.guesses[n]) for n in bare}
+        return replace(rules, guesses={**rules.guesses, **marked}), scales, hints
+
+
+def _hints(model: Model, table: RawTable, rules: Rules) -> dict[str, str]:
+    """Return by channel what is to be known of it beside its rule."""
+    compiled, hints = model.compile(), {}
+    for actuator in model.controlled:
+        rule = rules.columns.get(f"ctrl.{actuator}", {})
+        stated = table.units.get(rule.get("from", f"ctrl.{actuator}"), "")
+        hint = constant_hint(compiled, actuator, rule.get("unit") or stated)
+        if hint:
+            hints[f"ctrl.{actuator}"] = hint
+    return hints
 
 
 def _alike(tables: list[RawTable]) -> list[RawTable]:

@@ -1,6 +1,6 @@
 """Which column belongs to which joint and actuator, with reason and confidence."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,7 +11,14 @@ from bo_sysid.recording import RawTable
 from bo_sysid.starter.columns import WORDS, Column, derivatives, words
 
 _SURE, _LIKELY, _ORDER = 0.9, 0.6, 0.3
-_GENERIC = frozenset().union(*WORDS.values()) | {"joint", "motor", "link", "actuator", "servo"}
+_PARTS = frozenset(
+    {"joint", "motor", "link", "actuator", "servo", "axis", "drive", "hinge", "slide"}
+)
+_GENERIC = frozenset().union(*WORDS.values())
+_LETTER, _BEGUN, _FRAGMENT = 0.8, 0.75, 4  # a letter; a word's beginning, and its least length
+
+
+Fits = Callable[[str, Column], bool]
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,13 @@ class Guess:
 
 
 def match(
-    kind: str, elements: Sequence[str], columns: Sequence[Column], also: Sequence[str] = ()
+    kind: str,
+    elements: Sequence[str],
+    columns: Sequence[Column],
+    also: Sequence[str] = (),
+    *,
+    trust: float = 1.0,
+    fits: Fits = lambda element, column: True,
 ) -> list[Guess]:
     """Match elements of a model with columns of one kind.
 
@@ -43,40 +56,63 @@ def match(
         elements: names of joints or actuators.
         columns: candidates.
         also: for each element another name that a column may carry, as the joint of an actuator.
+        trust: what that other name counts, of the element's own.
+        fits: whether a column can belong to an element, as its unit says.
     """
     if not elements or not columns:
         return []
     score = np.array(
         [
-            [max(_likeness(n, c), _likeness(o, c)) for c in columns]
+            [fits(n, c) * max(_likeness(n, c), trust * _likeness(o, c)) for c in columns]
             for n, o in zip(elements, also or elements, strict=True)
         ]
     )
     guesses = []
     rows, picked = linear_sum_assignment(-score)
-    left = []
     for r, p in zip(rows.tolist(), picked.tolist(), strict=True):
         if score[r, p] >= _LIKELY:
             sure = score[r, p] >= _SURE
             reason = "the name" if sure else "a similar name"
             guesses.append(_guess(kind, elements[r], columns[p], reason, float(score[r, p])))
-        else:
-            left.append(elements[r])
+    guesses += _alone(kind, elements, columns, guesses, fits)
     used = {g.column for g in guesses}
     unused = [c for c in columns if c.name not in used]
     left = [e for e in elements if f"{kind}.{e}" not in {g.channel for g in guesses}]
     family = _family(unused, len(left))
-    if family:
+    if family and all(fits(e, c) for e, c in zip(left, family, strict=True)):
         reason = "the order alone" if len(left) > 1 else "nothing else is left"
         confidence = _ORDER if len(left) > 1 else 0.5
-        guesses += [
+        return guesses + [
             _guess(kind, e, c, reason, confidence) for e, c in zip(left, family, strict=True)
         ]
-    return guesses if family else [*guesses, *_in_order(kind, elements, columns, guesses)]
+    return guesses + _in_order(kind, elements, columns, guesses, fits)
+
+
+def _alone(
+    kind: str,
+    elements: Sequence[str],
+    columns: Sequence[Column],
+    known: Sequence[Guess],
+    fits: Fits,
+) -> list[Guess]:
+    """Match what is left and alone has a unit that fits."""
+    used, told = {g.column for g in known}, {g.channel for g in known}
+    left = [e for e in elements if f"{kind}.{e}" not in told]
+    unused = [c for c in columns if c.name not in used]
+    found = []
+    for e in left:
+        fit = [c for c in unused if fits(e, c)]
+        if len(fit) == 1 and len(unused) > 1 and sum(fits(o, fit[0]) for o in left) == 1:
+            found.append(_guess(kind, e, fit[0], "no other unit fits", 0.5))
+    return found
 
 
 def _in_order(
-    kind: str, elements: Sequence[str], columns: Sequence[Column], known: Sequence[Guess]
+    kind: str,
+    elements: Sequence[str],
+    columns: Sequence[Column],
+    known: Sequence[Guess],
+    fits: Fits,
 ) -> list[Guess]:
     """Match what lies between two matches, or beyond the last, in the log as in the model."""
     place = {c.name: i for i, c in enumerate(columns)}
@@ -90,7 +126,9 @@ def _in_order(
         if len(between) == len(told):
             reason = "the order: the columns beside it are known"
             found += [
-                _guess(kind, e, c, reason, _ORDER) for e, c in zip(between, told, strict=True)
+                _guess(kind, e, c, reason, _ORDER)
+                for e, c in zip(between, told, strict=True)
+                if fits(e, c)
             ]
     return found
 
@@ -122,11 +160,25 @@ def _likeness(element: str, column: Column) -> float:
     if column.name.endswith((f".{element}", f"/{element}")) or column.name == element:
         return 1.0
     own = words(element)
-    special = [w for w in own if w not in _GENERIC] or list(own)
+    bare = [w for w in own if w not in _PARTS]
+    special = [w for w in bare if w not in _GENERIC] or bare or list(own)
     shared = [w for w in special if w in column.words]
     if shared and len(shared) == len(special):
-        return 0.95 if any(not w.isdigit() for w in shared) else 0.6
-    return 0.5 * len(shared) / len(special)
+        letters = [w for w in shared if not w.isdigit()]
+        named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
+        return named if letters else 0.6
+    if special and all(_begun(w, column.words) for w in special):
+        return _BEGUN
+    return 0.5 * len(shared) / max(len(special), 1)
+
+
+def _begun(word: str, others: Sequence[str]) -> bool:
+    """Whether a word is one of some others, or begins like one, as pend and pendulum do."""
+    return any(
+        w == word
+        or (min(len(w), len(word)) >= _FRAGMENT and (w.startswith(word) or word.startswith(w)))
+        for w in others
+    )
 
 
 def _family(columns: Sequence[Column], count: int) -> list[Column]:

@@ -1,6 +1,6 @@
 """A study as text, with a comment behind everything that was guessed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -9,6 +9,12 @@ from bo_sysid.checks.proposal import flow
 from bo_sysid.starter.guess import Rules
 
 _WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
+_FEW = 8  # columns that are named beside a channel
+_NOTHING_KNOWN = (
+    "# Bounds of parameters and limits follow from the motion. Once the columns are said, and",
+    "# `bo-sysid check` agrees, add what is not known, for instance:",
+    '# parameters: [{address: "joint[elbow].damping", low: 0, high: 1}]',
+)
 
 
 def study_text(
@@ -18,6 +24,7 @@ def study_text(
     holdout: Sequence[str],
     rules: Rules,
     scales: pd.DataFrame,
+    hints: Mapping[str, str],
     *,
     base_fixed: bool,
     notes: Sequence[str],
@@ -31,7 +38,8 @@ def study_text(
         holdout: paths of the logs to judge by.
         rules: how the logs are read.
         scales: one row a joint: joint, friction, damping, armature (upper bounds worth trying),
-            low, high and speed recorded.
+            low, high and speed recorded; empty where no joint was found in the logs.
+        hints: by channel, what is to be known of it, on a line before it.
         base_fixed: whether a floating base is held.
         notes: what else is to be said at the top.
     """
@@ -55,11 +63,26 @@ def study_text(
         )
     else:
         lines.append("  # no holdout: the last quarter of the log, by time, is set aside")
-    lines += _block("columns", rules.columns, rules) + _block("clocks", rules.clocks, rules)
+    lines += _block("columns", rules.columns, rules, hints) + _open(rules)
     if rules.unused:
-        lines.append(f"  # columns not used: {', '.join(rules.unused)}")
-    lines += ["", *_parameters(scales), "", *_deviation(scales), "", *_limits(scales)]
+        lines.append(f"    # columns not used: {', '.join(rules.unused)}")
+    lines += _block("clocks", rules.clocks, rules, {})
+    if scales.empty:
+        lines += ["", *_NOTHING_KNOWN]
+    else:
+        lines += ["", *_parameters(scales), "", *_deviation(scales), "", *_limits(scales)]
     return "\n".join(lines) + "\n"
+
+
+def _open(rules: Rules) -> list[str]:
+    """Return the channels that the user has to say, with the columns that are left."""
+    left = "one of those below"
+    if len(rules.unused) <= _FEW:
+        left = f"one of: {', '.join(rules.unused)}" if rules.unused else "no column is left"
+    lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
+    lines += [f"    {c}: {{from: FILL IN}}  # not found; {left}" for c in rules.to_fill_in]
+    held = rules.held if rules.unused else ()
+    return lines + [f"    # qpos.{j}: {{from: FILL IN}}  # or held; {left}" for j in held]
 
 
 def _held(joints: Sequence[str]) -> str:
@@ -72,12 +95,14 @@ def flow_text(text: str) -> str:
     return flow({"x": text})[4:-1]
 
 
-def _block(title: str, block: object, rules: Rules) -> list[str]:
+def _block(title: str, block: object, rules: Rules, hints: Mapping[str, str]) -> list[str]:
     if not isinstance(block, dict) or not block:
         return []
     lines = [f"  {title}:"]
     for channel, rule in block.items():
         key = f"clocks.{channel}" if title == "clocks" else channel
+        if channel in hints:
+            lines.append(f"    # {hints[channel]}")
         lines.append(f"    {channel}: {flow(rule)}{_comment(key, rules)}")
     return lines
 

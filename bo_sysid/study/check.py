@@ -183,7 +183,7 @@ def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, st
                 )
             raise RecordingError(
                 f"{recording.name}: no channel {name!r}, which the model needs; "
-                f"{nearest(name, recording.channels)}{remedy}"
+                f"{recording.hint(name)}{remedy}"
             )
 
 

@@ -1,0 +1,133 @@
+"""How a column is to be read: its unit, as its name or its reach says, and its clock."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import pi
+
+import mujoco
+import numpy as np
+
+from bo_sysid.checks.proposal import Rule
+from bo_sysid.recording import RawTable
+from bo_sysid.recording.units import Unit, is_unit, unit
+from bo_sysid.starter.columns import Column
+from bo_sysid.starter.matching import Guess
+
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
+_TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
+_FITS = {
+    "qpos": ("angle", "length"),
+    "qvel": ("angular velocity", "velocity"),
+    "ctrl": ("current", "voltage", "torque", "force", "ratio", "angle", "length"),
+}
+_ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
+_FORCES = ("current", "voltage", "torque", "force")
+_UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
+
+
+def told_unit(name: str, where: str) -> Unit:
+    """Return a unit that a name may carry; one of no quantity where it is none."""
+    return unit(name, where) if is_unit(name) else Unit("", "", 1.0)
+
+
+def fits_joint(compiled: mujoco.MjModel, joint: str, column: Column) -> bool:
+    """Whether a column's unit lets it be a joint's position: no length is that of a hinge."""
+    hinge = int(compiled.joint(joint).type[0]) == _HINGE
+    return told_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
+
+
+def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
+    """Whether a column's unit lets it be a control: no current is a servo's goal."""
+    servo = bool(compiled.actuator(actuator).biasprm[1])
+    quantity = told_unit(column.unit, column.name).quantity
+    return quantity not in (_FORCES if servo else ("angle", "length"))
+
+
+def driven(compiled: mujoco.MjModel, channel: str) -> str:
+    """Return the joint that a position, a speed or a control is about; empty where none."""
+    kind, element = channel.split(".", 1)
+    if kind in ("qpos", "qvel"):
+        return element
+    if kind != "ctrl":
+        return ""
+    actuator = compiled.actuator(element)
+    if int(actuator.trntype[0]) != int(mujoco.mjtTrn.mjTRN_JOINT):
+        return ""
+    return str(compiled.joint(int(actuator.trnid[0])).name)
+
+
+def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:
+    """Return what makes a force of a motor's current, where its control is one; else nothing."""
+    found = compiled.actuator(actuator)
+    plain = int(found.gaintype[0]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+    plain &= int(found.biastype[0]) == int(mujoco.mjtBias.mjBIAS_NONE)
+    if not plain or told_unit(stated, actuator).quantity != "current":
+        return ""
+    gear, joint = float(found.gear[0]), driven(compiled, f"ctrl.{actuator}")
+    slides = bool(joint) and int(compiled.joint(joint).type[0]) != _HINGE
+    force = "N" if slides and gear == 1 else "N m"
+    before = "" if gear == 1 else f" before the gear; the model multiplies by its gear of {gear:g}"
+    return f"{actuator} is told in A: scale is the motor's constant in {force}/A{before}"
+
+
+def without_constant(guess: Guess) -> Guess:
+    """Return the guess of a current of which nothing says what force it gives."""
+    reason = f"{guess.reason}; its scale is missing, 1 A counts as 1 N m (N)"
+    return replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
+
+
+def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule, Guess]:
+    """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
+    rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
+    kind, element = guess.channel.split(".", 1)
+    said = told_unit(guess.unit, guess.column)
+    fits = said.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
+    if kind == "qpos" and said.quantity == "count":
+        rule |= _TICK_RULE
+    elif fits and (said.factor != 1 or said.quantity in _ELECTRIC):
+        rule["unit"] = guess.unit
+    elif kind == "qpos" and said.quantity != "angle":
+        made, reach = _by_reach(table, compiled, element, guess.column)
+        if made:
+            reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
+            guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
+        rule |= made
+    return rule, guess
+
+
+def _by_reach(
+    table: RawTable, compiled: mujoco.MjModel, joint: str, column: str
+) -> tuple[Rule, float]:
+    """Return the unit of a hinge by how far it seems to move; none where it may be rad.
+
+    A hinge without limits may turn as often as it likes: what the motion says decides.
+    """
+    values = table.column(column)
+    values = values[np.isfinite(values)]
+    whole = bool((values == np.rint(values)).all())
+    reach = float(np.abs(values).max())
+    place = compiled.joint(joint).id
+    if int(compiled.jnt_type[place]) != _HINGE:
+        return {}, reach
+    if whole and reach > 500:
+        return _TICK_RULE, reach
+    return {"unit": "deg"} if reach > _TURNS and compiled.jnt_limited[place] else {}, reach
+
+
+def clock_rule(table: RawTable, columns: Sequence[Column]) -> Rule:
+    """Return the rule of the clock where it has another name or unit; empty where it is told."""
+    clocks = [c for c in columns if c.kind == "time"]
+    if table.clocks or not clocks:
+        return {}
+    clock = clocks[0]
+    values = table.column(clock.name)
+    step = float(np.median(np.diff(values[np.isfinite(values)])))
+    dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
+    named = clock.unit if clock.unit in ("ms", "us", "µs", "ns") and not dated else ""
+    if not named and not dated:
+        named = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
+    rule: Rule = {} if clock.name == "time" else {"from": clock.name}
+    if named:
+        rule["unit"] = named
+    return rule

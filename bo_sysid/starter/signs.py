@@ -1,0 +1,95 @@
+"""The signs of encoders and controls, tested by ranges and by the motion."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import pi
+
+import mujoco
+import numpy as np
+
+from bo_sysid.checks.hypothesis import Evidence
+from bo_sysid.checks.motion import beyond_range, turned_inside
+from bo_sysid.checks.search import MARGIN, SUSPICIOUS
+from bo_sysid.recording import Recording
+from bo_sysid.starter.guess import Rules
+from bo_sysid.starter.movers import evidence_of
+
+_EXPLAINED = 0.3  # share of the forces from which on a joint's balance tells no sign
+_FLOOR = 1e-3  # what may stay unexplained of any balance
+_DELAYS = tuple(0.008 * np.arange(-4, 8))  # [s]; controls may act apart from each other
+_TURNED = 0.8
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+def turned_by_range(model: mujoco.MjModel, recordings: Sequence[Recording], rules: Rules) -> Rules:
+    """Return the rules with the sign of encoders turned whose mirror image alone fits the model."""
+    columns, guesses = dict(rules.columns), dict(rules.guesses)
+    beyond = beyond_range(model, recordings)
+    for joint in turned_inside(model, recordings):
+        name, (least, most) = f"qpos.{joint}", beyond[joint]
+        if name not in guesses:
+            continue
+        low, high = (float(v) for v in model.joint(joint).range)
+        columns[name] = {**columns[name], "sign": -int(columns[name].get("sign", 1))}
+        size, unit = 1.0, "m"
+        if int(model.joint(joint).type[0]) == _HINGE:
+            size, unit = 180 / pi, "deg"
+        told = (
+            f"turned, since {size * least:.3g} to {size * most:.3g} {unit} lie outside the "
+            f"model's range of {size * low:.3g} to {size * high:.3g} and the mirror image inside"
+        )
+        old = guesses[name]
+        guesses[name] = replace(
+            old, reason=f"{old.reason}; {told}", confidence=min(old.confidence, _TURNED)
+        )
+    return replace(rules, columns=columns, guesses=guesses)
+
+
+@dataclass(frozen=True)
+class Tested:
+    """What the motion says about the channels as they are read.
+
+    Attributes:
+        left: by joint whose balance of forces is known, the share that stays unexplained.
+        untold: by channel whose sign the motion does not tell, why.
+    """
+
+    left: Mapping[str, float]
+    untold: Mapping[str, str]
+
+
+def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Tested:
+    """Return whose signs the motion does not tell, and how far it agrees with the model.
+
+    A sign is told where the balance of forces of a joint that the model explains gets worse by as
+    much as a fault counts, once the channel alone is turned.
+    """
+    evidence = evidence_of(model, recordings)
+    if evidence is None:
+        names = {n for r in recordings for n in r.channels if n.startswith(("qpos.", "ctrl."))}
+        return Tested({}, dict.fromkeys(names, "these logs cannot be compared with the model"))
+    h = evidence.identity()
+    before = evidence.shares(h, _DELAYS).min(axis=0)
+    explained = evidence.weights * (before < _EXPLAINED)
+    untold = {}
+    for name, wire in h.wires.items():
+        turned = replace(h, wires={**h.wires, name: replace(wire, sign=-1)})
+        after = evidence.shares(turned, _DELAYS).min(axis=0)
+        worse = np.log((after + _FLOOR) / (before + _FLOOR)) * explained
+        if not worse.max(initial=0.0) > MARGIN:
+            untold[name] = _why(evidence, name, before)
+    known = zip(evidence.joints, before.tolist(), evidence.weights, strict=True)
+    return Tested({j: share for j, share, weight in known if weight}, untold)
+
+
+def _why(evidence: Evidence, name: str, shares: np.ndarray) -> str:
+    """Return why the motion does not tell a sign."""
+    joint = evidence.driven(name) if name in evidence.inputs else name.removeprefix("qpos.")
+    if not joint:
+        return "it drives more than one joint"
+    if not evidence.weights[evidence.joints.index(joint)]:
+        return f"not all that moves {joint} is known"
+    share = float(shares[evidence.joints.index(joint)])
+    if share > SUSPICIOUS:
+        return f"{100 * share:.0f} % of the forces at {joint} stay unexplained"
+    return "the motion fits either"
