@@ -264,10 +264,6 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
         excite(Study.from_dict(data, tmp_path))
     with pytest.raises(StudyError, match="no joint 'hing'; did you mean 'hinge'"):
         Limits.of(Model.from_xml(ROD), {"hing": LIMIT["hinge"]})
-    d = trial()
-    object.__setattr__(d.limits, "position", np.array([[0.5, 0.6]]))
-    with pytest.raises(StudyError, match="standing still"):
-        d.safe(np.zeros((len(d.series.time), 1)))
 
 
 def test_a_limit_outside_the_range_of_its_joint_is_refused() -> None:
