@@ -9,7 +9,7 @@ from bo_sysid.cli import main
 from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError
-from bo_sysid.excite.design import design
+from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.excite import excite
 from bo_sysid.excite.fourier import Series
@@ -255,6 +255,11 @@ def test_wrong_arguments_say_the_rule(
     )
     assert main(["excite", str(study), "--out", str(tmp_path / "out"), f"{option}={value}"]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_the_help_says_the_least_budget(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["excite", "--help"]) == 0
+    assert f"{LEAST} or more" in " ".join(capsys.readouterr().out.split())
 
 
 def test_wrong_limits_are_refused(tmp_path: Path) -> None:
