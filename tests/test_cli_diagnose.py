@@ -1,6 +1,7 @@
 """`bo-sysid diagnose` from the command line: what it says and leaves, and what it refuses."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -91,6 +92,24 @@ def test_the_missing_force_is_the_friction_against_the_motion(diagnosed: Path) -
     against = -fast["nominal"] * fast["speed"] / fast["speed"].abs()
     assert against.median() == pytest.approx(0.08, abs=0.01)
     assert fast["repaired"].abs().median() < 0.01
+
+
+def test_a_finished_diagnosis_is_told_again(
+    diagnosed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(diagnosed)
+    shutil.copytree("run", "again")
+
+    def computed(*_: object, **__: object) -> None:
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr("bo_sysid.cli.diagnose.diagnose_into", computed)
+    assert main(["diagnose", "pendulum.yaml", "--out", "again"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("again: finished 20")
+    assert "The hinge has dry friction of 0.08" in out
+    assert main(["diagnose", "pendulum.yaml", "--out", "again", "--strict"]) != 0
+    assert "computed again" in capsys.readouterr().err
 
 
 def test_wrong_input_gives_one_message(

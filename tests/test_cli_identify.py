@@ -123,3 +123,39 @@ def test_without_velocities_starts_are_fitted_and_the_truth_is_found(
     mass = found["parameters"][0]
     assert mass["value"] == pytest.approx(0.62, abs=0.021)
     assert mass["low95"] <= 0.62 <= mass["high95"]
+
+
+def test_a_finished_run_is_told_again_and_not_computed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["identify", "pendulum.yaml", "--out", "run"]) == 0
+    first, before = capsys.readouterr().out, contents(folder / "run")
+
+    def computed(*_: object, **__: object) -> None:
+        raise AssertionError("computed again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bo_sysid.cli.identify.identify_into", computed)
+        assert main(["identify", "pendulum.yaml", "--out", "run"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("run: finished 20")
+    assert "use another --out or remove the folder" in said
+    assert said.endswith(first)
+    assert contents(folder / "run") == before
+    held = next((folder / "made").glob("holdout-*.parquet"))
+    pd.read_parquet(held).iloc[:-1].to_parquet(held)
+    assert main(["identify", "pendulum.yaml", "--out", "run"]) == 0  # errors on it are others
+    assert "finished 20" not in capsys.readouterr().out
+    after = contents(folder / "run")
+    assert after["evaluations"] == before["evaluations"]
+    assert after["identification"] != before["identification"]
+
+
+def test_time_left_counts_no_more_than_there_are_candidates(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (folder / "pendulum.yaml").read_text()
+    few = text.replace("steps: 21", "steps: 3").replace("steps: 11", "steps: 3")
+    (folder / "few.yaml").write_text(few)
+    assert main(["identify", "few.yaml", "--out", "few"]) == 0
+    assert "identify 9/9" in capsys.readouterr().err

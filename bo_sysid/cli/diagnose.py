@@ -1,15 +1,19 @@
 """`bo-sysid diagnose`: which physics the model leaves out, and the model with it put in."""
 
 import argparse
+from functools import partial
 from typing import TYPE_CHECKING
 
 from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
+from bo_sysid.cli.once import once
 from bo_sysid.cli.progress import shown
 from bo_sysid.cli.report import page_of
 
 if TYPE_CHECKING:
     from bo_sysid.runs import Run
     from bo_sysid.study import Study
+
+_RESULTS = ("diagnosis.json", "summary.json", "model_repaired.xml", "study_repaired.yaml")
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
@@ -31,7 +35,8 @@ def run(args: argparse.Namespace) -> None:
     """Diagnose, and print what was found."""
     study = load_study(args)
     with open_run(args, study, "diagnose") as run:
-        diagnose_into(run, study, strict=args.strict)
+        compute = partial(diagnose_into, run, study, strict=args.strict)
+        once(run, study, compute, _RESULTS, strict=args.strict)
     print_run(run)
 
 

@@ -19,7 +19,9 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="runs/<study>-excite otherwise")
     parser.add_argument("--seconds", type=float, default=10.0, help="length of the trajectory")
     parser.add_argument("--interval", type=float, default=0.01, help="between two controls, in s")
-    parser.add_argument("--budget", type=int, default=2400, help="trajectories that are tried")
+    parser.add_argument(
+        "--budget", type=int, default=2400, help="trajectories that are tried, 28 or more"
+    )
     parser.add_argument(
         "--effects", action="store_true", help="also friction, damping, armature, springs of joints"
     )

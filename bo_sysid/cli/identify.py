@@ -1,14 +1,18 @@
 """`bo-sysid identify`: find the parameters that fit, and how sure one can be."""
 
 import argparse
+from functools import partial
 from typing import TYPE_CHECKING
 
 from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
+from bo_sysid.cli.once import once
 from bo_sysid.cli.progress import shown
 
 if TYPE_CHECKING:
     from bo_sysid.runs import Run
     from bo_sysid.study import Study
+
+_RESULTS = ("identification.json", "belief.parquet", "model_identified.xml", "traces.parquet")
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
@@ -17,7 +21,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         "identify",
         help="find the parameters that fit, and how sure one can be",
         description="Find the parameters of the model that predict the recordings best, and how "
-        "sure one can be. An interrupted run goes on with the same command.",
+        "sure one can be. An interrupted run goes on with the same command; a finished one is told "
+        "again.",
     )
     add_study(parser)
     add_strict(parser)
@@ -33,7 +38,8 @@ def run(args: argparse.Namespace) -> None:
 
     check(study, strict=args.strict)  # wrong input is told before torch is loaded
     with open_run(args, study, "identify") as run:
-        identify_into(run, study, strict=args.strict)
+        compute = partial(identify_into, run, study, strict=args.strict)
+        once(run, study, compute, _RESULTS, strict=args.strict)
     print_run(run)
 
 

@@ -34,7 +34,7 @@ class Excitation:
         predicted: what the nominal model does under them.
         widest: the largest predicted standard deviation, in units of its range.
         used: largest share of a limit that is used, over the drawn parameter vectors.
-        energy: mean square of the controls in units of their half ranges.
+        energy: mean square of the controls about rest in units of their half ranges.
         notes: what was assumed.
     """
 
@@ -73,6 +73,8 @@ def excite(
         UserError: the model or an argument is wrong.
     """
     _require(seconds, interval, budget)
+    if report is not None:
+        report(0, np.inf)
     model = load_model(study)
     if study.actuators:
         raise study.error(
@@ -105,6 +107,8 @@ def excite(
         model, parameters, limits, noise,
         seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
     )  # fmt: skip
+    if trial.hold is not None:
+        notes.append(_resting(model, trial))
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
     frame = pd.DataFrame(controls, columns=list(model.ctrl_channels))
@@ -150,6 +154,16 @@ def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]
     if not shown:
         return forces, []
     return forces, [f"Limits hold for what is, not for what is shown by {', '.join(shown)}."]
+
+
+def _resting(model: Model, trial: Trial) -> str:
+    """Return what is to be said of controls that hold the machine at rest."""
+    held = zip(model.controlled, trial.series.at_rest, strict=True)
+    return (
+        f"Controls rest at {', '.join(f'{a} {u:.4g}' for a, u in held)}, which hold the model "
+        "against gravity and springs. Place the machine at the model's reference, and let go of "
+        "it when the plan begins."
+    )
 
 
 def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:

@@ -11,17 +11,18 @@ _UNBOUNDED = 1.0  # control range of an actuator that nothing limits
 
 @dataclass(frozen=True)
 class Series:
-    """The form of a trajectory of controls: u_a(t) = m_a + w(t) h_a Σ_k (A sin + B cos)(2π f_k t).
+    """The form of controls: u_a(t) = m_a + h_a (r_a + w(t) Σ_k (A sin + B cos)(2π f_k t)).
 
     Coefficients are all A and B, actuator by actuator, and then K shifts that move the frequencies
     between their neighbours: f_k = f⁰_k r^tanh(shift), r the ratio of two base frequencies.
 
     Attributes:
-        middle: `nu` controls at rest.
-        half: `nu` half widths of the controls' ranges.
+        middle: `nu` middles of the controls' ranges.
+        half: `nu` half widths of them.
         frequencies: `K` base frequencies in [Hz], in geometric progression.
         seconds: length.
         interval: time between two controls in [s].
+        rest: `nu` distances r of the controls at rest from the middles, in units of half widths.
     """
 
     middle: Float[np.ndarray, " nu"]
@@ -29,6 +30,7 @@ class Series:
     frequencies: Float[np.ndarray, " K"]
     seconds: float
     interval: float
+    rest: Float[np.ndarray, " nu"] | float = 0.0
 
     @property
     def waves(self) -> int:
@@ -39,6 +41,11 @@ class Series:
     def size(self) -> int:
         """Number of coefficients: two for each actuator and frequency, and the shifts."""
         return self.waves + len(self.frequencies)
+
+    @property
+    def at_rest(self) -> Float[np.ndarray, " nu"]:
+        """Controls at rest, in their units."""
+        return np.asarray(self.middle + self.half * self.rest)
 
     @property
     def time(self) -> Float[np.ndarray, " R"]:
@@ -63,8 +70,15 @@ class Series:
         return self.scaled(self.fade[:, None] * (waves @ np.swapaxes(size, 1, 2)))
 
     def scaled(self, unit: Float[np.ndarray, "*K R nu"]) -> Float[np.ndarray, "*K R nu"]:
-        """Return controls in their units from those between -1 and 1, clipped there."""
-        return np.asarray(self.middle + self.half * np.clip(unit, -1.0, 1.0))
+        """Return controls in their units from their distances to rest in units of half widths.
+
+        They are clipped to their ranges.
+        """
+        return np.asarray(self.middle + self.half * np.clip(self.rest + unit, -1.0, 1.0))
+
+    def unit(self, controls: Float[np.ndarray, "*K R nu"]) -> Float[np.ndarray, "*K R nu"]:
+        """Return the distances of controls to rest in units of half widths."""
+        return np.asarray((controls - self.middle) / self.half - self.rest)
 
 
 def ranges(

@@ -50,6 +50,7 @@ class Judge:
         noise: standard deviation of each position, in its unit.
         interval: between two controls, and between two samples, in [s].
         window: instants of a window, whose start is a nuisance.
+        start: how all machines start, one row.
         laws: forces that are stepped with the model.
     """
 
@@ -64,11 +65,13 @@ class Judge:
         *,
         interval: float,
         window: int,
+        start: State,
         laws: Sequence[ForceLaw] = (),
     ) -> None:
         self._hold = int(np.ceil(interval / _COARSE - 1e-9))
         step = interval / self._hold
         self._window, self._limits, self._laws = window, limits, tuple(laws)
+        self._start = start
 
         def compiled(point: np.ndarray) -> mujoco.MjModel:
             return model.compile(parameter_edits(model, parameters, point), timestep=step)
@@ -105,11 +108,7 @@ class Judge:
     def _some(self, controls: Float[np.ndarray, "K R nu"], margin: float, told: bool) -> Judgement:
         count, machines, model = len(controls), len(self._machines), self._nominal
         ctrl = np.repeat(np.repeat(controls, self._hold, axis=1), machines, axis=0)
-        start = State(
-            np.tile(model.qpos0, (len(ctrl), 1)),
-            np.zeros((len(ctrl), model.nv)),
-            np.zeros((len(ctrl), model.na)),
-        )
+        start = self._start.repeat(len(ctrl))
         run = self._whole.rollout(self._machines * count, start, ctrl, laws=self._laws)
         over = self._limits.violation(model, run, ctrl, margin).reshape(count, machines).max(axis=1)
         if not told:

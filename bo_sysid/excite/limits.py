@@ -112,11 +112,17 @@ class Limits:
         fast = np.abs(trajectory.qvel) / self.velocity
         worst = np.maximum(off.max(axis=(1, 2)), fast.max(axis=(1, 2)))
         if np.isfinite(self.effort).any():
-            worst = np.maximum(worst, self._effort(model, trajectory, ctrl))
+            share = np.abs(self.torque(model, trajectory, ctrl)) / self.effort
+            worst = np.maximum(worst, share.max(axis=(1, 2)))
         if self.touching:
             worst += _COLLISION * self._touched(model, trajectory)
         worst[trajectory.diverged] = 10.0
         return np.asarray(np.maximum(worst - margin, 0.0))
+
+    @property
+    def middle(self) -> Float[np.ndarray, " nv"]:
+        """Middle of each joint's limits; 0 where there is none."""
+        return self._centres()[0]
 
     def _centres(self) -> tuple[np.ndarray, np.ndarray]:
         bounded = np.isfinite(self.position).all(axis=1)
@@ -125,10 +131,10 @@ class Limits:
         half = np.where(bounded, 0.5 * np.diff(position, axis=1)[:, 0], np.inf)
         return middle, half
 
-    def _effort(
+    def torque(
         self, model: mujoco.MjModel, trajectory: Trajectory, ctrl: Float[np.ndarray, "W S nu"]
-    ) -> Float[np.ndarray, " W"]:
-        """Return the largest share of an effort limit that is used.
+    ) -> Float[np.ndarray, "W S nv"]:
+        """Return what actuators that drive one joint each do along it, in [N m] or [N].
 
         Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g.
         """
@@ -141,7 +147,7 @@ class Limits:
             q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
             force = gain * ctrl[..., k] + bias[0] + gear * (bias[1] * q + bias[2] * v)
             torque[..., dof] += gear * force
-        return np.asarray((np.abs(torque) / self.effort).max(axis=(1, 2)))
+        return torque
 
     def _touched(self, model: mujoco.MjModel, trajectory: Trajectory) -> Bool[np.ndarray, " W"]:
         """Return whether any parts touch in each simulation."""

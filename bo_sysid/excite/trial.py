@@ -1,29 +1,37 @@
 """What a machine does under controls, and what a recording of that would say of its parameters."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 
+import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy.stats import qmc
 
 from bo_sysid.checks.sensitivity import Information, information
 from bo_sysid.errors import StudyError
+from bo_sysid.excite.evolution import minimise
+from bo_sysid.excite.exceeded import first_exceeded, why_not_held, why_not_moved, why_unstable
 from bo_sysid.excite.fourier import Series, ranges
 from bo_sysid.excite.judge import Judge
 from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.rest import Hold, corners, held, holding
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, State, Trajectory, cut
+from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, Trajectory, cut
 
 PROOF = 24
 """Drawn parameter vectors that must keep the limits at the end."""
 _HARMONICS, _BAND = 12, (0.15, 10.0)  # base frequencies, in [Hz]
 _WINDOW = 0.5  # [s]
-_SHRINK = 0.98
+_SHRINK, _SMALLEST = 0.98, 1e-3  # of controls that exceed limits: factor, and least size
+_NUDGE = 1e-4  # [rad] or [m] beside the reference, far less than a machine is placed to
+_UNSTABLE = 100.0  # growth of that
+_NEAR, _CALMING = 0.03, 50  # of controls that hold: half widths that are tried; trials of each
 
 
 class Trial:
@@ -38,6 +46,9 @@ class Trial:
         interval: between two controls, and between two samples, in [s].
         seed: of the drawn parameter vectors.
         laws: forces that are stepped with the model.
+
+    Raises:
+        StudyError: a machine exceeds a limit where it should stand at its reference.
     """
 
     def __init__(
@@ -53,7 +64,7 @@ class Trial:
         laws: Sequence[ForceLaw] = (),
     ) -> None:
         self.model, self.parameters, self.laws = model, tuple(parameters), tuple(laws)
-        self.limits, self.noise = limits, noise
+        self.limits, self.noise, self._seed = limits, noise, seed
         compiled = model.compile()
         self._hold = max(round(interval / compiled.opt.timestep), 1)
         step = self._hold * float(compiled.opt.timestep)
@@ -61,6 +72,8 @@ class Trial:
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
+        self.start = held(compiled, np.zeros(compiled.nu))
+        self.hold: Hold | None = None
         self._engine = Engine(threads())
         self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()), self.laws)
         self._compiled = compiled
@@ -69,28 +82,87 @@ class Trial:
         low = np.array([p.low for p in self.parameters])
         high = np.array([p.high for p in self.parameters])
         self.draws = low + (high - low) * sobol
+        self.machines = np.vstack([self.point[None], self.draws[:PROOF]])
         self._judges: dict[tuple[int, ...], Judge] = {}
         self._horizon = max(round(_WINDOW / step), 1)
+        if self.violation(self._still, self.machines, 1.0) > 0:
+            self._rest_held(corners(low, high, sobol))
+        self._require_stable()
 
     @property
-    def machines(self) -> Float[np.ndarray, "M d"]:
-        """The nominal machine and those that are drawn: all must keep the limits."""
-        return np.vstack([self.point[None], self.draws[:PROOF]])
+    def _still(self) -> Float[np.ndarray, "R nu"]:
+        return np.tile(self.series.at_rest, (len(self.series.time), 1))
+
+    def _rest_held(self, further: Float[np.ndarray, "c d"]) -> None:
+        """Let controls rest where they hold the nominal machine at the reference.
+
+        Where other machines exceed limits there, they rest where all use least of them.
+
+        Args:
+            further: machines that must keep the limits as well, since what is held drifts.
+
+        Raises:
+            StudyError: the limits are exceeded even so.
+        """
+        s = self.series
+        model = self._models(self.point[None])[0]
+        hold = holding(model, self.laws, s.middle - s.half, s.middle + s.half)
+        self.series = replace(s, rest=(hold.ctrl - s.middle) / s.half)
+        self.start = held(self._compiled, hold.ctrl)
+        self.machines = np.vstack([self.machines, further])
+        self.hold = hold
+        if self.violation(self._still, self.machines, 1.0) > 0:
+            self.series = replace(self.series, rest=self._calmest(len(further)))
+        trajectory, ctrl = self.run(self._still, self.machines)
+        if self.limits.violation(self._compiled, trajectory, ctrl, 1.0).max() > 0:
+            worst = first_exceeded(self.limits, self._compiled, trajectory, ctrl)
+            told = self.model.joints, hold, self.parameters, self.machines
+            raise StudyError(why_not_held(worst, *told))
+
+    def _calmest(self, last: int) -> Float[np.ndarray, " nu"]:
+        """Return where controls rest so that machines use least of their limits.
+
+        Args:
+            last: number of machines that count beside the nominal one, from the last on.
+        """
+        s, count = self.series, len(self.machines)
+        judge = self.judge((0, *range(count - last, count)))
+
+        def used(rest: np.ndarray) -> np.ndarray:
+            still = np.repeat(rest[:, None], len(s.time), axis=1)
+            return judge(replace(s, rest=0.0).scaled(still), 0.0, told=False).over
+
+        start = np.broadcast_to(s.rest, s.half.shape)
+        found, _ = minimise(used, start, _NEAR, _CALMING * len(s.half), self._seed)
+        return np.asarray(np.clip(found, -1.0, 1.0))
+
+    def _require_stable(self) -> None:
+        """Refuse a machine that leaves its limits when it starts a hair beside its reference."""
+        inwards = np.where(self.start.qpos < self.limits.middle, _NUDGE, -_NUDGE)
+        start = self.start.repeat(2)
+        start.qpos[1] += inwards[0]
+        ctrl = np.repeat(np.repeat(self._still, self._hold, axis=0)[None], 2, axis=0)
+        model = self._models([self.point])
+        trajectory = self._engine.rollout(2 * model, start, ctrl, laws=self.laws)
+        grown = np.abs(trajectory.qpos[1] - trajectory.qpos[0]).max() / _NUDGE
+        beside, ctrl = trajectory.rows(slice(1, 2)), ctrl[1:]
+        over = self.limits.violation(self._compiled, beside, ctrl, 1.0)[0]
+        if over > 0 and grown > _UNSTABLE:
+            worst = first_exceeded(self.limits, self._compiled, beside, ctrl)
+            raise StudyError(why_unstable(worst, _NUDGE))
+
+    def _models(self, points: Iterable[np.ndarray]) -> list[mujoco.MjModel]:
+        edits = [parameter_edits(self.model, self.parameters, p) for p in points]
+        return [self.model.compile(e) for e in edits]
 
     def run(
         self, controls: Float[np.ndarray, "R nu"], points: Float[np.ndarray, "W d"]
     ) -> tuple[Trajectory, Float[np.ndarray, "W S nu"]]:
         """Return what machines with some parameters do, from rest at the reference."""
         count = len(points)
-        models = [
-            self.model.compile(parameter_edits(self.model, self.parameters, p)) for p in points
-        ]
         ctrl = np.repeat(np.repeat(controls, self._hold, axis=0)[None], count, axis=0)
-        start = State(
-            np.tile(self._compiled.qpos0, (count, 1)),
-            np.zeros((count, self._compiled.nv)),
-            np.zeros((count, self._compiled.na)),
-        )
+        start = self.start.repeat(count)
+        models = self._models(points)
         return self._engine.rollout(models, start, ctrl, laws=self.laws), ctrl
 
     def violation(
@@ -131,22 +203,22 @@ class Trial:
             self._judges[rows] = Judge(
                 self.model, self.parameters, self.point, self.machines[list(rows)], self.limits,
                 self.noise, interval=self.series.interval, window=self._horizon, laws=self.laws,
+                start=self.start,
             )  # fmt: skip
         return self._judges[rows]
 
     def energy(self, controls: Float[np.ndarray, "*K R nu"]) -> Float[np.ndarray, "*K"]:
-        """Return the mean square of the controls in units of their half ranges."""
-        unit = (controls - self.series.middle) / self.series.half
-        return np.asarray((unit**2).mean(axis=(-2, -1)))
+        """Return the mean square of the controls about rest in units of their half ranges."""
+        return np.asarray((self.series.unit(controls) ** 2).mean(axis=(-2, -1)))
 
     def safe(self, unit: Float[np.ndarray, "R nu"]) -> Float[np.ndarray, "R nu"]:
         """Return controls, made smaller until every drawn machine keeps every limit.
 
         Args:
-            unit: in units of the half widths of the controls' ranges.
+            unit: distances to rest in units of the half widths of the controls' ranges.
 
         Raises:
-            StudyError: standing still exceeds a limit.
+            StudyError: even a thousandth of them exceeds a limit.
         """
         return self._kept(partial(self._shrunk, unit))
 
@@ -154,9 +226,14 @@ class Trial:
         return self.series.scaled(size * unit)
 
     def _kept(self, scaled: Callable[[float], np.ndarray]) -> Float[np.ndarray, "R nu"]:
-        size = 1.0
-        while self.violation(scaled(size), self.machines, 1.0) > 0:
-            if size == 1.0 and self.violation(scaled(0.0), self.machines, 1.0) > 0:
-                raise StudyError("limits: even standing still exceeds them at the reference")
+        size, worst = 1.0, 0
+        while size > _SMALLEST:
+            if self.violation(scaled(size), self.machines[[worst]], 1.0) == 0:
+                over = self.violations(scaled(size), self.machines, 1.0)
+                if over.max() == 0:
+                    return scaled(size)
+                worst = int(over.argmax())
             size *= _SHRINK
-        return scaled(size)
+        trajectory, ctrl = self.run(scaled(size), self.machines)
+        exceeded = first_exceeded(self.limits, self._compiled, trajectory, ctrl)
+        raise StudyError(why_not_moved(exceeded))

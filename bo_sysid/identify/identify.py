@@ -124,10 +124,11 @@ def _searched(
     """
     settings, blocks = problem.study.search, len(problem.deviation.blocks.weight)
     candidates, history, spent = problem.candidates, journal.history(0, blocks), 0
+    most = settings.budget if settings.refine else min(settings.budget, len(candidates))
     levels: list[Level] = []
     for number in count():
         rules = _rules(problem.study, number, spent)
-        tell = _Teller(journal, progress, number, candidates, spent, settings.budget)
+        tell = _Teller(journal, progress, number, candidates, spent, most)
         outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
         levels.append(Level(candidates, outcome.history))
         finer = None
@@ -171,13 +172,13 @@ class _Teller:
     level: int
     candidates: CandidateSet
     spent: int
-    budget: int
+    most: int
 
     def __call__(self, history: History) -> None:
         self.journal.write(self.level, self.candidates, history)
         lowest = history.evaluation.deviation.min()
         done = self.spent + len(history)
-        self.progress(Progress(done, self.budget, f"lowest deviation {lowest:.4g}"))
+        self.progress(Progress(done, self.most, f"lowest deviation {lowest:.4g}"))
 
 
 def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> Probabilities:

@@ -44,6 +44,8 @@ class Run:
 
     def __init__(self, folder: Path, record: dict[str, Any], lock: IO[str], *, created: bool):
         self.folder = folder
+        self.ended = _when_finished(record)
+        """When a finished run of the folder ended; empty where the last one did not finish."""
         self._record = record
         self._lock = lock
         self._created = created
@@ -223,6 +225,12 @@ def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dic
         "status": "running",
         "sessions": [],
     }
+
+
+def _when_finished(record: Mapping[str, Any]) -> str:
+    if record["status"] != "finished":
+        return ""
+    return str(record["sessions"][-1].get("ended", ""))
 
 
 def _existing(

@@ -152,6 +152,15 @@ def fingerprints(study: Study, *, recorded: bool) -> dict[str, str]:
     return {"the model": load_model(study).sha256, **{n: _content(f) for n, f in files.items()}}
 
 
+def holdout_hashes(study: Study) -> dict[str, str]:
+    """Return hashes of the files of the hold-out by name; a dataset is not hashed.
+
+    Raises:
+        StudyError: a pattern matches no file.
+    """
+    return {os.path.relpath(f, study.folder): _content(f) for f in study.holdout_files}
+
+
 def _content(path: Path) -> str:
     """Return a hash of a file, or of all files of a folder with their names, as of a bag."""
     digest = hashlib.sha256()
