@@ -61,3 +61,16 @@ def test_no_terminal_gets_lines(capsys: pytest.CaptureFixture[str]) -> None:
         report(Progress(1, 2, "train-0"))
         report(Progress(2, 2, "train-1"))
     assert capsys.readouterr().err == "record 2/2: train-1\n"
+
+
+def test_what_is_said_before_the_first_step_is_said_at_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    clock = Clock()
+    report = Lines("diagnose", every=5.0, clock=clock)
+    report(Progress(0, 2, "the elbow leaves its range"))
+    clock.now += 10.0
+    report(Progress(1, 2, "half"))
+    assert capsys.readouterr().err.splitlines() == [
+        "diagnose: the elbow leaves its range", "diagnose 1/2, 0:10 left: half",
+    ]  # fmt: skip

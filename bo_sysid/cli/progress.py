@@ -38,7 +38,13 @@ class Lines:
         self._first: int | None = None
 
     def __call__(self, progress: Progress) -> None:
-        """Print where it stands, unless a line was printed a moment ago."""
+        """Print where it stands, unless a line was printed a moment ago.
+
+        What is said before the first unit is done is printed at once, and is no measure of time.
+        """
+        if not progress.step:
+            print(f"{self._title}: {progress.message}", file=sys.stderr, flush=True)
+            return
         now = self._clock()
         if self._first is None:
             self._first = progress.step - 1  # a resumed run does not begin at zero

@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from bo_sysid.checks.motion import range_flags
 from bo_sysid.diagnosis.answer import Answer, make_answer
 from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
@@ -30,6 +31,7 @@ from bo_sysid.study.check import require_scales
 from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train, study_effects
 
 _STAGES = 6
+_CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
 _UNMOVED = 1e-6  # of a parameter's range: what its bounds leave beside the model's own value
 
 
@@ -142,6 +144,9 @@ def diagnose(
     """
     evidence = gather(study, load_train(study, strict=strict))
     tell = _Teller(progress)
+    outside = [f.sentence for f in range_flags(evidence.machine.model, evidence.recordings)]
+    if outside:
+        progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
     located = locate(evidence, tell)
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
@@ -165,7 +170,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        tuple(dict.fromkeys((*notes, *held_notes(study), *evidence.notes, *said))),
+        tuple(dict.fromkeys((*notes, *held_notes(study), *evidence.notes, *outside, *said))),
         contact,
     )
     if run is not None:
