@@ -30,7 +30,8 @@ _PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical 
 _SETS = 12
 _POSES = 2_000  # instants among which the pose is chosen
 _FORCE_COLUMNS = (
-    "recording", "time", "joint", "position", "speed", "unit", "nominal", "repaired", "sigma",
+    "recording", "time", "begin", "joint", "position", "speed", "unit", "nominal", "repaired",
+    "sigma",
 )  # fmt: skip
 
 
@@ -45,14 +46,16 @@ def traces(
         residuals: by model, recorded minus predicted after the past, in sigma.
 
     Returns:
-        Columns recording, time [s], window, channel, recorded and one for each model, in the
-        channels' own units; one row an instant after the past and a channel.
+        Columns recording, time [s], begin (the recording's first stamp), window, channel,
+        recorded and one for each model, in the channels' own units; one row an instant after the
+        past and a channel.
     """
     windows = problem.windows
     observed, weight = windows.observed[:, past:], problem.weight[:, past:]
     instants = (windows.step + windows.fraction)[:, past:] * windows.timestep
     time = windows.time[:, None] + instants
     names = np.array([r.name for r in problem.recordings], dtype=object)[windows.recording]
+    begin = np.array([r.span[0] for r in problem.recordings])[windows.recording]
     shape = observed.shape
     with np.errstate(divide="ignore", invalid="ignore"):
         models = {m: np.where(weight > 0, observed - r / weight, np.nan).ravel()
@@ -61,6 +64,7 @@ def traces(
         {
             "recording": np.broadcast_to(names[:, None, None], shape).ravel(),
             "time": np.broadcast_to(time[..., None], shape).ravel(),
+            "begin": np.broadcast_to(begin[:, None, None], shape).ravel(),
             "window": np.broadcast_to(np.arange(shape[0])[:, None, None], shape).ravel(),
             "channel": np.broadcast_to(np.array(windows.channels, object), shape).ravel(),
             "recorded": observed.ravel(),
@@ -77,9 +81,9 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
     wide prior: y = P r, f = (AᵀA + 1/s²)⁻¹ Aᵀ y with A the projected response to the forces.
 
     Returns:
-        Columns recording, time [s], joint, position, speed, unit, nominal, repaired, and sigma, the
-        standard deviation of the force; one row a piece and a joint, forces in `unit`. No rows
-        for a machine without hinges and slides.
+        Columns recording, time [s], begin (the recording's first stamp), joint, position, speed,
+        unit, nominal, repaired, and sigma, the standard deviation of the force; one row a piece
+        and a joint, forces in `unit`. No rows for a machine without hinges and slides.
     """
     machine = evidence.machine
     if not machine.joints:
@@ -107,6 +111,7 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
             {
                 "recording": [problem.recordings[i].name for i in windows.recording],
                 "time": middle,
+                "begin": [problem.recordings[i].span[0] for i in windows.recording],
                 "joint": name,
                 "position": linear.along.qpos[name].mean(axis=1),
                 "speed": linear.along.qvel[name].mean(axis=1),

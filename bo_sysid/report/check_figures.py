@@ -32,7 +32,7 @@ def recording_figure(recording: Recording, flagged: set[str]) -> Figure:
     axes = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
     for axis, name in zip(axes, names, strict=True):
         channel = recording.channels[name]
-        time, values = _thinned(channel)
+        time, values = _thinned(channel, recording.span[0])
         colour = _COLOURS.get(name.split(".", 1)[0], RECORDED)
         where = {"drawstyle": "steps-post"} if channel.hold == "zero" else {}
         axis.plot(time, values, color=colour, linewidth=0.8, **where)
@@ -47,6 +47,7 @@ def recording_figure(recording: Recording, flagged: set[str]) -> Figure:
     return figure
 
 
-def _thinned(channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+def _thinned(channel: Channel, begin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the time since the recording began, and the values, of every so many-th sample."""
     step = max(len(channel.time) // _SHOWN, 1)
-    return channel.time[::step], channel.values[::step]
+    return channel.time[::step] - begin, channel.values[::step]

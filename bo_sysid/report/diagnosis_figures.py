@@ -16,9 +16,12 @@ from bo_sysid.report.look import (
     MODELS,
     RECORDED,
     first_part,
+    in_a_row,
     left_words,
     set_colour,
+    since_start,
     sure,
+    time_label,
     top_sets,
     with_gaps,
     worst_channels,
@@ -42,11 +45,11 @@ def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Fi
     """Return recorded, nominal, refitted and repaired on recordings set aside, and the residuals.
 
     Args:
-        traces: recording, time, window, channel, recorded, nominal, refitted, repaired.
+        traces: recording, time, begin, window, channel, recorded, nominal, refitted, repaired.
         units: of the channels.
     """
     names = worst_channels(traces)[:_CHANNELS]
-    shown = first_part(traces)
+    shown = first_part(since_start(traces))
     figure = Figure(figsize=(_WIDTH, 0.6 + 2.9 * len(names)), layout="constrained")
     axes = figure.subplots(
         2 * len(names), 1, squeeze=False, sharex=True, height_ratios=[3, 2] * len(names)
@@ -93,16 +96,19 @@ def forces(pieces: pd.DataFrame) -> Figure:
     """Return the force that the models lack against time, position and speed of the joint.
 
     Args:
-        pieces: joint, time, position, speed, unit, nominal, repaired, sigma.
+        pieces: recording, time, begin, joint, position, speed, unit, nominal, repaired, sigma.
     """
     names = worst_joints(pieces)[:_JOINTS]
+    pieces, begins = in_a_row(pieces)
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.2 * len(names)), layout="constrained")
     rows = figure.subplots(len(names), 3, squeeze=False, sharey="row")
     for name, axes in zip(names, rows, strict=True):
         part = sure(pieces[pieces["joint"] == name])
         unit = str(part["unit"].iloc[0])
         place, what = ("rad", "torque") if unit == "N m" else ("m", "force")
-        across = {"time": "time [s]", "position": f"position [{place}]", "speed": ""}
+        for begin in begins[1:]:
+            axes[0].axvline(begin, color=GREY, linewidth=0.8, linestyle=":")
+        across = {"time": time_label(begins), "position": f"position [{place}]", "speed": ""}
         across["speed"] = f"speed [{place}/s]"
         for axis, (column, label) in zip(axes, across.items(), strict=True):
             for model in ("nominal", "repaired"):

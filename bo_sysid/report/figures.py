@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED, SECOND
+from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED, SECOND, since_start
 
 __all__ = [
     "IDENTIFIED",
@@ -77,14 +77,15 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
     """Return recorded, nominal and identified over time, and the residuals below.
 
     Args:
-        traces: time, window, channel, recorded, nominal, identified.
+        traces: time, begin, window, channel, recorded, nominal, identified.
         title: of the figure.
     """
     names = list(dict.fromkeys(traces["channel"]))[:_CHANNELS]
+    shown = since_start(traces)
     figure = Figure(figsize=(_WIDTH, 2.8 * len(names)), layout="constrained")
     axes = figure.subplots(2 * len(names), 1, squeeze=False, sharex=True)[:, 0]
     for k, name in enumerate(names):
-        part = traces[traces["channel"] == name].sort_values("time").iloc[:_SHOWN]
+        part = shown[shown["channel"] == name].sort_values("time").iloc[:_SHOWN]
         part = _broken(part)
         axis, below = axes[2 * k], axes[2 * k + 1]
         time = part["time"]
