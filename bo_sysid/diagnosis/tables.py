@@ -11,7 +11,6 @@ from bo_sysid.diagnosis.answer import Answer
 from bo_sysid.diagnosis.argmin import ArgminSets
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
@@ -19,6 +18,7 @@ from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.sentences import set_words
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
+from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -73,12 +73,19 @@ def traces(
     )
 
 
-def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
+def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> pd.DataFrame:
     """Return the force on each joint that a model lacks to follow the training recordings.
 
     The recordings are cut into pieces of a tenth of a second. In each the residual is explained by
     a start and one constant force a joint, by least squares on the linearised simulator with a
     wide prior: y = P r, f = (AᵀA + 1/s²)⁻¹ Aᵀ y with A the projected response to the forces.
+    Both models step as finely as the recordings show: half a long step is a slope over speed that
+    no force explains.
+
+    Args:
+        evidence: what the diagnosis was made from.
+        repaired: what the nominal model lacks, with the share of a finer step that is shown.
+        timestep: at which it was fitted, in [s].
 
     Returns:
         Columns recording, time [s], begin (the recording's first stamp), joint, position, speed,
@@ -98,12 +105,13 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
         (),
         horizon=horizon,
         stride=max(int(np.ceil(whole / horizon / _PIECES)), 1),
-        timestep=outcome.timestep,
+        timestep=timestep,
         engine=evidence.engine,
         laws=evidence.laws,
     )
-    linear, nominal, _ = _forces(problem, Hypothesis())
-    linear, repaired, sigma = _forces(problem, replace(outcome.repaired, numerics=0.0))
+    finer, plain = finer_step(repaired.numerics), replace(repaired, numerics=0.0)
+    _, nominal, _ = _forces(problem, Hypothesis(), finer)
+    linear, left, sigma = _forces(problem, plain, finer)
     windows = problem.windows
     middle = windows.time + 0.5 * windows.step[:, -1] * windows.timestep
     parts = [
@@ -117,7 +125,7 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
                 "speed": linear.along.qvel[name].mean(axis=1),
                 "unit": "N m" if joint.hinge else "N",
                 "nominal": nominal[:, k],
-                "repaired": repaired[:, k],
+                "repaired": left[:, k],
                 "sigma": sigma[:, k],
             }
         )
@@ -127,15 +135,18 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
 
 
 def _forces(
-    problem: Problem, hypothesis: Hypothesis
+    problem: Problem, hypothesis: Hypothesis, finer: int
 ) -> tuple[Linear, Float[np.ndarray, "W j"], Float[np.ndarray, "W j"]]:
-    """Return the linearised model, and for every window the missing forces with their sigma."""
+    """Return the linearised model, and for every window the missing forces with their sigma.
+
+    The residual is that of a time step `finer` times smaller.
+    """
     start = problem.windows.start
     for _ in range(_ROUNDS):
         linear = linearise(problem, hypothesis, start)
         start, _ = settle(problem, linear, hypothesis, start, 1, _SHARES)
     linear = linearise(problem, hypothesis, start)
-    y = project(linear.Q, problem.residual(hypothesis, start))
+    y = project(linear.Q, problem.residual(hypothesis, start, finer))
     joints = problem.machine.joints
     one = np.ones((len(y), linear.macros, 1))
     A = np.concatenate(
