@@ -7,8 +7,9 @@ import pytest
 from bo_sysid.recording import Recording
 from bo_sysid.report import interactive
 from bo_sysid.report.check_figures import recording_figure
-from bo_sysid.report.diagnosis_figures import forces, held_out
+from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
 from bo_sysid.report.figures import predictions
+from bo_sysid.report.look import COLOURS
 
 EPOCH = 1_762_000_000.0  # [s] since 1970
 SECONDS = {"morning": 16.0, "noon": 18.0, "evening": 15.0}
@@ -81,3 +82,65 @@ def test_a_checked_recording_is_drawn_from_its_first_stamp() -> None:
     recording = Recording.from_arrays(time, qpos={"boom": np.sin(time - EPOCH)})
     line = recording_figure(recording, set()).axes[0].lines[0]
     assert line.get_xdata()[[0, -1]] == pytest.approx([0.0, 3.99], abs=1e-5)
+
+
+def test_a_checked_recording_is_drawn_in_the_order_that_is_given_and_says_what_shades_mean() -> (
+    None
+):
+    time = np.arange(0.0, 4.0, 0.01)
+    moved = {n: np.sin(time) for n in ("boom", "stick", "bucket")}
+    recording = Recording.from_arrays(time, name="dig", qpos=moved)
+    order = ["qpos.boom", "qpos.stick", "qpos.bucket"]
+    figure = recording_figure(recording, {"qpos.bucket"}, order=order)
+    assert [a.get_ylabel() for a in figure.axes] == order
+    assert figure.axes[0].get_title() == "dig\nshaded: the check has a remark on it"
+    shaded = [a.get_facecolor() != figure.axes[0].get_facecolor() for a in figure.axes]
+    assert shaded == [False, False, True]
+    assert recording_figure(recording, set(), order=order).axes[0].get_title() == "dig"
+
+
+def test_of_many_channels_those_with_remarks_are_drawn() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    recording = Recording.from_arrays(time, qpos={f"j{k}": np.sin(time) for k in range(12)})
+    figure = recording_figure(recording, {"qpos.j11"})
+    assert [a.get_ylabel() for a in figure.axes] == [f"qpos.j{k}" for k in (*range(9), 11)]
+    assert "2 channels not shown" in figure.axes[0].get_title()
+
+
+def test_a_plan_is_drawn_between_its_limits() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    plan = Recording.from_arrays(time, name="plan", qpos={"boom": np.sin(time)})
+    figure = recording_figure(plan, limits={"qpos.boom": (-2.0, np.inf)})
+    dashed = [x for x in figure.axes[0].lines if x.get_linestyle() == "--"]
+    assert [x.get_ydata()[0] for x in dashed] == [-2.0]
+    assert figure.axes[0].get_title() == "plan\ndashed: limits"
+
+
+def test_words_of_the_evidence_stand_right_of_the_line_of_the_noise() -> None:
+    sets = pd.DataFrame(
+        {
+            "set": ["friction", "nothing is missing", "none of these"], "effects": [1, 0, 1],
+            "probability": [0.97, 0.0, 0.03], "rms": [0.96, 55.0, np.nan],
+            "best": [True, False, False], "equivalent": False,
+        }
+    )  # fmt: skip
+    words = [t for t in evidence(sets).axes[0].texts if "probability" in t.get_text()]
+    assert [t.get_position()[0] for t in words] == [1.0, 55.0, 1.0]
+
+
+def test_errors_of_forecasts_are_named_outside_their_panel() -> None:
+    figure = held_out(traces())
+    figure.draw_without_rendering()
+    below = figure.axes[1]
+    legend = below.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y0 >= below.get_window_extent().y1
+
+
+def test_of_two_predictions_that_are_the_same_both_are_seen() -> None:
+    same = traces().rename(columns={"repaired": "identified"}).assign(nominal=0.0, identified=0.0)
+    for axis in predictions(same).axes:
+        drawn = {x.get_color(): x for x in axis.lines}
+        under, over = drawn[COLOURS["nominal"]], drawn[COLOURS["identified"]]
+        assert over.get_linestyle() == "--"
+        assert under.get_linewidth() > over.get_linewidth()

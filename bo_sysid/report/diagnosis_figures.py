@@ -87,9 +87,9 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     top.set_ylabel(f"{name}\n{said}")
     below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
-    below.legend(fontsize="x-small", ncols=3, loc="upper center", framealpha=0.9)
-    low, high = np.clip(below.get_ylim(), -span, span)
-    below.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
+    below.legend(fontsize="x-small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
+                 frameon=False, borderaxespad=0.0)  # fmt: skip
+    below.set_ylim(*np.clip(below.get_ylim(), -span, span))
 
 
 def forces(pieces: pd.DataFrame) -> Figure:
@@ -169,7 +169,8 @@ def evidence(sets: pd.DataFrame) -> Figure:
     for y, row in zip(place, shown.to_dict("records"), strict=True):
         rms = float(row["rms"])
         words = f" {left_words(rms, row['probability'], row.get('p_boot', np.nan))}"
-        axis.text(np.nan_to_num(rms, nan=left), y, words, va="center", fontsize="small")
+        beside = max(np.nan_to_num(rms, nan=1.0), 1.0)  # right of the noise's line
+        axis.text(beside, y, words, va="center", fontsize="small")
     axis.set_xlabel("training residual [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)
     return figure
