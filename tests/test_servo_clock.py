@@ -1,9 +1,12 @@
-"""A servo without any delay, which no missing force of its joint says to have one."""
+"""A servo without any delay: neither its clock nor its missing force says that it has one."""
 
 import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.checks.estimate import Estimate, delay
+from bo_sysid.checks.hypothesis import Evidence
+from bo_sysid.checks.traces import Traces
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.tables import missing_force
@@ -27,7 +30,7 @@ SERVO = f"""
 NOISE = 5e-4  # [rad]
 
 
-def recorded(seed: int, seconds: float = 12.0) -> Recording:
+def recorded(seed: int, seconds: float = 12.0, noise: float = NOISE) -> Recording:
     """Return a log of 200 Hz of the servo, which moves continuously (Runge-Kutta)."""
     model = mujoco.MjModel.from_xml_string(SERVO)
     model.opt.timestep, model.opt.integrator = 5e-4, mujoco.mjtIntegrator.mjINT_RK4
@@ -40,11 +43,34 @@ def recorded(seed: int, seconds: float = 12.0) -> Recording:
     for k, wanted in enumerate(goal):
         seen[k], data.ctrl[:] = data.qpos[0], wanted
         mujoco.mj_step(model, data, nstep=10)
-    seen += NOISE * rng.standard_normal(len(time))
+    seen += noise * rng.standard_normal(len(time))
     return Recording(
         "servo",
         {"qpos.bucket": Channel(time, seen), "ctrl.servo": Channel(time, goal, hold="zero")},
     )
+
+
+def clock(recording: Recording) -> Estimate:
+    evidence = Evidence(
+        mujoco.MjModel.from_xml_string(SERVO), Traces([recording], ["qpos.bucket"]), 1200
+    )
+    return delay(evidence, evidence.identity(), "ctrl.servo")
+
+
+@pytest.mark.parametrize("noise", [1e-4, NOISE])
+def test_a_servo_that_acts_at_its_stamps_is_said_to_within_the_interval(noise: float) -> None:
+    """Noise in speeds and accelerations makes it seem late by 2 to 4 ms; the interval says so."""
+    told = [clock(recorded(seed, noise=noise)) for seed in range(6)]
+    size = np.sqrt(np.mean([e.sigma**2 for e in told]))
+    assert abs(np.mean([e.value for e in told])) < 1.96 * size < 0.01
+    assert sum(abs(e.value) > 1.96 * e.sigma for e in told) <= 1
+    assert not any(abs(e.value) > 4 * e.sigma for e in told)  # none would be corrected
+
+
+def test_without_noise_the_clock_of_a_servo_is_exact() -> None:
+    told = [clock(recorded(seed, noise=0.0)) for seed in range(3)]
+    assert max(abs(e.value) for e in told) < 1e-4
+    assert max(e.sigma for e in told) < 1e-3
 
 
 @pytest.mark.parametrize("division", [1, 8])
