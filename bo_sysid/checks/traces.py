@@ -108,7 +108,7 @@ class Traces:
     def halves(self) -> tuple["Traces", ...]:
         """Two of every other measured sample, with noise of their own, at the same instants.
 
-        None where the filter is too narrow for samples that far apart: there is little noise.
+        Empty where the filter is too narrow for samples that far apart: there is little noise.
         """
         if self.width < _HALVED * max(_dt(r, self.measured) for r in self.recordings):
             return ()
