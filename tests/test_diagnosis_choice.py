@@ -362,10 +362,11 @@ def test_where_the_hold_out_goes_and_no_training_recording_went_is_said(after: f
 def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(friction) -> None:
     recorded = record([("dry_friction", "joint", "elbow", [0.02])], duration=6.0)
     evidence = make_evidence(arm(), [recorded], noise={"qpos": SIGMA}, threads=1)
-    joints = missing_force(evidence, explain(friction))
+    outcome = explain(friction)
+    joints = missing_force(evidence, outcome.repaired, outcome.timestep)
     assert set(joints["joint"]) == {"shoulder", "elbow"}
     thrown = replace(evidence, machine=replace(evidence.machine, joints={}))
-    nothing = missing_force(thrown, explain(friction))
+    nothing = missing_force(thrown, outcome.repaired, outcome.timestep)
     assert nothing.empty
     assert list(nothing.columns) == list(joints.columns)
 
@@ -380,7 +381,8 @@ def test_missing_forces_are_those_of_the_model_with_its_controllers(friction) ->
         make_evidence(arm(), [r], noise={"qpos": SIGMA}, threads=1, laws=laws)
         for r, laws in ((recorded, ()), (Recording("goals", channels), (passed,)))
     ]
-    expected, found = (missing_force(e, explain(friction)) for e in told)
+    outcome = explain(friction)
+    expected, found = (missing_force(e, outcome.repaired, outcome.timestep) for e in told)
     assert_allclose(found["nominal"], expected["nominal"], rtol=1e-6, atol=1e-9)
 
 

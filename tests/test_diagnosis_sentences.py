@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.diagnosis.explain import Unexplained
 from bo_sysid.diagnosis.findings import Finding, Quantity, sentence
 from bo_sysid.diagnosis.hypothesis import candidates
 from bo_sysid.diagnosis.sentences import found_sentences
@@ -49,6 +50,44 @@ def test_a_share_of_the_load_is_said_as_a_share() -> None:
     assert sentence(like, quantity, 0.0, 0.0) == (
         "The hinge loses 0.25 ± 0.02 of its drive's torque to friction."
     )
+
+
+@pytest.mark.parametrize(
+    ("effect", "site", "words"),
+    [
+        ("servo_kp", Site("actuator", "y_servo"),
+         "The proportional gain of the y servo differs from the model's by 633 ± 34 N/m."),
+        ("servo_kd", Site("actuator", "y2"),
+         "The derivative gain of actuator y2 differs from the model's by 633 ± 34 N/m."),
+        ("constant_force", Site("joint", "y_axis"),
+         "A constant force of 633 ± 34 N/m that the model lacks acts on the y axis."),
+        ("wind", Site("world", "world"),
+         "The medium moves at 633 ± 34 N/m against the model's."),
+    ],
+)  # fmt: skip
+def test_a_site_is_said_once_and_sentences_begin_with_what_acts(
+    effect: str, site: Site, words: str
+) -> None:
+    (like,) = candidates([CATALOGUE["armature"]], machine())
+    found = type(like)(CATALOGUE[effect], site, like.extent, like.point)
+    assert sentence(found, Quantity(633.0, "N/m", (599.0, 667.0)), 0.0, 0.0) == words
+
+
+def test_a_spring_that_a_model_has_is_told_as_the_spring() -> None:
+    assert said("joint_spring", machine(stiffness=2.0), 1.5) == (
+        "The spring at the hinge is 3.50 ± 0.03 N m/rad, not 2 as in the model."
+    )
+
+
+def test_what_no_effect_explains_is_said_with_where_it_acts() -> None:
+    (said_of_joint,) = Unexplained(0.5, "joint", "y_axis", ("speed",)).sentences
+    assert said_of_joint == (
+        "Something acts on the y axis that no known effect explains; it depends on how fast it "
+        "moves. A learned force law stands for it in the repaired model."
+    )
+    (said_of_all,) = Unexplained(0.5, "world", "world").sentences
+    assert said_of_all.startswith("Something acts on the machine that no known effect explains. ")
+    assert Unexplained(0.5).sentences == ()
 
 
 @pytest.mark.parametrize(("stiffness", "rest"), [(0.0, 0.0), (10.0, 0.1), (10.0, -0.3)])

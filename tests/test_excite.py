@@ -319,6 +319,10 @@ def test_friction_that_is_an_actuator_without_a_control_is_planned_through(tmp_p
     found = excite(Study.from_dict(data, tmp_path), seconds=2.0, interval=0.02, budget=30)
     assert list(found.controls) == ["time", "ctrl.m"]
     assert set(found.predicted.channels) == {"qpos.hinge", "qvel.hinge", "ctrl.m"}
+    units = {n: c.unit for n, c in found.predicted.channels.items()}
+    assert units == {"qpos.hinge": "rad", "qvel.hinge": "rad/s", "ctrl.m": "N m"}
+    assert found.limits == {"qpos.hinge": (-0.8, 0.6), "qvel.hinge": (-4, 4), "ctrl.m": (-1.5, 1.5)}
+    assert found.predicted.name == "plan"
     ctrl = np.repeat(found.controls["ctrl.m"].to_numpy(), 4)[None, :, None]
     rest = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
     real = Engine(1).rollout(Model.from_xml(text).compile(), rest, ctrl)

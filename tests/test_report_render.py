@@ -33,7 +33,7 @@ def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
     assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None
 
 
-def test_a_model_gets_a_white_sky_and_light_where_it_has_none() -> None:
+def test_a_model_gets_light_and_a_white_sky_where_it_has_none() -> None:
     ball = "<worldbody>{}<body><freejoint/><geom size='.1'/></body></worldbody>"
     own = (
         "<asset><texture type='skybox' builtin='flat' width='8' height='48' rgb1='0 0 1'/></asset>"
@@ -46,9 +46,19 @@ def test_a_model_gets_a_white_sky_and_light_where_it_has_none() -> None:
     assert made.tex_type.tolist() == kept.tex_type.tolist() == [sky]
     assert made.tex_data.min() == 255
     assert kept.tex_data[0] == 0
-    assert made.vis.headlight.ambient[0] == pytest.approx(0.55)
-    assert kept.vis.headlight.ambient[0] == pytest.approx(0.1)
+    assert made.vis.headlight.ambient[0] == kept.vis.headlight.ambient[0] == pytest.approx(0.6)
     assert plain.compile(visuals=True).ntex == 0
+
+
+def test_a_model_whose_own_light_shines_elsewhere_is_seen(tmp_path: Path) -> None:
+    text = """<mujoco><worldbody><light pos="0 0 1" dir="0 0 1"/>
+      <body><joint axis="0 1 0"/><geom type="box" size=".3 .3 .3" rgba=".7 .7 .7 1"/></body>
+    </worldbody></mujoco>"""
+    (tmp_path / "box.xml").write_text(text)
+    if rendered(tmp_path / "box.xml", {}, [], tmp_path / "box.png") is None:
+        pytest.skip("neither EGL nor OSMesa renders here (apt-get install libegl1)")
+    middle = imread(tmp_path / "box.png")[200:280, 280:360, :3]
+    assert middle.mean() > 0.6
 
 
 def test_joints_lie_where_kinematics_puts_them() -> None:
@@ -61,20 +71,36 @@ def test_joints_lie_where_kinematics_puts_them() -> None:
     assert find_site(posed, "body", "forearm").geoms == (posed.model.geom("forearm").id,)
 
 
-def test_words_of_many_sites_stand_in_a_list_and_their_numbers_at_the_sites() -> None:
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_words_of_sites_stand_in_a_list_and_their_numbers_at_the_sites(count: int) -> None:
     posed = Posed.of(Model.from_file(ARM), POSE)
-    named = [("joint", "shoulder"), ("joint", "elbow"), ("body", "forearm"), ("actuator", "elbow")]
-    sites = [(find_site(posed, kind, name), f"{name}:\n{kind}") for kind, name in named]
-    few, many = robot(posed, sites[:3]), robot(posed, sites)
-    assert len(few.axes) == 1
-    drawing, beside = many.axes
+    named = [("actuator", "elbow"), ("joint", "elbow"), ("body", "forearm"), ("joint", "shoulder")]
+    sites = [(find_site(posed, kind, name), f"{name}:\n{kind}") for kind, name in named[:count]]
+    drawing, beside = robot(posed, sites).axes
     (said,) = (t.get_text() for t in beside.texts)
     assert [line for line in said.splitlines() if line[0].isdigit()] == [
-        "1  shoulder:", "2  elbow:", "3  forearm:", "4  elbow:"
-    ]  # fmt: skip
+        f"{k}  {name}:" for k, (_, name) in enumerate(named[:count], start=1)
+    ]
     at = {t.get_text(): t.xy for t in drawing.texts if t.get_text()[0].isdigit()}
-    assert at.keys() == {"1", "2, 4", "3"}
-    np.testing.assert_allclose(at["2, 4"], view(posed) @ ELBOW, atol=1e-3)
+    assert at.keys() == {1: {"1"}, 2: {"1, 2"}, 4: {"1, 2", "3", "4"}}[count]
+    elbow = next(n for n in at if n.startswith("1"))
+    np.testing.assert_allclose(at[elbow], view(posed) @ ELBOW, atol=1e-3)
+
+
+def test_names_of_joints_keep_away_from_marks_and_stand_once() -> None:
+    posed = Posed.of(Model.from_file(ARM), POSE)
+    figure = robot(posed, [(find_site(posed, "actuator", "elbow"), "elbow:\nlag")])
+    figure.draw_without_rendering()
+    drawing = figure.axes[0]
+    said = {t.get_text(): t for t in drawing.texts}
+    assert {"shoulder", "elbow", "1"} <= said.keys()
+    ring = next(x for x in drawing.lines if x.get_markersize() > 20)
+    middle = drawing.transData.transform(ring.get_xydata()[0])
+    words = said["elbow"].get_window_extent()
+    nearest = np.clip(middle, words.min, words.max)
+    assert np.linalg.norm(nearest - middle) > 11 * figure.dpi / 72  # the ring's radius
+    marked = robot(posed, [(find_site(posed, "joint", "elbow"), "elbow:\nfriction")])
+    assert "elbow" not in {t.get_text() for t in marked.axes[0].texts}
 
 
 def test_the_view_shows_the_plane_in_which_the_arm_moves() -> None:

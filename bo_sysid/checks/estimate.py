@@ -7,14 +7,14 @@ needs and on what may be physics, so that a wrong mass or friction does not pose
 
 with Y_b what the mass of body b needs, scaled by m_b. δ corrects the delay d; a zero enters by the
 balance's change with the joint's position. The uncertainty is that of a jackknife over stretches
-of the recordings.
+of the recordings, and for a delay what noise in the motion may do.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Wire
 from bo_sysid.checks.traces import blocks
@@ -37,21 +37,50 @@ class Estimate:
 def delay(evidence: Evidence, h: Hypothesis, control: str) -> Estimate:
     """Return how much later than stamped one control acts, in [s]."""
     j, terms = evidence.dof(control), evidence.terms(h)
-    motion = evidence.physics(h)[:, j]
     speed = np.abs(terms.velocity[:, j])
     moving = speed > _STUCK * speed.mean()  # a joint that sticks needs less than it is given
     late, sigma = h.delay, 0.0
     for _ in range(_STEPS):
-        force, later, earlier = (
-            terms.actuated(evidence.controls(h, late + s))[:, j] for s in (0.0, _SHIFT, -_SHIFT)
-        )
-        columns = np.column_stack([-(later - earlier) / (2 * _SHIFT), motion])
-        found, sigma = _jackknife(columns[moving], force[moving])
+        found, sigma = _jackknife(*_delayed(evidence, h, j, late, moving))
         step = float(np.clip(found, -0.02, 0.02))
         late += step
         if abs(step) < 1e-5:
             break
-    return Estimate(late, sigma)
+    return Estimate(late, float(np.hypot(sigma, _by_noise(evidence, h, j, late, moving))))
+
+
+def _delayed(
+    evidence: Evidence, h: Hypothesis, j: int, late: float, moving: Bool[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "m p"], Float[np.ndarray, " m"]]:
+    """Return regressors (the delay's first) and the actuators' force along a degree of freedom."""
+    terms = evidence.terms(h)
+    force, later, earlier = (
+        terms.actuated(evidence.controls(h, late + s))[:, j] for s in (0.0, _SHIFT, -_SHIFT)
+    )
+    columns = np.column_stack([-(later - earlier) / (2 * _SHIFT), evidence.physics(h)[:, j]])
+    return columns[moving], force[moving]
+
+
+def _by_noise(
+    evidence: Evidence, h: Hypothesis, j: int, late: float, moving: Bool[np.ndarray, " n"]
+) -> float:
+    """Return how far noise in what is regressed on may have moved a delay, in [s].
+
+    Regressors with noise count for less than they do, and the delay for more: a servo that follows
+    its command moves much as one that is late and less damped. Where each half of the samples is
+    the other's instrument, noise has no say.
+    """
+    if not evidence.halves:
+        return 0.0
+    without = late
+    for _ in range(_STEPS):
+        (a, ya), (b, yb) = (_delayed(e, h, j, without, moving) for e in evidence.halves)
+        size = np.sqrt((a**2).mean(axis=0)) + 1e-300
+        a, b, p = a / size, b / size, a.shape[1]
+        gram, right = a.T @ b + b.T @ a, a.T @ yb + b.T @ ya
+        ridge = 1e-9 * np.trace(gram) / p * np.eye(p)
+        without += float(np.clip(np.linalg.solve(gram + ridge, right)[0] / size[0], -0.02, 0.02))
+    return abs(without - late)
 
 
 def zero(evidence: Evidence, h: Hypothesis, names: Sequence[str]) -> Estimate:

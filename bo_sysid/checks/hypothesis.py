@@ -1,7 +1,9 @@
 """What a channel may really be: another column, sign, unit, zero; and what a log says for it."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import pi
 
 import mujoco
@@ -117,6 +119,16 @@ class Evidence:
         self.weights = self._weights(model)
         self._terms: dict[tuple[Wire | None, ...], Terms] = {}
         self._physics: dict[tuple[Wire | None, ...], np.ndarray] = {}
+
+    @cached_property
+    def halves(self) -> tuple["Evidence", ...]:
+        """The same from each half of the samples; see `Traces.halves`."""
+        made = []
+        for traces in self.traces.halves:
+            half = copy.copy(self)
+            half.traces, half._terms, half._physics = traces, {}, {}
+            made.append(half)
+        return tuple(made)
 
     def identity(self) -> Hypothesis:
         """Return the hypothesis that every channel is what it is called."""

@@ -101,10 +101,11 @@ def write(found: "Checked", folder: Path) -> None:
     else:  # that of an earlier check is no longer proposed
         proposed.unlink(missing_ok=True)
     flagged = {n for f in found.flags if f.level != "note" for n in f.channels}
+    order = list(found.summary.channels["channel"])
     titles = _titles([recording.name for recording in found.recordings])
     for recording, title in zip(found.recordings, titles, strict=True):
         with atomic(folder / f"{title}.png") as place:
-            save(recording_figure(recording, flagged), place)
+            save(recording_figure(recording, flagged, order=order), place)
 
 
 def _titles(names: Sequence[str]) -> list[str]:

@@ -192,7 +192,9 @@ def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
 def _pictures(run: Run, result: Diagnosis) -> None:
     """Write what the pictures of a diagnosis show, and its words."""
     run.write_frame("traces.parquet", result.holdout.traces)
-    run.write_frame("forces.parquet", missing_force(result.evidence, result.outcome))
+    outcome = result.outcome
+    forces = missing_force(result.evidence, outcome.repaired, outcome.timestep)
+    run.write_frame("forces.parquet", forces)
     found = sets(result.located.decision, result.answer, result.searched)
     run.write_frame("sets.parquet", found)
     run.write_json("pose.json", bent_pose(result.evidence.recordings))

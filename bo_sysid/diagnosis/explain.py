@@ -7,6 +7,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.stats import chi2
 
+from bo_sysid.diagnosis.findings import spoken
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.law import learn, terms_of
@@ -19,6 +20,7 @@ from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.timestep import coarsened
 from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
 from bo_sysid.diagnosis.windowing import in_contact
+from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 
 _BETTER = 0.95  # of a forecast error: what is less is better
@@ -59,10 +61,10 @@ class Unexplained:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The same in words."""
-        if not self.flagged:
+        if self.site is None:
             return ()
-        where = "the machine" if self.kind == "world" else f"the {self.site}"
-        text = f"On {where} acts something that no known effect explains"
+        where = spoken(Site("world" if self.kind == "world" else "joint", self.site))
+        text = f"Something acts on {where} that no known effect explains"
         if self.depends_on:
             text += f"; it depends on {' and '.join(_WORDS[d] for d in self.depends_on)}"
         stands = "A learned force law" if self.depends_on and self.learned else "Nothing"

@@ -1,5 +1,6 @@
 """Findings: what a fit says in numbers and in words."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -169,7 +170,8 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: flo
         low, high = quantity.interval
         whole = Quantity(begun + quantity.value, quantity.unit, (begun + low, begun + high))
         now = amount(whole)
-        text = f"{effect.noun} at {site} is {now}, not {before:.4g} as in the model."
+        noun = re.sub(r"^an? ", "the ", effect.noun)
+        text = f"{noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
         text = effect.sentence
         for said, opposite in _OPPOSITE.items():

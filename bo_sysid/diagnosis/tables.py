@@ -11,7 +11,6 @@ from bo_sysid.diagnosis.answer import Answer
 from bo_sysid.diagnosis.argmin import ArgminSets
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.explain import Outcome
 from bo_sysid.diagnosis.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise, project
@@ -19,6 +18,7 @@ from bo_sysid.diagnosis.problem import Problem, pose
 from bo_sysid.diagnosis.sentences import set_words
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
+from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -30,7 +30,8 @@ _PRIOR = 3.0  # deviation of the missing force, in units of the joint's typical 
 _SETS = 12
 _POSES = 2_000  # instants among which the pose is chosen
 _FORCE_COLUMNS = (
-    "recording", "time", "joint", "position", "speed", "unit", "nominal", "repaired", "sigma",
+    "recording", "time", "begin", "joint", "position", "speed", "unit", "nominal", "repaired",
+    "sigma",
 )  # fmt: skip
 
 
@@ -45,14 +46,16 @@ def traces(
         residuals: by model, recorded minus predicted after the past, in sigma.
 
     Returns:
-        Columns recording, time [s], window, channel, recorded and one for each model, in the
-        channels' own units; one row an instant after the past and a channel.
+        Columns recording, time [s], begin (the recording's first stamp), window, channel,
+        recorded and one for each model, in the channels' own units; one row an instant after the
+        past and a channel.
     """
     windows = problem.windows
     observed, weight = windows.observed[:, past:], problem.weight[:, past:]
     instants = (windows.step + windows.fraction)[:, past:] * windows.timestep
     time = windows.time[:, None] + instants
     names = np.array([r.name for r in problem.recordings], dtype=object)[windows.recording]
+    begin = np.array([r.span[0] for r in problem.recordings])[windows.recording]
     shape = observed.shape
     with np.errstate(divide="ignore", invalid="ignore"):
         models = {m: np.where(weight > 0, observed - r / weight, np.nan).ravel()
@@ -61,6 +64,7 @@ def traces(
         {
             "recording": np.broadcast_to(names[:, None, None], shape).ravel(),
             "time": np.broadcast_to(time[..., None], shape).ravel(),
+            "begin": np.broadcast_to(begin[:, None, None], shape).ravel(),
             "window": np.broadcast_to(np.arange(shape[0])[:, None, None], shape).ravel(),
             "channel": np.broadcast_to(np.array(windows.channels, object), shape).ravel(),
             "recorded": observed.ravel(),
@@ -69,17 +73,24 @@ def traces(
     )
 
 
-def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
+def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> pd.DataFrame:
     """Return the force on each joint that a model lacks to follow the training recordings.
 
     The recordings are cut into pieces of a tenth of a second. In each the residual is explained by
     a start and one constant force a joint, by least squares on the linearised simulator with a
     wide prior: y = P r, f = (AᵀA + 1/s²)⁻¹ Aᵀ y with A the projected response to the forces.
+    Both models step as finely as the recordings show: half a long step is a slope over speed that
+    no force explains.
+
+    Args:
+        evidence: what the diagnosis was made from.
+        repaired: what the nominal model lacks, with the share of a finer step that is shown.
+        timestep: at which it was fitted, in [s].
 
     Returns:
-        Columns recording, time [s], joint, position, speed, unit, nominal, repaired, and sigma, the
-        standard deviation of the force; one row a piece and a joint, forces in `unit`. No rows
-        for a machine without hinges and slides.
+        Columns recording, time [s], begin (the recording's first stamp), joint, position, speed,
+        unit, nominal, repaired, and sigma, the standard deviation of the force; one row a piece
+        and a joint, forces in `unit`. No rows for a machine without hinges and slides.
     """
     machine = evidence.machine
     if not machine.joints:
@@ -94,12 +105,13 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
         (),
         horizon=horizon,
         stride=max(int(np.ceil(whole / horizon / _PIECES)), 1),
-        timestep=outcome.timestep,
+        timestep=timestep,
         engine=evidence.engine,
         laws=evidence.laws,
     )
-    linear, nominal, _ = _forces(problem, Hypothesis())
-    linear, repaired, sigma = _forces(problem, replace(outcome.repaired, numerics=0.0))
+    finer, plain = finer_step(repaired.numerics), replace(repaired, numerics=0.0)
+    _, nominal, _ = _forces(problem, Hypothesis(), finer)
+    linear, left, sigma = _forces(problem, plain, finer)
     windows = problem.windows
     middle = windows.time + 0.5 * windows.step[:, -1] * windows.timestep
     parts = [
@@ -107,12 +119,13 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
             {
                 "recording": [problem.recordings[i].name for i in windows.recording],
                 "time": middle,
+                "begin": [problem.recordings[i].span[0] for i in windows.recording],
                 "joint": name,
                 "position": linear.along.qpos[name].mean(axis=1),
                 "speed": linear.along.qvel[name].mean(axis=1),
                 "unit": "N m" if joint.hinge else "N",
                 "nominal": nominal[:, k],
-                "repaired": repaired[:, k],
+                "repaired": left[:, k],
                 "sigma": sigma[:, k],
             }
         )
@@ -122,15 +135,18 @@ def missing_force(evidence: Evidence, outcome: Outcome) -> pd.DataFrame:
 
 
 def _forces(
-    problem: Problem, hypothesis: Hypothesis
+    problem: Problem, hypothesis: Hypothesis, finer: int
 ) -> tuple[Linear, Float[np.ndarray, "W j"], Float[np.ndarray, "W j"]]:
-    """Return the linearised model, and for every window the missing forces with their sigma."""
+    """Return the linearised model, and for every window the missing forces with their sigma.
+
+    The residual is that of a time step `finer` times smaller.
+    """
     start = problem.windows.start
     for _ in range(_ROUNDS):
         linear = linearise(problem, hypothesis, start)
         start, _ = settle(problem, linear, hypothesis, start, 1, _SHARES)
     linear = linearise(problem, hypothesis, start)
-    y = project(linear.Q, problem.residual(hypothesis, start))
+    y = project(linear.Q, problem.residual(hypothesis, start, finer))
     joints = problem.machine.joints
     one = np.ones((len(y), linear.macros, 1))
     A = np.concatenate(

@@ -94,7 +94,7 @@ def _directions(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
     vector=3,
     extent=_wind_extent,
     noun="wind",
-    sentence="The medium moves with {value} against the model's.",
+    sentence="The medium moves at {value} against the model's.",
     form="option wind",
     evidence="a force that depends on the velocity of the links against the medium",
     separation="motion with the wind and against it",

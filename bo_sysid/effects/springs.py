@@ -91,7 +91,7 @@ def _constant_extent(site: Site, machine: Machine) -> Extent:
     components=(Component("force", "N m"),),
     extent=_constant_extent,
     noun="a constant force",
-    sentence="On {site} acts a constant force of {value} that the model lacks.",
+    sentence="A constant force of {value} that the model lacks acts on {site}.",
     form="stiffness, springref: a spring from far away",
     evidence="the same force at every position and speed",
     separation="several postures",

@@ -1,6 +1,6 @@
 """An informative trajectory within limits, before there are data."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,7 @@ class Excitation:
         controls: time [s] and one column an actuator, held between rows.
         parameters: one row a parameter: name, unit, sigma and of_range as predicted.
         predicted: what the nominal model does under them.
+        limits: least and largest value of each of its channels; infinite where there is none.
         widest: the largest predicted standard deviation, in units of its range.
         used: largest share of a limit that is used, over the drawn parameter vectors.
         energy: mean square of the controls about rest in units of their half ranges.
@@ -41,6 +42,7 @@ class Excitation:
     controls: pd.DataFrame
     parameters: pd.DataFrame
     predicted: Recording
+    limits: Mapping[str, tuple[float, float]]
     widest: float
     used: float
     energy: float
@@ -118,6 +120,7 @@ def excite(
         frame,
         found.table(),
         predicted,
+        limits.of_channels(model.compile()),
         float(found.sigma.max()),
         trial.violation(controls, trial.machines, 0.0),
         float(trial.energy(controls)),

@@ -92,6 +92,16 @@ class Limits:
                     )
         return ends[:, 0], ends[:, 1]
 
+    def of_channels(self, model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
+        """Return least and largest value of each channel that a trajectory has."""
+        found = {}
+        for j, name in enumerate(self.joints):
+            found[f"qpos.{name}"] = (float(self.position[j, 0]), float(self.position[j, 1]))
+            found[f"qvel.{name}"] = (-float(self.velocity[j]), float(self.velocity[j]))
+        for a, low, high in zip(controlled(model), *self.commands(model), strict=True):
+            found[f"ctrl.{model.actuator(a).name}"] = (float(low), float(high))
+        return found
+
     def violation(
         self,
         model: mujoco.MjModel,

@@ -19,6 +19,7 @@ from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.rest import Hold, corners, held, holding
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model, nominal
+from bo_sysid.mjcf.commands import units
 from bo_sysid.mjcf.edits import parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -195,7 +196,10 @@ class Trial:
             for kind, values in (("qpos", trajectory.qpos), ("qvel", trajectory.qvel))
         )
         ctrl = {n: controls[:, a] for a, n in enumerate(self.model.controlled)}
-        return Recording.from_arrays(self.series.time, ctrl=ctrl, qpos=qpos, qvel=qvel)
+        return Recording.from_arrays(
+            self.series.time, name="plan", units=units(self.model.compile()),
+            ctrl=ctrl, qpos=qpos, qvel=qvel,
+        )  # fmt: skip
 
     def judge(self, rows: tuple[int, ...]) -> Judge:
         """Return what judges many trajectories at once, with limits for rows of `machines`."""

@@ -70,7 +70,8 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
     """Return what was recorded and what both models predict, for the first recording.
 
     Returns:
-        Columns time [s], window, channel, recorded, nominal, identified, in the channels' units.
+        Columns time [s], begin (the recording's first stamp), window, channel, recorded, nominal,
+        identified, in the channels' units.
     """
     deviation = problem.on(recordings[:1])
     windows = deviation.windows
@@ -84,6 +85,7 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
     return pd.DataFrame(
         {
             "time": np.broadcast_to(time[..., None], shape).ravel(),
+            "begin": recordings[0].span[0],
             "window": np.broadcast_to(np.arange(shape[0])[:, None, None], shape).ravel(),
             "channel": np.broadcast_to(np.array(windows.channels), shape).ravel(),
             "recorded": observed.ravel(),

@@ -53,6 +53,26 @@ def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(model.actuator_biasprm[actuator, 1])
 
 
+def units(model: mujoco.MjModel) -> dict[str, str]:
+    """Return the units of channels of hinges and slides, and of controls that have a plain one."""
+    found = {}
+    hinges = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+    slides = model.jnt_type == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    for j in np.flatnonzero(hinges | slides):
+        name, place = model.joint(j).name, "rad" if hinges[j] else "m"
+        found[f"qpos.{name}"], found[f"qvel.{name}"] = place, f"{place}/s"
+    for a in controlled(model):
+        j, gear = model.actuator_trnid[a, 0], model.actuator_gear[a, 0]
+        if model.actuator_trntype[a] != int(mujoco.mjtTrn.mjTRN_JOINT) or gear != 1:
+            continue
+        gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
+        if gain and gain == -bias[1]:
+            found[f"ctrl.{model.actuator(a).name}"] = "rad" if hinges[j] else "m"
+        elif gain == 1 and not bias[:3].any():
+            found[f"ctrl.{model.actuator(a).name}"] = "N m" if hinges[j] else "N"
+    return found
+
+
 def has_bias(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether the force of an actuator depends on more than its control, as that of servos does."""
     return bool(model.actuator_biasprm[actuator, :3].any())

@@ -14,6 +14,8 @@ from bo_sysid.mjcf.values import Target, write_value
 
 Apply = Literal["set", "scale", "add"]
 
+_LIT = 0.6  # headlight of a picture, at least
+
 
 @dataclass(frozen=True)
 class AddressEdit:
@@ -180,7 +182,10 @@ class RangeEdit:
 
 @dataclass(frozen=True)
 class SkyEdit:
-    """Adds a white sky and light, for pictures of models that have none of their own."""
+    """Adds a white sky where a model has none, and light, for pictures.
+
+    A model's own lights may leave what the picture shows in the dark.
+    """
 
     moves_mass = False
 
@@ -191,6 +196,6 @@ class SkyEdit:
             white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 48}
             flat = mujoco.mjtBuiltin.mjBUILTIN_FLAT
             spec.add_texture(name="bo_sysid_sky", type=sky, builtin=flat, **white)
-        if not spec.lights:
-            spec.visual.headlight.ambient[:] = 0.55
-            spec.visual.headlight.diffuse[:] = 0.55
+        head = spec.visual.headlight
+        head.ambient[:] = np.maximum(head.ambient, _LIT)
+        head.diffuse[:] = np.maximum(head.diffuse, _LIT)

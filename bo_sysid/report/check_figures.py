@@ -1,10 +1,12 @@
 """A picture of each recording, as `check` reads it."""
 
+from collections.abc import Collection, Mapping, Sequence
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED
+from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED
 
 _WIDTH = 7.2  # inches
 _MOST = 10  # panels
@@ -13,26 +15,30 @@ _KINDS = ("qpos", "qvel", "ctrl", "goal", "sensor", "aux")
 _COLOURS = {"qpos": RECORDED, "qvel": IDENTIFIED, "ctrl": NOMINAL, "goal": NOMINAL}
 
 
-def recording_figure(recording: Recording, flagged: set[str]) -> Figure:
-    """Return the channels of a recording, one panel each; those with remarks first.
+def recording_figure(
+    recording: Recording,
+    flagged: Collection[str] = (),
+    *,
+    order: Sequence[str] = (),
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Figure:
+    """Return the channels of a recording, one panel each; of many, those with remarks stay.
 
     Args:
         recording: what was recorded.
         flagged: channels or joints that something was said about.
+        order: of the channels; by kind where left out.
+        limits: least and largest value of channels.
     """
-    order = sorted(
-        recording.channels,
-        key=lambda n: (
-            n not in flagged,
-            _KINDS.index(k) if (k := n.split(".")[0]) in _KINDS else 9,
-        ),
-    )
-    names = order[:_MOST]
+    place = {n: k for k, n in enumerate(order or sorted(recording.channels, key=_kind))}
+    by_place = sorted(recording.channels, key=lambda n: place.get(n, len(place)))
+    kept = sorted(by_place, key=lambda n: n not in flagged)[:_MOST]
+    names = [n for n in by_place if n in kept]
     figure = Figure(figsize=(_WIDTH, 1.2 * len(names) + 0.6), layout="constrained")
     axes = figure.subplots(len(names), 1, squeeze=False, sharex=True)[:, 0]
     for axis, name in zip(axes, names, strict=True):
         channel = recording.channels[name]
-        time, values = _thinned(channel)
+        time, values = _thinned(channel, recording.span[0])
         colour = _COLOURS.get(name.split(".", 1)[0], RECORDED)
         where = {"drawstyle": "steps-post"} if channel.hold == "zero" else {}
         axis.plot(time, values, color=colour, linewidth=0.8, **where)
@@ -41,12 +47,26 @@ def recording_figure(recording: Recording, flagged: set[str]) -> Figure:
         axis.tick_params(labelsize="x-small")
         if name in flagged:
             axis.set_facecolor("#FFF6E5")
-    hidden = len(order) - len(names)
-    axes[0].set_title(recording.name + (f" ({hidden} channels not shown)" if hidden else ""))
+        for limit in (limits or {}).get(name, ()):
+            if np.isfinite(limit):
+                axis.axhline(limit, color=GREY, linewidth=1.0, linestyle="--")
+    hidden = len(recording.channels) - len(names)
+    notes = [f"{hidden} channels not shown"] if hidden else []
+    notes += ["shaded: the check has a remark on it"] if set(names) & set(flagged) else []
+    notes += ["dashed: limits"] if limits else []
+    axes[0].set_title(
+        "\n".join([recording.name, *filter(None, ["; ".join(notes)])]), fontsize="medium"
+    )
     axes[-1].set_xlabel("time [s]")
     return figure
 
 
-def _thinned(channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+def _kind(name: str) -> int:
+    kind = name.split(".")[0]
+    return _KINDS.index(kind) if kind in _KINDS else len(_KINDS)
+
+
+def _thinned(channel: Channel, begin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the time since the recording began, and the values, of every so many-th sample."""
     step = max(len(channel.time) // _SHOWN, 1)
-    return channel.time[::step], channel.values[::step]
+    return channel.time[::step] - begin, channel.values[::step]

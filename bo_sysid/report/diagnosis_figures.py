@@ -16,9 +16,12 @@ from bo_sysid.report.look import (
     MODELS,
     RECORDED,
     first_part,
+    in_a_row,
     left_words,
     set_colour,
+    since_start,
     sure,
+    time_label,
     top_sets,
     with_gaps,
     worst_channels,
@@ -42,11 +45,11 @@ def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Fi
     """Return recorded, nominal, refitted and repaired on recordings set aside, and the residuals.
 
     Args:
-        traces: recording, time, window, channel, recorded, nominal, refitted, repaired.
+        traces: recording, time, begin, window, channel, recorded, nominal, refitted, repaired.
         units: of the channels.
     """
     names = worst_channels(traces)[:_CHANNELS]
-    shown = first_part(traces)
+    shown = first_part(since_start(traces))
     figure = Figure(figsize=(_WIDTH, 0.6 + 2.9 * len(names)), layout="constrained")
     axes = figure.subplots(
         2 * len(names), 1, squeeze=False, sharex=True, height_ratios=[3, 2] * len(names)
@@ -84,25 +87,28 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     top.set_ylabel(f"{name}\n{said}")
     below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
-    below.legend(fontsize="x-small", ncols=3, loc="upper center", framealpha=0.9)
-    low, high = np.clip(below.get_ylim(), -span, span)
-    below.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
+    below.legend(fontsize="x-small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
+                 frameon=False, borderaxespad=0.0)  # fmt: skip
+    below.set_ylim(*np.clip(below.get_ylim(), -span, span))
 
 
 def forces(pieces: pd.DataFrame) -> Figure:
     """Return the force that the models lack against time, position and speed of the joint.
 
     Args:
-        pieces: joint, time, position, speed, unit, nominal, repaired, sigma.
+        pieces: recording, time, begin, joint, position, speed, unit, nominal, repaired, sigma.
     """
     names = worst_joints(pieces)[:_JOINTS]
+    pieces, begins = in_a_row(pieces)
     figure = Figure(figsize=(_WIDTH, 0.7 + 2.2 * len(names)), layout="constrained")
     rows = figure.subplots(len(names), 3, squeeze=False, sharey="row")
     for name, axes in zip(names, rows, strict=True):
         part = sure(pieces[pieces["joint"] == name])
         unit = str(part["unit"].iloc[0])
         place, what = ("rad", "torque") if unit == "N m" else ("m", "force")
-        across = {"time": "time [s]", "position": f"position [{place}]", "speed": ""}
+        for begin in begins[1:]:
+            axes[0].axvline(begin, color=GREY, linewidth=0.8, linestyle=":")
+        across = {"time": time_label(begins), "position": f"position [{place}]", "speed": ""}
         across["speed"] = f"speed [{place}/s]"
         for axis, (column, label) in zip(axes, across.items(), strict=True):
             for model in ("nominal", "repaired"):
@@ -163,7 +169,8 @@ def evidence(sets: pd.DataFrame) -> Figure:
     for y, row in zip(place, shown.to_dict("records"), strict=True):
         rms = float(row["rms"])
         words = f" {left_words(rms, row['probability'], row.get('p_boot', np.nan))}"
-        axis.text(np.nan_to_num(rms, nan=left), y, words, va="center", fontsize="small")
+        beside = max(np.nan_to_num(rms, nan=1.0), 1.0)  # right of the noise's line
+        axis.text(beside, y, words, va="center", fontsize="small")
     axis.set_xlabel("training residual [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)
     return figure

@@ -2,12 +2,13 @@
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bo_sysid.report.look import IDENTIFIED, NOMINAL, RECORDED, SECOND
+from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, SECOND, since_start
 
 __all__ = [
     "IDENTIFIED",
@@ -23,6 +24,11 @@ __all__ = [
 _WIDTH = 7.2  # inches
 _CHANNELS = 6
 _SHOWN = 3_000
+_LINES: dict[str, dict[str, Any]] = {
+    "nominal": {"color": NOMINAL, "linewidth": 1.8},
+    "identified": {"color": IDENTIFIED, "linewidth": 1.1, "linestyle": (0, (3, 3))},
+}
+"""Of two curves that are the same both are seen."""
 
 
 def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
@@ -77,21 +83,22 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
     """Return recorded, nominal and identified over time, and the residuals below.
 
     Args:
-        traces: time, window, channel, recorded, nominal, identified.
+        traces: time, begin, window, channel, recorded, nominal, identified.
         title: of the figure.
     """
     names = list(dict.fromkeys(traces["channel"]))[:_CHANNELS]
+    shown = since_start(traces)
     figure = Figure(figsize=(_WIDTH, 2.8 * len(names)), layout="constrained")
     axes = figure.subplots(2 * len(names), 1, squeeze=False, sharex=True)[:, 0]
     for k, name in enumerate(names):
-        part = traces[traces["channel"] == name].sort_values("time").iloc[:_SHOWN]
+        part = shown[shown["channel"] == name].sort_values("time").iloc[:_SHOWN]
         part = _broken(part)
         axis, below = axes[2 * k], axes[2 * k + 1]
         time = part["time"]
-        axis.plot(time, part["recorded"], color=RECORDED, linewidth=1.6, label="recorded")
-        for column, colour in (("nominal", NOMINAL), ("identified", IDENTIFIED)):
-            axis.plot(time, part[column], color=colour, linewidth=0.9, label=column)
-            below.plot(time, part["recorded"] - part[column], color=colour, linewidth=0.9)
+        axis.plot(time, part["recorded"], color=GREY, linewidth=4.0, label="recorded")
+        for column, style in _LINES.items():
+            axis.plot(time, part[column], label=column, **style)
+            below.plot(time, part["recorded"] - part[column], **style)
         axis.set_ylabel(name)
         below.set_ylabel("recorded -\npredicted", fontsize="small")
         below.axhline(0, color=RECORDED, linewidth=0.5)

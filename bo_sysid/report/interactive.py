@@ -14,9 +14,12 @@ from bo_sysid.report.look import (
     GREY,
     MODELS,
     NOMINAL,
+    in_a_row,
     left_words,
     set_colour,
+    since_start,
     sure,
+    time_label,
     with_gaps,
     worst_channels,
 )
@@ -34,13 +37,15 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int 
     """Return recorded, nominal, refitted and repaired of one channel, and the residuals.
 
     Args:
-        traces: time [s], window, channel, recorded, nominal, refitted, repaired; of one recording.
+        traces: time [s], begin, window, channel, recorded, nominal, refitted, repaired.
+            Of one recording.
         channel: which.
         unit: of the channel.
         beside: how many figures share the page's points; otherwise one a channel.
     """
     most = max(_POINTS // (beside or traces["channel"].nunique()), _LEAST_POINTS)
-    part = with_gaps(_thinned(traces[traces["channel"] == channel], most))
+    part = since_start(traces)
+    part = with_gaps(_thinned(part[part["channel"] == channel], most))
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.06)
     time, recorded = light(part["time"]), part["recorded"]
     line = {"color": GREY, "width": 5}
@@ -62,7 +67,7 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int 
 def all_held_out(traces: pd.DataFrame, units: Mapping[str, str], most: int) -> dict[str, go.Figure]:
     """Return a figure of each channel, the worst first; of each recording where there are several.
 
-    Recordings begin at time 0 each: in one figure their lines would cross.
+    All of them begin at time 0: in one figure their lines would cross.
 
     Args:
         traces: recording and what `held_out` takes.
@@ -87,16 +92,17 @@ def forces(pieces: pd.DataFrame, joint: str) -> go.Figure:
     """Return the force that the models lack at one joint, against time, position and speed.
 
     Args:
-        pieces: joint, time, position, speed, unit, nominal, repaired, sigma.
+        pieces: recording, time, begin, joint, position, speed, unit, nominal, repaired, sigma.
         joint: which.
     """
+    pieces, begins = in_a_row(pieces)
     part = sure(pieces[pieces["joint"] == joint])
     unit = str(part["unit"].iloc[0])
     place, what = ("rad", "torque") if unit == "N m" else ("m", "force")
     across = {
         "speed": f"speed [{place}/s]",
         "position": f"position [{place}]",
-        "time": "time [s]",
+        "time": time_label(begins),
     }
     figure = make_subplots(1, 3, shared_yaxes=True, horizontal_spacing=0.03)
     for k, (column, label) in enumerate(across.items(), start=1):
@@ -113,6 +119,8 @@ def forces(pieces: pd.DataFrame, joint: str) -> go.Figure:
                 col=k,
             )
         figure.update_xaxes(title=label, col=k)
+    for begin in begins[1:]:
+        figure.add_vline(begin, col=3, line={"dash": "dot", "color": GREY, "width": 1})
     figure.update_yaxes(title=f"missing {what} [{unit}]", col=1)
     return dressed(figure, 360)
 

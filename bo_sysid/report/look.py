@@ -1,5 +1,7 @@
 """What every figure shares: colours, words, and which part of a table is shown."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 
@@ -14,6 +16,7 @@ MODELS = {
     "identified": "identified model",
 }
 _SECONDS = 12.0
+_BETWEEN = 0.03  # of their length: gap between recordings in a row
 _UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
 _SETS = 8
 
@@ -53,6 +56,37 @@ def channel_units(pieces: pd.DataFrame) -> dict[str, str]:
     first = pieces.drop_duplicates("joint")
     hinges = zip(first["joint"], first["unit"], strict=True)
     return {f"qpos.{joint}": "rad" if unit == "N m" else "m" for joint, unit in hinges}
+
+
+def since_start(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows with the time since their recording began; clocks may count from 1970.
+
+    A table of an earlier version does not say when: there the first row counts as the start.
+    """
+    if "begin" in table:
+        begin = table["begin"]
+    elif "recording" in table:
+        begin = table.groupby("recording")["time"].transform("min")
+    else:
+        begin = table["time"].min()
+    return table.assign(time=table["time"] - begin)
+
+
+def in_a_row(table: pd.DataFrame) -> tuple[pd.DataFrame, list[float]]:
+    """Return the rows with recordings one after the other in time, and where each begins."""
+    table = since_start(table)
+    if "recording" not in table:
+        return table, [0.0]
+    lasts = table.groupby("recording", sort=False)["time"].max()
+    gap = _BETWEEN * float(lasts.sum())
+    begins = (lasts + gap).cumsum().shift(fill_value=0.0)
+    moved = table["time"] + table["recording"].map(begins)
+    return table.assign(time=moved), [float(b) for b in begins]
+
+
+def time_label(begins: Sequence[float]) -> str:
+    """Return what stands at the time axis of recordings that begin where they are said to."""
+    return "time [s]" if len(begins) == 1 else "time [s], recordings in a row"
 
 
 def first_part(traces: pd.DataFrame) -> pd.DataFrame:

@@ -9,14 +9,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
-from bo_sysid.report.look import NOMINAL, RECORDED
+from bo_sysid.report.look import NOMINAL
 from bo_sysid.report.robot import Posed, Site, depth_order, outline, view
 
 _FILL, _EDGE = "#D9DEE4", "#5A6673"
 _GUILTY = "#F4B183"
 _WIDTH, _TALLEST, _LOWEST = 6.0, 6.0, 3.2  # inches
 _NAMED = 8  # joints whose names are written
-_BESIDE, _LIST = 3, 3.6  # sites whose words stand beside them; inches of the list for more
+_NEAR = 26.0  # points between a joint and a mark, from which on its name keeps away
+_FEW, _LIST = 3, 3.6  # sites whose words are written large; inches of their list
 
 
 def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> Figure:
@@ -24,14 +25,14 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> F
 
     Args:
         posed: the model in a pose.
-        sites: each with the words that are written beside it.
+        sites: each with its words; they stand in a list, and their numbers at the sites.
         title: of the figure.
     """
     onto = view(posed)
     shapes = {g: outline(posed.surface(g), onto) for g in posed.geoms}
     box = _box(posed, shapes.values(), onto)
     tall = float(np.ptp(box[:, 1]) / np.ptp(box[:, 0])) * _WIDTH
-    widths = [_WIDTH, _LIST] if len(sites) > _BESIDE else [_WIDTH]
+    widths = [_WIDTH, _LIST] if sites else [_WIDTH]
     figure = Figure(figsize=(sum(widths), float(np.clip(tall, _LOWEST, _TALLEST)) + 0.4))
     figure.set_layout_engine("constrained")
     axis, *beside = figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0]
@@ -39,12 +40,12 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> F
     for g in depth_order(posed, posed.geoms, onto):
         colour = _GUILTY if int(g) in guilty else _FILL
         axis.add_patch(Polygon(shapes[int(g)], facecolor=colour, edgecolor=_EDGE, linewidth=1.0))
-    _joints(axis, posed, onto, [s for s, _ in sites])
+    _joints(
+        axis, posed, onto, [s for s, _ in sites], 72 * _WIDTH / float(np.ptp(box, axis=0).max())
+    )
     if beside:
         _numbers(axis, sites, onto)
         _list(beside[0], sites)
-    else:
-        _marks(axis, sites, onto, box)
     _gravity(axis, posed, onto)
     axis.set_xlim(*box[:, 0])
     axis.set_ylim(*box[:, 1])
@@ -68,23 +69,34 @@ def _box(
 
 
 def _joints(
-    axis: Axes, posed: Posed, onto: Float[np.ndarray, "2 3"], marked: Sequence[Site]
+    axis: Axes, posed: Posed, onto: Float[np.ndarray, "2 3"], marked: Sequence[Site], scale: float
 ) -> None:
-    """Draw each joint as a small ring, with its name where there are few."""
+    """Draw each joint as a small ring, with its name where there are few; marks are listed.
+
+    Args:
+        axis: of the drawing.
+        posed: the model in a pose.
+        onto: the picture's directions.
+        marked: the sites that get a mark, which names shall not touch.
+        scale: points of the picture in a metre.
+    """
     places = posed.data.xanchor @ onto.T
     for j in posed.feet:
         axis.plot(*places[j], "s", color=_EDGE, markersize=13, alpha=0.5)
     axis.plot(*places.T, "o", markerfacecolor="white", markeredgecolor=_EDGE, markersize=5)
-    said = " ".join(s.label for s in marked)
+    said = {s.label for s in marked}
+    rings = [onto @ s.point for s in marked if s.point is not None]
     names = [posed.model.joint(j).name for j in range(posed.model.njnt)]
     if len(names) > _NAMED:
         return
     for name, place in zip(names, places, strict=True):
-        if name not in said:
+        if f"joint {name}" not in said:
+            near = [r for r in rings if np.linalg.norm(r - place) * scale < _NEAR]
+            below = any(r[1] > place[1] + 1e-9 for r in near)
             axis.annotate(
                 name,
                 place,
-                (9, 7),
+                (16 if near else 9, -12 if below else 7),
                 textcoords="offset points",
                 fontsize="small",
                 color=_EDGE,
@@ -111,37 +123,6 @@ def _gravity(axis: Axes, posed: Posed, onto: Float[np.ndarray, "2 3"]) -> None:
     )
 
 
-def _marks(
-    axis: Axes,
-    sites: Sequence[tuple[Site, str]],
-    onto: Float[np.ndarray, "2 3"],
-    box: Float[np.ndarray, "2 2"],
-) -> None:
-    """Ring each site, and write its words beside the picture with a line to it."""
-    for k, (site, words) in enumerate(sites):
-        if site.point is None:
-            frame = {"boxstyle": "round", "facecolor": "white", "edgecolor": NOMINAL}
-            low = 0.04 + 0.09 * k
-            axis.text(0.97, low, words, transform=axis.transAxes, ha="right", bbox=frame)
-            continue
-        place = site.point @ onto.T
-        axis.plot(*place, "o", markersize=22, markerfacecolor="none", markeredgecolor=NOMINAL,
-                  markeredgewidth=3)  # fmt: skip
-        left = place[0] > box[:, 0].mean()
-        axis.annotate(
-            words,
-            place,
-            xytext=(0.03 if left else 0.97, 0.96 - 0.16 * k),
-            textcoords="axes fraction",
-            ha="left" if left else "right",
-            va="top",
-            color=RECORDED,
-            fontsize="medium",
-            bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": NOMINAL},
-            arrowprops={"arrowstyle": "-", "color": NOMINAL, "linewidth": 1.5, "shrinkB": 13},
-        )
-
-
 def _numbers(axis: Axes, sites: Sequence[tuple[Site, str]], onto: Float[np.ndarray, "2 3"]) -> None:
     """Ring each site, and write its number there; those of one place beside each other."""
     at: dict[tuple[float, float], list[str]] = {}
@@ -152,7 +133,8 @@ def _numbers(axis: Axes, sites: Sequence[tuple[Site, str]], onto: Float[np.ndarr
     for place, numbers in at.items():
         axis.plot(*place, "o", markersize=22, markerfacecolor="white", markeredgecolor=NOMINAL,
                   markeredgewidth=3)  # fmt: skip
-        axis.annotate(", ".join(numbers), place, ha="center", va="center_baseline")
+        size = "medium" if len(numbers) == 1 else "small"
+        axis.annotate(", ".join(numbers), place, ha="center", va="center_baseline", fontsize=size)
 
 
 def _list(axis: Axes, sites: Sequence[tuple[Site, str]]) -> None:
@@ -161,5 +143,6 @@ def _list(axis: Axes, sites: Sequence[tuple[Site, str]]) -> None:
     said = [
         f"{k}  " + words.replace("\n", "\n     ") for k, (_, words) in enumerate(sites, start=1)
     ]
-    axis.text(0.0, 0.5, "\n".join(said), transform=axis.transAxes, va="center", fontsize="small",
+    size = "medium" if len(sites) <= _FEW else "small"
+    axis.text(0.0, 0.5, "\n".join(said), transform=axis.transAxes, va="center", fontsize=size,
               linespacing=1.35)  # fmt: skip

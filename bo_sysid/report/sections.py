@@ -129,7 +129,7 @@ def missing_force(found: Found) -> Section | None:
         "Each dot is a tenth of a second: the force that would have to be added at the joint for "
         "the model to follow the training recording. A step over speed is dry friction, a slope "
         "over speed is damping, a slope over position is a spring. Blue: what the repaired model "
-        "still lacks."
+        "still lacks. Both step as finely as the recordings show."
     )
     return Section("forces", "When the mismatch acts", plots=[Plot(words, figures, "joint")])
 

@@ -1,0 +1,146 @@
+"""Matplotlib's figures: what is drawn against what was stored."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bo_sysid.recording import Recording
+from bo_sysid.report import interactive
+from bo_sysid.report.check_figures import recording_figure
+from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
+from bo_sysid.report.figures import predictions
+from bo_sysid.report.look import COLOURS
+
+EPOCH = 1_762_000_000.0  # [s] since 1970
+SECONDS = {"morning": 16.0, "noon": 18.0, "evening": 15.0}
+
+
+def pieces() -> pd.DataFrame:
+    """Return the missing force of one joint in three sessions of one day."""
+    parts = []
+    for k, (name, seconds) in enumerate(SECONDS.items()):
+        time = np.arange(0.05, seconds, 0.1)
+        speed = np.sin(time)
+        parts.append(
+            pd.DataFrame(
+                {
+                    "recording": name, "time": EPOCH + 1200.0 * k + time,
+                    "begin": EPOCH + 1200.0 * k, "joint": "boom", "position": -np.cos(time),
+                    "speed": speed, "unit": "N m", "nominal": -np.sign(speed),
+                    "repaired": 0.01 * speed, "sigma": 0.01,
+                }
+            )
+        )  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
+
+
+def traces() -> pd.DataFrame:
+    """Return forecasts of a recording, from a fifth of a second after it began."""
+    time = np.arange(0.2, 8.0, 0.01)
+    q = np.sin(3 * time)
+    return pd.DataFrame(
+        {
+            "recording": "evening", "time": EPOCH + time, "begin": EPOCH,
+            "window": (time // 2).astype(int), "channel": "qpos.boom", "recorded": q,
+            "nominal": 1.3 * q, "refitted": 1.2 * q, "repaired": q,
+        }
+    )  # fmt: skip
+
+
+def test_missing_forces_of_several_sessions_stand_one_after_the_other() -> None:
+    drawn = forces(pieces()).axes[0]
+    dots = next(line for line in drawn.lines if line.get_label() == "nominal model")
+    time = np.asarray(dots.get_xdata(), float)
+    assert time[0] == pytest.approx(0.05, abs=1e-5)
+    assert (np.diff(time) > 0).all()
+    assert time[-1] == pytest.approx(sum(SECONDS.values()), rel=0.1)
+    whole = interactive.forces(pieces(), "boom")
+    shown = np.asarray(next(t for t in whole.data if t.xaxis == "x3").x, float)
+    assert shown == pytest.approx(time, abs=1e-4)
+
+
+def test_forecasts_are_drawn_from_the_start_of_their_recording() -> None:
+    for figure in (
+        held_out(traces()),
+        predictions(traces().rename(columns={"repaired": "identified"})),
+    ):
+        time = np.asarray(figure.axes[0].lines[0].get_xdata(), float)
+        assert time[0] == pytest.approx(0.2, abs=1e-5)
+        assert time[-1] == pytest.approx(7.99, abs=1e-5)
+    page = interactive.held_out(traces(), "qpos.boom")
+    time = np.asarray(page.data[0].x, float)
+    assert np.unique(np.round(np.diff(time), 4)).tolist() == [0.0, 0.01]
+
+
+def test_stored_tables_without_a_beginning_start_at_their_first_row() -> None:
+    figure = held_out(traces().drop(columns="begin"))
+    assert figure.axes[0].lines[0].get_xdata()[0] == 0.0
+
+
+def test_a_checked_recording_is_drawn_from_its_first_stamp() -> None:
+    time = EPOCH + np.arange(0.0, 4.0, 0.01)
+    recording = Recording.from_arrays(time, qpos={"boom": np.sin(time - EPOCH)})
+    line = recording_figure(recording, set()).axes[0].lines[0]
+    assert line.get_xdata()[[0, -1]] == pytest.approx([0.0, 3.99], abs=1e-5)
+
+
+def test_a_checked_recording_is_drawn_in_the_order_that_is_given_and_says_what_shades_mean() -> (
+    None
+):
+    time = np.arange(0.0, 4.0, 0.01)
+    moved = {n: np.sin(time) for n in ("boom", "stick", "bucket")}
+    recording = Recording.from_arrays(time, name="dig", qpos=moved)
+    order = ["qpos.boom", "qpos.stick", "qpos.bucket"]
+    figure = recording_figure(recording, {"qpos.bucket"}, order=order)
+    assert [a.get_ylabel() for a in figure.axes] == order
+    assert figure.axes[0].get_title() == "dig\nshaded: the check has a remark on it"
+    shaded = [a.get_facecolor() != figure.axes[0].get_facecolor() for a in figure.axes]
+    assert shaded == [False, False, True]
+    assert recording_figure(recording, set(), order=order).axes[0].get_title() == "dig"
+
+
+def test_of_many_channels_those_with_remarks_are_drawn() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    recording = Recording.from_arrays(time, qpos={f"j{k}": np.sin(time) for k in range(12)})
+    figure = recording_figure(recording, {"qpos.j11"})
+    assert [a.get_ylabel() for a in figure.axes] == [f"qpos.j{k}" for k in (*range(9), 11)]
+    assert "2 channels not shown" in figure.axes[0].get_title()
+
+
+def test_a_plan_is_drawn_between_its_limits() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    plan = Recording.from_arrays(time, name="plan", qpos={"boom": np.sin(time)})
+    figure = recording_figure(plan, limits={"qpos.boom": (-2.0, np.inf)})
+    dashed = [x for x in figure.axes[0].lines if x.get_linestyle() == "--"]
+    assert [x.get_ydata()[0] for x in dashed] == [-2.0]
+    assert figure.axes[0].get_title() == "plan\ndashed: limits"
+
+
+def test_words_of_the_evidence_stand_right_of_the_line_of_the_noise() -> None:
+    sets = pd.DataFrame(
+        {
+            "set": ["friction", "nothing is missing", "none of these"], "effects": [1, 0, 1],
+            "probability": [0.97, 0.0, 0.03], "rms": [0.96, 55.0, np.nan],
+            "best": [True, False, False], "equivalent": False,
+        }
+    )  # fmt: skip
+    words = [t for t in evidence(sets).axes[0].texts if "probability" in t.get_text()]
+    assert [t.get_position()[0] for t in words] == [1.0, 55.0, 1.0]
+
+
+def test_errors_of_forecasts_are_named_outside_their_panel() -> None:
+    figure = held_out(traces())
+    figure.draw_without_rendering()
+    below = figure.axes[1]
+    legend = below.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y0 >= below.get_window_extent().y1
+
+
+def test_of_two_predictions_that_are_the_same_both_are_seen() -> None:
+    same = traces().rename(columns={"repaired": "identified"}).assign(nominal=0.0, identified=0.0)
+    for axis in predictions(same).axes:
+        drawn = {x.get_color(): x for x in axis.lines}
+        under, over = drawn[COLOURS["nominal"]], drawn[COLOURS["identified"]]
+        assert over.get_linestyle() == "--"
+        assert under.get_linewidth() > over.get_linewidth()
