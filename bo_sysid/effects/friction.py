@@ -59,7 +59,11 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
 @effect(
     "dry_friction",
     kind="joint",
-    components=(Component("level", "N m"), Component("hold", "–"), Component("bend", "rad")),
+    components=(
+        Component("level", "N m"),
+        Component("holds (1) or creeps (0)", "–"),
+        Component("bend", "rad"),
+    ),
     shapes=2,
     extent=_dry_extent,
     nominal=_frictionloss,
