@@ -184,6 +184,7 @@ def test_a_proposal_continues_the_rules_that_are_there() -> None:
     assert columns["qpos.b"] == {"from": "theta", "unit": "deg", "sign": -1, "offset": 0.2}
     assert columns["ctrl.m"] == {"scale": pytest.approx(1 / 255, rel=1e-5)}
     clocks = proposed_clocks({"ctrl": {"shift": 0.01}}, "ctrl", -0.004)
+    assert proposed_clocks({"ctrl": {"shift": 0.0348}}, "ctrl", -0.0349) == {"ctrl": {"shift": 0}}
     text = as_yaml(columns, clocks)
     assert yaml.safe_load(text) == {"columns": columns, "clocks": {"ctrl": {"shift": 0.006}}}
 

@@ -12,6 +12,7 @@ from bo_sysid.recording.units import UNITS
 
 Rule = dict[str, Any]
 _KEPT = ("unit", "signed", "hold", "clock", "missing")
+_NO_SHIFT = 5e-4  # [s] that is within what a delay is known to
 _DEFAULTS = {f.name: f.default for f in (*fields(ColumnRule), *fields(ClockRule))}
 
 
@@ -73,11 +74,12 @@ def _unwrap(period: float) -> bool | float:
 def proposed_clocks(
     written: Mapping[str, Mapping[str, Any]], kind: str, delay: float
 ) -> dict[str, Rule]:
-    """Return the clock of the controls with `delay` [s] more in its shift."""
+    """Return the clock of the controls with `delay` [s] more in its shift; 0 where little is left."""
     if not delay:
         return {}
     rule = {k: v for k, v in written.get(kind, {}).items() if v != _DEFAULTS.get(k)}
-    rule["shift"] = _rounded(rule.get("shift", 0.0) + delay, 3)
+    shift = rule.get("shift", 0.0) + delay
+    rule["shift"] = _rounded(shift, 3) if abs(shift) > _NO_SHIFT else 0.0
     return {kind: rule}
 
 
