@@ -74,7 +74,7 @@ def _unwrap(period: float) -> bool | float:
 def proposed_clocks(
     written: Mapping[str, Mapping[str, Any]], kind: str, delay: float
 ) -> dict[str, Rule]:
-    """Return the clock of the controls with `delay` [s] more in its shift; 0 where little is left."""
+    """Return the clock of the controls with `delay` [s] more in its shift, which may end."""
     if not delay:
         return {}
     rule = {k: v for k, v in written.get(kind, {}).items() if v != _DEFAULTS.get(k)}
