@@ -15,6 +15,7 @@ from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _WORTH = 1e-3  # of what a window leaves beyond noise, for which starts to judge by are moved
+_FEW = 0.4  # share of the windows that may be near the recordings where the others are far
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
 
 
@@ -61,9 +62,16 @@ def caught_up(
     found = FittedStarts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
         found.grown()
-    far = bool(np.median(found.cost) > ROUGH**2 * problem.count)
+    far = _far(found, problem)
     found.rested(half=far)
+    if far and not _far(found, problem):  # only the starts were
+        found.rested()
     return found.start, found.residual
+
+
+def _far(found: FittedStarts, problem: Problem) -> bool:
+    """Whether most windows leave much more than noise."""
+    return bool(np.quantile(found.cost, _FEW) > ROUGH**2 * problem.count)
 
 
 def on_the_right_side(problem: Problem, hypothesis: Hypothesis, start: State) -> State:
