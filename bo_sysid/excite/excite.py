@@ -88,23 +88,9 @@ def excite(
         parameters = (*parameters, *_catalogue(model, parameters))
     if not parameters:
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
-    noise = {}
-    for name in model.qpos_channels:
-        stated = study.recordings.noise.get(name, study.recordings.noise.get("qpos"))
-        noise[name] = stated or NOISE
-    if not study.recordings.noise:
-        notes.append(f"Noise of positions taken as {1e3 * NOISE:g} mrad (mm); say it under noise:.")
-    unlimited = [j for j in model.joints if j not in study.limits]
-    if unlimited:
-        notes.append(f"No limits are stated for: {', '.join(unlimited)}.")
+    noise = _noise(study, model)
     limits = Limits.of(model, study.limits)
-    ends = np.stack(limits.commands(model.compile()))
-    bounded = np.isfinite(ends).all(axis=0)
-    free = [a for a, bound in zip(model.controlled, bounded, strict=True) if not bound]
-    if free:
-        notes.append(
-            f"Controls within ±1: neither range nor effort is stated for {', '.join(free)}."
-        )
+    notes += _assumed(study, model, limits)
     trial = Trial(
         model, parameters, limits, noise,
         seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
@@ -126,6 +112,30 @@ def excite(
         float(trial.energy(controls)),
         tuple(notes),
     )
+
+
+def _noise(study: Study, model: Model) -> dict[str, float]:
+    """Return the standard deviation of each position, as stated or assumed."""
+    stated = study.recordings.noise
+    usual = stated.get("qpos", NOISE)
+    return {n: stated.get(n, usual) or NOISE for n in model.qpos_channels}
+
+
+def _assumed(study: Study, model: Model, limits: Limits) -> list[str]:
+    """Return what a study does not state, and what is assumed instead."""
+    notes = []
+    if not study.recordings.noise:
+        notes.append(f"Noise of positions taken as {1e3 * NOISE:g} mrad (mm); say it under noise:.")
+    unlimited = [j for j in model.joints if j not in study.limits]
+    if unlimited:
+        notes.append(f"No limits are stated for: {', '.join(unlimited)}.")
+    bounded = np.isfinite(np.stack(limits.commands(model.compile()))).all(axis=0)
+    free = [a for a, bound in zip(model.controlled, bounded, strict=True) if not bound]
+    if free:
+        notes.append(
+            f"Controls within ±1: neither range nor effort is stated for {', '.join(free)}."
+        )
+    return notes
 
 
 def _require(seconds: float, interval: float, budget: int) -> None:
