@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.clocks import clock_flags, clock_of
+from bo_sysid.checks.comparable import comparable
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
-from bo_sysid.checks.motion import beyond_range, turned_inside
+from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, speed_flags, twin_flags, wire_flags
-from bo_sysid.checks.traces import Traces
 from bo_sysid.execution import Report, silent
 from bo_sysid.recording import Recording
 
@@ -25,7 +25,7 @@ _SURE_ZERO = 6.0  # standard deviations that a zero must differ from nothing
 _LEAST_ZERO = 0.015  # [rad] or [m]
 _LEAST_GAIN = 0.5  # of the score, that a zero must bring
 _EXPLAINED = 0.3  # J that a hypothesis must reach at every joint to be proposed
-_MOST, _LEAST = 1500, 60  # instants that are looked at
+_MOST = 1500  # instants that are looked at
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,12 @@ def find_wiring(
         laws: by actuator, the law that computes its control and the channels that it reads.
         progress: is called while other wirings are tried, which may take a minute.
     """
-    scalar = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-    positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
-    measured = [n for n in positions if all(n in r.channels for r in recordings)]
-    if not all(int(t) in scalar for t in model.jnt_type) or not measured:
-        return _untested("a joint is neither a hinge nor a slide, or none was recorded")
-    traces = Traces(recordings, measured, _MOST)
-    if traces.count < _LEAST:
-        return _untested("the recordings are too short")
+    made = comparable(model, recordings, _MOST)
+    if isinstance(made, str):
+        return _untested(made)
+    free, traces = made
+    coarse, fine = Evidence(copy.copy(free), traces, laws=laws), Evidence(free, traces, _MOST, laws)
     turned = turned_inside(model, recordings)
-    model = copy.copy(model)
-    for joint in beyond_range(model, recordings):  # its stops did not act
-        model.jnt_limited[model.joint(joint).id] = 0
-    coarse = Evidence(copy.copy(model), traces, laws=laws)
-    fine = Evidence(copy.copy(model), traces, _MOST, laws)
     before = fine.identity()
     found, twins = _searched(coarse, fine, _turned(fine, turned), progress)
     found, late = _timed(fine, found)

@@ -1,6 +1,5 @@
 """Which column tells an actuator what to do, by the motion of its joint, where no name says it."""
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -9,9 +8,8 @@ import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from bo_sysid.checks.comparable import comparable
 from bo_sysid.checks.hypothesis import Evidence
-from bo_sysid.checks.motion import beyond_range
-from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
@@ -22,27 +20,17 @@ from bo_sysid.starter.guess import Rules, read
 from bo_sysid.starter.matching import Fits, Guess
 from bo_sysid.starter.reading import column_rule, fits_control
 
-_LEAST, _MOST = 60, 800  # instants
+_MOST = 800  # instants
 _TELLS = 0.8  # share of what moves a joint, that a column must tell
 _CLEAR = 0.5  # of what the next best column leaves, that it leaves at most
 _CONFIDENCE = 0.65
 _DELAYS = tuple(0.008 * np.arange(-2, 8))
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def evidence_of(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Evidence | None:
     """Return what recordings say about the channels of a model; None where they cannot."""
-    positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
-    measured = [n for n in positions if all(n in r.channels for r in recordings)]
-    if not measured or not all(int(t) in _SCALAR for t in model.jnt_type):
-        return None
-    traces = Traces(recordings, measured, _MOST)
-    if traces.count < _LEAST:
-        return None
-    model = copy.copy(model)
-    for joint in beyond_range(model, recordings):  # its stops did not act
-        model.jnt_limited[model.joint(joint).id] = 0
-    return Evidence(model, traces, _MOST)
+    made = comparable(model, recordings, _MOST)
+    return None if isinstance(made, str) else Evidence(*made, _MOST)
 
 
 def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules:
