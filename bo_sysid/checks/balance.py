@@ -8,14 +8,20 @@ where the left side is MuJoCo's inverse dynamics at the smoothed motion, and g (
 1.67), b and c (not negative) stand for a wrong gain, viscous and dry friction: what is physics and
 not wiring shall not be mistaken for it. J is the mean square of the residual over that of all terms
 of the balance: near 0 where the channels are what the model takes them for, near 1 where not.
+
+In a closed chain the balance is that of the joints that are free, Zᵀ of each term (mjcf/loops.py);
+that of a joint that follows is empty.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
+
+from bo_sysid.mjcf import Loops
 
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
@@ -66,10 +72,13 @@ class Dynamics:
 
     Args:
         model: the compiled model. Contacts are left out: instants with contact are not used.
+        silent: joints that are not recorded, which follow where a closed chain says so.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self.model = model
+    def __init__(self, model: mujoco.MjModel, silent: Collection[str] = ()) -> None:
+        self.model, self.loops = model, Loops.of(model, silent)
+        if self.loops:  # they make their own forces
+            model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         model.actuator_forcelimited[:] = 0
@@ -88,6 +97,7 @@ class Dynamics:
         qacc: Float[np.ndarray, "n nv"],
     ) -> Terms:
         """Return the terms of the balance at n instants."""
+        qpos, qvel, qacc = self._on_loops(qpos, qvel, qacc)
         model, data = self.model, self._data
         n, nv, nu = len(qpos), model.nv, model.nu
         needed, inertial = np.zeros((n, nv)), np.zeros((n, nv))
@@ -105,7 +115,23 @@ class Dynamics:
                 if k == 0 or not self._fixed:
                     dense = self._moment()[controlled]
                 moment[k] = dense
-        return Terms(inertial, needed - inertial, qvel, qacc, bias, gain, moment)
+        rest = needed - inertial
+        if self.loops:
+            Z = self.loops.response(qpos)
+            inertial, rest = (np.einsum("nij,ni->nj", Z, f) for f in (inertial, rest))
+            moment = np.einsum("nij,nui->nuj", Z, moment)
+        return Terms(inertial, rest, qvel, qacc, bias, gain, moment)
+
+    def _on_loops(
+        self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a motion in which the joints that follow do as the loops say."""
+        loops = self.loops
+        if not loops:
+            return qpos, qvel, qacc
+        qpos = loops.followed(qpos) if loops.silent else qpos
+        qpos, qvel = loops.closed(qpos, qvel)
+        return qpos, qvel, loops.accelerated(qpos, qvel, qacc)
 
     def of_bodies(
         self,
@@ -117,6 +143,7 @@ class Dynamics:
 
         The inverse dynamics are linear in them: a body's share is twice what half of it lacks.
         """
+        qpos, qvel, qacc = self._on_loops(qpos, qvel, qacc)
         model = self.model
         bodies = [b for b in range(1, model.nbody) if model.body_mass[b] > 0]
         whole = self._inverse(qpos, qvel, qacc)
@@ -126,7 +153,12 @@ class Dynamics:
             model.body_mass[b], model.body_inertia[b] = 0.5 * mass, 0.5 * inertia
             shares.append(2.0 * (whole - self._inverse(qpos, qvel, qacc)))
             model.body_mass[b], model.body_inertia[b] = mass, inertia
-        return np.stack(shares, axis=2) if shares else np.zeros((*whole.shape, 0))
+        if not shares:
+            return np.zeros((*whole.shape, 0))
+        stacked = np.stack(shares, axis=2)
+        if self.loops:
+            stacked = np.einsum("nij,nib->njb", self.loops.response(qpos), stacked)
+        return stacked
 
     def _inverse(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
         data, out = self._data, np.zeros_like(qvel)

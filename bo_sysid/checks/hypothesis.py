@@ -94,7 +94,6 @@ class Evidence:
     ) -> None:
         self.traces = traces
         self.laws = laws or {}
-        self.dynamics = Dynamics(model)
         self.joints = [model.joint(j).name for j in range(model.njnt)]
         self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == _HINGE}
         ids = controlled(model)
@@ -103,6 +102,8 @@ class Evidence:
         step = max(traces.count // most, 1)
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
+        silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
+        self.dynamics = Dynamics(model, silent)
         self.inputs = {n for n in map(self._input, self.actuators) if n in self.recorded}
         self._driven = {
             self._input(n): _joint_of(model, a) for a, n in zip(ids, self.actuators, strict=True)
@@ -251,7 +252,8 @@ class Evidence:
                 for i, a in enumerate(self.actuators)
             )
             moved = float(self.traces.column(name, held=False).std())
-            weights[k] = float(known and moved > 0)
+            follows = joint in self.dynamics.loops.joints
+            weights[k] = float(known and moved > 0 and not follows)
         return weights
 
 

@@ -43,4 +43,6 @@ def run(args: argparse.Namespace) -> None:
         print(f"- {note}")
     if started.rules.held:
         print(f"- Not recorded, held where the model puts them: {', '.join(started.rules.held)}.")
+    if following := started.rules.following:
+        print(f"- Not recorded, moved by what the model ties them to: {', '.join(following)}.")
     print(f"\n{started.path}: read it, then: bo-sysid check {started.path}")

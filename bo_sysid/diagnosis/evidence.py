@@ -61,9 +61,14 @@ class Evidence:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to the model, in words."""
-        if self.model is self.given:
-            return ()
-        return ("Nothing of the model touches in these recordings: contact is left out of them.",)
+        said = [
+            f"{joint} is tied to {other}: what acts on one acts on the other, and is named there."
+            for joint, other in self.model.loops.mirrored.items()
+            if joint in self.machine.joints
+        ]
+        if self.model is not self.given:
+            said.append("Nothing of the model touches in these recordings: contact is left out.")
+        return tuple(said)
 
     @property
     def rigid(self) -> "Evidence":
@@ -111,6 +116,7 @@ def make_evidence(
     machine = survey(compiled, driven(compiled, recordings, laws))
     every = CATALOGUE.values() if effects is None else effects
     wanted = [e for e in every if e.family != "learned"]
+    offered = _once(model, candidates(wanted, machine))
     return Evidence(
         model,
         given,
@@ -118,7 +124,7 @@ def make_evidence(
         tuple(recordings),
         channel_noise(recordings, machine, noise or {}),
         parameter_candidates(model, parameters),
-        _possible(model, machine, _felt(model, machine, candidates(wanted, machine), laws), known),
+        _possible(model, machine, _felt(model, machine, offered, laws), known),
         most,
         _window(machine),
         Engine(threads),
@@ -143,6 +149,20 @@ def _as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
         if touching(compiled, poses):
             return model
     return model.without_contact()
+
+
+def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Return the candidates without the physics of joints that follow in proportion to another.
+
+    It does what the same does at the other joint: what tells them apart is how MuJoCo's equality
+    gives way, and no machine's.
+    """
+    mirrored = model.loops.mirrored
+    return tuple(
+        c for c in all_of
+        if not (c.effect.family == "physics" and c.site.kind == "joint")
+        or c.site.name not in mirrored
+    )  # fmt: skip
 
 
 def _felt(

@@ -82,9 +82,9 @@ class FittedStarts:
             worth: share of what a window leaves beyond noise, that a step must promise.
         """
         self._problem, self._hypothesis, self._worth = problem, hypothesis, worth
-        self._finer, self.start, self._still = finer, start, still
+        self._finer, self.start, self._still = finer, start.closed(problem.loops), still
         everything = np.arange(len(start))
-        self.residual = self._residual(everything, start)
+        self.residual = self._residual(everything, self.start)
         self.cost = (self.residual**2).sum(axis=1)
         self._anchor = self.start
 
@@ -181,8 +181,7 @@ class FittedStarts:
         sizes = _DIFFERENCE * self._spread
         away = self._away[busy] + np.diag(sizes)[:, None]  # n x B x n, simulated together
         rows = np.tile(busy, len(sizes))
-        model = self._problem.machine.model
-        moved = self._anchor.rows(rows).moved(model, away.reshape(len(rows), -1))
+        moved = self._problem.moved(self._anchor.rows(rows), away.reshape(len(rows), -1))
         r = self._problem.rows(rows).residual(self._hypothesis, moved, self._finer)
         change = self.residual[busy] - r.reshape(len(sizes), len(busy), -1)
         return np.asarray(np.moveaxis(change, 0, -1) / sizes)
@@ -222,7 +221,7 @@ class FittedStarts:
             if not left.size:
                 break
             away = self._away[left] + share * step
-            tried = self._anchor.rows(left).moved(self._problem.machine.model, away)
+            tried = self._problem.moved(self._anchor.rows(left), away)
             better = self._take(left, tried, ((away / self._spread) ** 2).sum(axis=1))
             self._away[left[better]], moved[left[better]] = away[better], True
             left, step = left[~better], step[~better]

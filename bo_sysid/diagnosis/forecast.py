@@ -109,7 +109,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     start = estimated(problem, plain, finer, resting=True)
     r = problem.residual(plain, start, finer)
     seen = int((problem.weight > 0).sum())
-    n, p = seen / len(r), 2 * problem.machine.model.nv
+    n, p = seen / len(r), problem.start_size
     spare = np.sqrt(max(n - p, 1) / n)
     shaped = r.reshape(len(r), -1, len(problem.windows.channels))
     channel = {k: v / spare for k, v in _by_channel(problem, shaped, 0).items()}

@@ -28,10 +28,12 @@ from bo_sysid.effects.readings import readings
 from bo_sysid.simulation import (
     State,
     Trajectory,
+    tangent_difference,
 )
 
 _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
+_MOVED = 1e-5  # [rad], [m] and their rates, by which a start is moved along a loop
 _UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
 
 
@@ -164,7 +166,7 @@ class Linear:
         """Return the linear model with a response to the start, and what follows from it."""
         Q, R = np.linalg.qr(J)
         coordinates = self.points.coordinates
-        if coordinates.second:
+        if coordinates.second or self.problem.loops:
             own = np.abs(np.diagonal(R, axis1=1, axis2=2))
             own = own * coordinates.reach(self.problem.machine)
             Q = Q * (own > _UNSEEN)[:, None, :]
@@ -245,6 +247,19 @@ class Linear:
         return np.asarray(out)
 
 
+def _along_loops(problem: Problem, start: State) -> Float[np.ndarray, "W n n"]:
+    """Return how starts move with their free coordinates, by differences; 0 for what follows."""
+    model, loops, W = problem.machine.model, problem.loops, len(start)
+    nv = model.nv
+    out = np.zeros((W, 2 * nv, 2 * nv))
+    at = start.closed(loops)
+    for k in np.delete(np.arange(2 * nv), np.concatenate([loops.dofs, nv + loops.dofs])):
+        moved = problem.moved(at, np.tile(_MOVED * np.eye(2 * nv)[k], (W, 1)))
+        out[:, :nv, k] = tangent_difference(model, moved.qpos, at.qpos) / _MOVED
+        out[:, nv:, k] = (moved.qvel - at.qvel) / _MOVED
+    return out
+
+
 def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
     """Linearise the simulator along the prediction of a hypothesis."""
     s = problem.simulate(hypothesis, start)
@@ -261,5 +276,8 @@ def linearise(problem: Problem, hypothesis: Hypothesis, start: State) -> Linear:
         empty, empty, empty.transpose(0, 2, 1),
     )  # fmt: skip
     moves = np.tile(s.coordinates.tangent(), (W, 1, 1))
+    if problem.loops:
+        nominal = slice(0, 2 * problem.machine.model.nv)
+        moves[..., nominal] = moves[..., nominal] @ _along_loops(problem, start)
     J = np.clip(np.nan_to_num(linear.shown(linear.propagate(None, moves))), -1e12, 1e12)
     return linear._responding(J)

@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.effects.readings import readings
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Loops, Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
@@ -67,6 +67,7 @@ class Problem:
         correction: `W x R` projected difference that a finer time step makes, or None.
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
+        loops: closed chains of the nominal model, on which starts lie.
     """
 
     model: Model
@@ -79,7 +80,8 @@ class Problem:
     nuisances: tuple[Candidate, ...]
     correction: Float[np.ndarray, "W R"] | None
     engine: Engine
-    laws: tuple[Controller | ForceLaw, ...] = ()
+    laws: tuple[Controller | ForceLaw, ...]
+    loops: Loops
 
     @property
     def count(self) -> int:
@@ -89,8 +91,16 @@ class Problem:
     @property
     def dof(self) -> int:
         """Observations minus fitted starts."""
-        nv = self.machine.model.nv
-        return max(int((self.weight > 0).sum() - 2 * nv * len(self.windows)), 1)
+        return max(int((self.weight > 0).sum() - self.start_size * len(self.windows)), 1)
+
+    @property
+    def start_size(self) -> int:
+        """Numbers that a start has: positions and speeds of the joints that are free."""
+        return int(2 * (self.machine.model.nv - len(self.loops.dofs)))
+
+    def moved(self, start: State, change: Float[np.ndarray, "W n"]) -> State:
+        """Return starts moved along their tangent space, loops closed."""
+        return start.moved(self.machine.model, change).closed(self.loops)
 
     def rows(self, keep: np.ndarray) -> "Problem":
         """Return the problem with some of its windows, blocks numbered anew."""
@@ -274,6 +284,7 @@ def pose(
         correction=None,
         engine=engine,
         laws=tuple(laws),
+        loops=model.loops,
     )
 
 

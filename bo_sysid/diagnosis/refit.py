@@ -265,7 +265,7 @@ def _line_search(
         hypothesis = space.hypothesis(theta)
         left = point.r - J @ (theta - point.theta)
         change = np.einsum("wki,wi->wk", frame.start_gain, left) * share
-        start = point.start.moved(problem.machine.model, change)
+        start = problem.moved(point.start, change)
         r = problem.residual(hypothesis, start)
         if (r**2).sum() >= point.rss:
             stay = problem.residual(hypothesis, point.start)

@@ -73,7 +73,7 @@ def moved_along(
 ) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
     """Return starts moved to explain `toward`, where that lowers the residual of a window."""
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
-    moved = start.moved(problem.machine.model, change)
+    moved = problem.moved(start, change)
     return better_of(start, r, moved, problem.residual(hypothesis, moved))
 
 

@@ -151,7 +151,7 @@ def weighted_by_chaos(linear: Linear) -> Problem:
     squares = np.zeros_like(r)
     for _ in range(_DRAWS):
         move = np.einsum("wij,wj->wi", root, rng.normal(size=(len(start), 2 * nv)))
-        moved = problem.residual(at, start.moved(problem.machine.model, move))
+        moved = problem.residual(at, problem.moved(start, move))
         squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
     variance = (squares / _DRAWS).reshape(problem.weight.shape)
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))

@@ -7,6 +7,7 @@ one in place; `Address` names a number in it.
 from bo_sysid.mjcf.address import Address
 from bo_sysid.mjcf.edits import AddressEdit, address_edit, nominal, parameter_edits
 from bo_sysid.mjcf.inertia import Inertial, inertial, make_explicit, scale_mass
+from bo_sysid.mjcf.loops import Loops
 from bo_sysid.mjcf.model import Edit, Model
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "AddressEdit",
     "Edit",
     "Inertial",
+    "Loops",
     "Model",
     "address_edit",
     "inertial",

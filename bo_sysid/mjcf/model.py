@@ -16,6 +16,7 @@ from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.compiling import compile_spec, coordinates, keep_delays, refit_keyframes
 from bo_sysid.mjcf.export import write_mjcf
 from bo_sysid.mjcf.inertia import release_total_mass, same_inertia
+from bo_sysid.mjcf.loops import Loops
 from bo_sysid.mjcf.strip import stripped
 
 Edit = Callable[[mujoco.MjSpec], None]
@@ -174,6 +175,12 @@ class Model:
         """
         file = sources.menagerie_file(robot)
         return cls.from_file(file, base=base, hold=hold, name=Path(robot).stem)
+
+    @property
+    def loops(self) -> Loops:
+        """The closed kinematic chains, and which joints follow from the others."""
+        silent = [n for n, shown_by in self.unrecorded.items() if shown_by is None]
+        return Loops.of(self._forms.model, silent, set(self.unrecorded) - set(silent))
 
     def without_contact(self) -> "Model":
         """Return the model in which nothing touches anything."""

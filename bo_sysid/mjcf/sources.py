@@ -11,6 +11,7 @@ import mujoco
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.compiling import compile_spec, mujoco_message, refit_keyframes
+from bo_sysid.mjcf.loops import tied_by
 
 MENAGERIE = "BO_SYSID_MENAGERIE"
 
@@ -157,7 +158,7 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     """Remove joints, so that their bodies stay where the file puts them, with what drives them.
 
     Raises:
-        ModelError: the model has no such joint.
+        ModelError: the model has no such joint, or ties it to others.
     """
     if not names:
         return
@@ -168,6 +169,11 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     for name in names:
         if name not in joints:
             raise ModelError(f"{source}: hold: no joint {name!r}; {nearest(name, joints)}")
+        if tie := tied_by(before, name):
+            raise ModelError(
+                f"{source}: hold: {tie} moves {name} with other joints, so that it cannot be held; "
+                f"unrecorded: {{{name}: null}} lets it move unmeasured"
+            )
         joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
         for actuator in list(spec.actuators):
             if actuator.trntype in joint and actuator.target == name:

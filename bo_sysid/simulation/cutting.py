@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Loops, Model
 from bo_sysid.mjcf.commands import controlled, deaf_controls
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
@@ -21,6 +21,7 @@ from bo_sysid.simulation.windows import Layout, Windows
 
 WARMSTART = "aux.qacc_warmstart"  # recorded only from simulated plants
 _ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
+_OPEN = 1e-3  # [m] or [rad] that a loop may stay open without a word
 _GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
 
 
@@ -92,6 +93,7 @@ def _cut_one(
     steps = int((step + (fraction > 0)).max())
     ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
+    start, open_ = _on_loops(model.loops, recording, start)
     if late := remembered_steps(compiled):
         before = time[first] - late * dt
         past = _controls(model, compiled, recording, before, late, dt, controlled)
@@ -107,7 +109,7 @@ def _cut_one(
         time=time[first],
         recording=np.full(len(first), number),
         timestep=dt,
-        notes=notes + uncovered + note,
+        notes=notes + uncovered + note + open_,
     )
 
 
@@ -256,6 +258,28 @@ def _start(
         )
     act = _activations(model, compiled, recording, time[first], ctrl)
     return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
+
+
+def _on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, tuple[str, ...]]:
+    """Return the states with their loops closed, and what is to be said of that.
+
+    States that were recorded whole, as those of a simulated plant, stay as they are.
+    """
+    whole = all(f"qvel.{j}" in recording.channels for j in loops.joints)
+    if not loops or (whole and not loops.silent):
+        return start, ()
+    if loops.silent:
+        start = replace(start, qpos=loops.followed(start.qpos))
+    start = start.closed(loops)
+    which = " and ".join(loops.joints)
+    note = f"{which} begin where the model's equalities put them"
+    opening = float(loops.opening(start.qpos).max())
+    if opening > _OPEN:
+        return start, (
+            f"{recording.name}: {note}, which stay open by up to {opening:.2g} m or rad: are the "
+            "zeros and signs of the other joints right, and the lengths of the links?",
+        )
+    return start, (f"{recording.name}: {note}",)
 
 
 def _activations(

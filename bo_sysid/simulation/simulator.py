@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bo_sysid.arrays import Points
-from bo_sysid.mjcf import Edit, Model, parameter_edits
+from bo_sysid.mjcf import Edit, Loops, Model, parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.simulation.lockstep import Controller, ForceLaw
 from bo_sysid.simulation.rollout import Engine
@@ -99,12 +99,16 @@ class MujocoSimulator:
                 yield self._pieces(layout, models[0], windows, given, size)
 
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
-        """Return starts moved along the tangent space of the joints."""
-        return start.moved(self._structure, tangent)
+        """Return starts moved along the tangent space of the joints, loops closed."""
+        return start.moved(self._structure, tangent).closed(self._loops)
 
     @cached_property
     def _structure(self) -> mujoco.MjModel:
         return self.model.compile()
+
+    @cached_property
+    def _loops(self) -> Loops:
+        return self.model.loops
 
     @cached_property
     def _layout(self) -> Layout:

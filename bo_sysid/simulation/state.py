@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from bo_sysid.arrays import Act, Qpos, Qvel
+from bo_sysid.mjcf import Loops
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,13 @@ class State:
             added = more if added is None else added + more
         qvel = self.qvel + tangent[:, nv : 2 * nv]
         return replace(self, qpos=qpos, qvel=qvel, warmstart=None, added=added)
+
+    def closed(self, loops: Loops) -> "State":
+        """Return the states with the joints that follow through loops where these close."""
+        if not loops:
+            return self
+        qpos, qvel = loops.closed(self.qpos, self.qvel)
+        return replace(self, qpos=qpos, qvel=qvel, warmstart=None)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import numpy as np
 
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Loops, Model
+from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
@@ -28,6 +29,7 @@ class Rules:
         clocks: by kind, the clock as it stands in a study.
         guesses: by channel (or ``time``), the reason and the confidence of its rule.
         held: joints that were not recorded, of a model of which others were.
+        following: joints that were not recorded and are tied to others, as in a closed chain.
         missing: all joints, where a column was found for none.
         unmatched: actuators without a column.
         unused: columns that nothing was matched with.
@@ -40,6 +42,7 @@ class Rules:
     missing: tuple[str, ...]
     unmatched: tuple[str, ...]
     unused: tuple[str, ...]
+    following: tuple[str, ...] = ()
 
     @property
     def to_fill_in(self) -> tuple[str, ...]:
@@ -103,14 +106,18 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
     used = {g.column for g in guesses.values()} | {*model.qpos_channels, *model.qvel_channels}
+    silent = [j for j in joints if positions and f"qpos.{j}" not in guesses]
+    loops = Loops.of(compiled, silent).joints
+    following = tuple(n for n in silent if n in loops or tied_by(compiled, n))
     return Rules(
         {"time": time, **rules} if time else rules,
         {},
         guesses,
-        tuple(j for j in joints if positions and f"qpos.{j}" not in guesses),
+        tuple(j for j in silent if j not in following),
         () if positions else tuple(joints),
         tuple(a for a in model.controlled if f"ctrl.{a}" not in guesses),
         tuple(c.name for c in columns if c.kind != "time" and c.name not in used),
+        following,
     )
 
 

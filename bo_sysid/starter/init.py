@@ -112,9 +112,9 @@ def _guessed(
             whole.export(read_from, edits)
             nominal = Model.from_file(read_from)
         rules = guess_rules(nominal, tables[0])
-        if rules.held:
-            free = nominal.controlled
-            nominal = Model.from_file(read_from, base=base, hold=rules.held)
+        if rules.held or rules.following:
+            free, follow = nominal.controlled, dict.fromkeys(rules.following)
+            nominal = Model.from_file(read_from, base=base, hold=rules.held, unrecorded=follow)
             rules = rules.without_controls(set(free) - set(nominal.controlled))
         if rules.missing:
             return rules, pd.DataFrame(), {}

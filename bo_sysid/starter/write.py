@@ -47,13 +47,14 @@ def study_text(
     source: dict[str, object] = {"file": model}
     source |= {"base": "fixed"} if base_fixed else {}
     source |= {"hold": held} if held else {}
+    source |= {"unrecorded": dict.fromkeys(rules.following)} if rules.following else {}
     lines = [
         f"# {name}: a first study, written by `bo-sysid init`. Read the comments behind each line:",
         "# what is marked GUESS rests on little. Then: bo-sysid check",
         *(f"# {n}" for n in notes),
         "version: 1",
         f"name: {flow_text(name)}",
-        f"model: {flow_text(model) if len(source) == 1 else flow(source)}" + _held(held),
+        f"model: {flow_text(model) if len(source) == 1 else flow(source)}" + _held(rules),
         "recordings:",
         f"  train: [{', '.join(map(flow_text, train))}]",
     ]
@@ -85,9 +86,12 @@ def _open(rules: Rules) -> list[str]:
     return lines + [f"    # qpos.{j}: {{from: FILL IN}}  # or held; {left}" for j in held]
 
 
-def _held(joints: Sequence[str]) -> str:
-    told = ", ".join(joints)
-    return f"  # not recorded, so held where the model puts them: {told}" if joints else ""
+def _held(rules: Rules) -> str:
+    """Return what becomes of joints that were not recorded, as a comment."""
+    held, following = ", ".join(rules.held), ", ".join(rules.following)
+    told = [f"held where the model puts them: {held}"] if held else []
+    told += [f"moved by what the model ties them to: {following}"] if following else []
+    return f"  # not recorded, so {'; '.join(told)}" if told else ""
 
 
 def flow_text(text: str) -> str:

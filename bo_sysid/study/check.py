@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import ModelError, RecordingError, nearest
-from bo_sysid.mjcf import Address, Model, nominal
+from bo_sysid.mjcf import Address, Loops, Model, nominal
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
@@ -177,14 +177,27 @@ def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, st
             remedy = ""
             if name.startswith("qpos."):
                 joint = name.removeprefix("qpos.")
-                remedy = (
-                    f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to "
-                    f"let it move unmeasured: unrecorded: {{{joint}: null}}"
-                )
+                remedy = _remedy(model, recording, joint)
             raise RecordingError(
                 f"{recording.name}: no channel {name!r}, which the model needs; "
                 f"{recording.hint(name)}{remedy}"
             )
+
+
+def _remedy(model: Model, recording: Recording, joint: str) -> str:
+    """Return what to write for a joint that was not recorded."""
+    silent = [n for n in model.joints if f"qpos.{n}" not in recording.channels]
+    following = [n for n in Loops.of(model.compile(), silent).joints if n in silent]
+    if joint in following:
+        nothing = ", ".join(f"{n}: null" for n in following)
+        return (
+            ". It follows from the recorded joints through the model's equalities: model: "
+            f"{{file: …, unrecorded: {{{nothing}}}}}"
+        )
+    return (
+        f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to let it move "
+        f"unmeasured: unrecorded: {{{joint}: null}}"
+    )
 
 
 def _channels(
