@@ -1,5 +1,6 @@
 """Windows: cut from messy recordings, compared at the recorded instants."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -287,3 +288,37 @@ def test_activations_are_those_of_the_actuators_that_are_told_something() -> Non
     recording = Recording.from_arrays(time, **motion, act={"slow": 3.0 + time})
     windows = cut(model, [recording], horizon=2)
     np.testing.assert_allclose(windows.start.act, [[0.0, 3.0], [0.0, 3.004]])
+
+
+ACTING = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="a" type="slide" damping="3"/><geom size=".05" mass="1"/></body>
+    <body pos="0 1 0"><joint name="b" type="slide" damping="3"/><geom size=".05" mass="1"/></body>
+  </worldbody>
+  <actuator>
+    <general name="slow" joint="a" dyntype="filterexact" dynprm=".04" ctrlrange="-1 1"/>
+    <intvelocity name="held" joint="b" kp="50" actrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def test_activations_are_what_the_controls_before_led_to() -> None:
+    model = Model.from_xml(ACTING)
+    plant = model.compile()
+    data, rows = mujoco.MjData(plant), []
+    data.qpos[1] = data.act[1] = 0.3
+    for k in range(300):
+        rows.append([0.01 * k, *data.qpos, *data.act])
+        data.ctrl[:] = 1.5 * np.sin(0.2 * k), 0.4 * np.cos(0.05 * k)
+        rows[-1] += [*data.ctrl]
+        for _ in range(10):
+            mujoco.mj_step(plant, data)
+    time, a, b, slow, held, *ctrl = np.transpose(rows)
+    motion = {"qpos": {"a": a, "b": b}, "ctrl": {"slow": ctrl[0], "held": ctrl[1]}}
+    windows = cut(model, [Recording.from_arrays(time, **motion)], horizon=7)
+    first = 7 * np.arange(len(windows))
+    expected = np.column_stack([slow, held])[first]
+    np.testing.assert_allclose(windows.start.act[1:], expected[1:], atol=1e-9)

@@ -14,6 +14,7 @@ from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.simulation import Law, LawInputs
+from bo_sysid.simulation.activations import LAGS
 
 _FLOOR = 1e-3  # what the model may leave unexplained of any balance
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -104,7 +105,13 @@ class Evidence:
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
         silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
         self.dynamics = Dynamics(model, silent)
-        self.inputs = {n for n in map(self._input, self.actuators) if n in self.recorded}
+        known = [n for a, n in zip(ids, self.actuators, strict=True) if _follows(model, a)]
+        self.inputs = {n for n in map(self._input, known) if n in self.recorded}
+        self._lags = {
+            n: float(model.actuator_dynprm[a, 0])
+            for a, n in zip(ids, self.actuators, strict=True)
+            if int(model.actuator_dyntype[a]) in LAGS
+        }
         self._driven = {
             self._input(n): _joint_of(model, a) for a, n in zip(ids, self.actuators, strict=True)
         }
@@ -176,15 +183,22 @@ class Evidence:
             if name in self.laws:
                 out[:, k] = self._computed(name, hypothesis, delay)
             elif f"ctrl.{name}" in hypothesis.wires:
-                out[:, k] = self.value(hypothesis, f"ctrl.{name}", held=True, delay=delay)
+                lag = self._lags.get(name, 0.0)
+                out[:, k] = self.value(hypothesis, f"ctrl.{name}", held=True, delay=delay, lag=lag)
         return out
 
     def value(
-        self, hypothesis: Hypothesis, name: str, *, held: bool = False, delay: float = 0.0
+        self,
+        hypothesis: Hypothesis,
+        name: str,
+        *,
+        held: bool = False,
+        delay: float = 0.0,
+        lag: float = 0.0,
     ) -> Float[np.ndarray, " n"]:
-        """Return a channel at the instants, as a hypothesis reads it."""
+        """Return a channel at the instants, as a hypothesis reads it; see `Traces.column`."""
         wire = hypothesis.wires.get(name, Wire(name))
-        raw = self.traces.column(wire.source, held=held, delay=delay)[self.rows]
+        raw = self.traces.column(wire.source, held=held, delay=delay, lag=lag)[self.rows]
         return np.asarray(wire.sign * wire.scale * raw + wire.offset)
 
     def _computed(
@@ -255,6 +269,11 @@ class Evidence:
             follows = joint in self.dynamics.loops.joints
             weights[k] = float(known and moved > 0 and not follows)
         return weights
+
+
+def _follows(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force follows from its control, at once or as a first-order lag."""
+    return int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
 
 
 def _joint_of(model: mujoco.MjModel, actuator: int) -> str:

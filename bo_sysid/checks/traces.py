@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import convolve1d
 
+from bo_sysid.effects.filters import lagged
 from bo_sysid.recording import Channel, Recording, noise_sigma
 from bo_sysid.recording.alignment import control_steps
 
@@ -88,7 +89,7 @@ class Traces:
             _instants(r, self.measured, g, self.width, share)
             for r, g in zip(self.recordings, self._grids, strict=True)
         )
-        self._traces: dict[tuple[str, bool], tuple[Trace, ...]] = {}
+        self._traces: dict[tuple[str, bool, float], tuple[Trace, ...]] = {}
 
     @property
     def count(self) -> int:
@@ -121,13 +122,16 @@ class Traces:
         return half
 
     def column(
-        self, name: str, *, held: bool, order: int = 0, delay: float = 0.0
+        self, name: str, *, held: bool, order: int = 0, delay: float = 0.0, lag: float = 0.0
     ) -> Float[np.ndarray, " n"]:
-        """Return a channel, or its first or second derivative, at the instants less a delay."""
-        key = (name, held)
+        """Return a channel, or its first or second derivative, at the instants less a delay.
+
+        With a time constant `lag` in [s] it is what a first-order lag makes of it.
+        """
+        key = (name, held, lag)
         if key not in self._traces:
             self._traces[key] = tuple(
-                Trace.of(r.channels[name], g, self.width, held=held)
+                Trace.of(_lagged(r.channels[name], lag, g), g, self.width, held=held)
                 for r, g in zip(self.recordings, self._grids, strict=True)
             )
         parts = []
@@ -135,6 +139,10 @@ class Traces:
             values = (trace.value, trace.rate, trace.bend)[order]
             parts.append(np.interp(t - delay, trace.time, values))
         return np.concatenate(parts)
+
+
+def _lagged(channel: Channel, lag: float, grid: Float[np.ndarray, " G"]) -> Channel:
+    return lagged(channel, lag, float(grid[1] - grid[0])) if lag else channel
 
 
 def _every_other(recording: Recording, names: Iterable[str], first: int) -> Recording:

@@ -11,9 +11,10 @@ from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Loops, Model
-from bo_sysid.mjcf.commands import controlled, deaf_controls
+from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation.activations import activations
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.starts import smooth
 from bo_sysid.simulation.state import State
@@ -256,7 +257,7 @@ def _start(
         notes = (
             f"{recording.name}: start velocities are estimated from {fit.samples} samples each",
         )
-    act = _activations(model, compiled, recording, time[first], ctrl)
+    act = activations(model, compiled, recording, time[first], ctrl)
     return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
 
 
@@ -280,27 +281,6 @@ def _on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, 
             "zeros and signs of the other joints right, and the lengths of the links?",
         )
     return start, (f"{recording.name}: {note}",)
-
-
-def _activations(
-    model: Model,
-    compiled: mujoco.MjModel,
-    recording: Recording,
-    start: Float[np.ndarray, " W"],
-    ctrl: Ctrl,
-) -> Float[np.ndarray, "W na"]:
-    """Return recorded activations; one that was not recorded is taken as settled at its control."""
-    act = np.zeros((len(start), compiled.na))
-    for k, a in enumerate(controlled(compiled)):
-        address, count = int(compiled.actuator_actadr[a]), int(compiled.actuator_actnum[a])
-        if address < 0:
-            continue
-        name = model.ctrl_channels[k].replace("ctrl.", "act.", 1)
-        if count == 1 and name in recording.channels:
-            act[:, address] = recording.channels[name].at(start)
-        elif int(compiled.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_INTEGRATOR):
-            act[:, address : address + count] = ctrl[:, 0, k][:, None]
-    return act
 
 
 def _warmstart(

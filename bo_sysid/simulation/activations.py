@@ -1,0 +1,104 @@
+"""Activations at the start of a window: what actuators with memory made of the controls before."""
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.arrays import Ctrl
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import controlled
+from bo_sysid.recording import Channel, Recording
+
+LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+"""Kinds of activation that follow a control as a first-order lag."""
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_SHORTEST = 1e-9  # [s] of a time constant: less is none
+
+
+def activations(
+    model: Model,
+    compiled: mujoco.MjModel,
+    recording: Recording,
+    start: Float[np.ndarray, " W"],
+    ctrl: Ctrl,
+) -> Float[np.ndarray, "W na"]:
+    """Return the activations at some times: recorded, or what the recorded controls led to.
+
+    A lag begins settled at its first control. An integrator that holds a position begins where its
+    joint is. Any other activation is taken as settled at its control.
+
+    Args:
+        model: names the channels.
+        compiled: the same model.
+        recording: what was recorded.
+        start: `W` times in [s].
+        ctrl: `W x S x nu` controls from there on.
+    """
+    act = np.zeros((len(start), compiled.na))
+    for k, a in enumerate(controlled(compiled)):
+        address, count = int(compiled.actuator_actadr[a]), int(compiled.actuator_actnum[a])
+        if address < 0:
+            continue
+        control = model.ctrl_channels[k]
+        name, kind = control.replace("ctrl.", "act.", 1), int(compiled.actuator_dyntype[a])
+        own = slice(address, address + count)
+        if count == 1 and name in recording.channels:
+            act[:, own] = recording.channels[name].at(start)[:, None]
+        elif control not in recording.channels:
+            continue
+        elif kind == _INTEGRATOR:
+            first = _held_position(compiled, recording, a)
+            act[:, own] = first + _integral(recording.channels[control], start)[:, None]
+            if compiled.actuator_actlimited[a]:
+                act[:, own] = np.clip(act[:, own], *compiled.actuator_actrange[a])
+        elif count == 1 and kind in LAGS:
+            lag = float(compiled.actuator_dynprm[a, 0])
+            act[:, address] = _lagging(_clipped(compiled, recording, control, a), lag, start)
+        else:
+            act[:, own] = ctrl[:, 0, k][:, None]
+    return act
+
+
+def _clipped(compiled: mujoco.MjModel, recording: Recording, control: str, a: int) -> Channel:
+    """Return a control within the actuator's range, which it is clamped to before it acts."""
+    channel = recording.channels[control]
+    if not compiled.actuator_ctrllimited[a]:
+        return channel
+    values = np.clip(channel.values, *compiled.actuator_ctrlrange[a])
+    return Channel(channel.time, values, channel.unit, channel.source, channel.hold)
+
+
+def _lagging(channel: Channel, lag: float, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:
+    """Return f at some times, for τ f' = u - f, from f = u on at the first stamp.
+
+    While u is held, f = u + (f₀ - u) exp(-t/τ).
+    """
+    lag = max(lag, _SHORTEST)
+    u, kept = channel.values, np.exp(-np.diff(channel.time) / lag)
+    begin = np.empty_like(u)
+    begin[0] = u[0]
+    for k, share in enumerate(kept.tolist()):
+        begin[k + 1] = u[k] + (begin[k] - u[k]) * share
+    row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
+    since = np.maximum(at - channel.time[row], 0.0)
+    return np.asarray(u[row] + (begin[row] - u[row]) * np.exp(-since / lag))
+
+
+def _integral(channel: Channel, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:
+    """Return the integral of a held channel from its first stamp to some times."""
+    whole = np.concatenate([[0.0], np.cumsum(channel.values[:-1] * np.diff(channel.time))])
+    row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
+    return np.asarray(whole[row] + channel.values[row] * (at - channel.time[row]))
+
+
+def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> float:
+    """Return the activation at which an actuator that holds its joint's position makes no force."""
+    joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    if int(compiled.actuator_trntype[a]) not in joint or not compiled.actuator_biasprm[a, 1]:
+        return 0.0
+    name = f"qpos.{compiled.joint(int(compiled.actuator_trnid[a, 0])).name}"
+    if name not in recording.channels:
+        return 0.0
+    length = compiled.actuator_gear[a, 0] * recording.channels[name].values[0]
+    b, gain = compiled.actuator_biasprm[a], compiled.actuator_gainprm[a, 0]
+    return float(-(b[0] + b[1] * length) / gain) if gain else 0.0
