@@ -44,5 +44,6 @@ def run(args: argparse.Namespace) -> None:
     if started.rules.held:
         print(f"- Not recorded, held where the model puts them: {', '.join(started.rules.held)}.")
     if following := started.rules.following:
-        print(f"- Not recorded, moved by what the model ties them to: {', '.join(following)}.")
+        joints = ", ".join(following)
+        print(f"- Not recorded, left to move, since the model ties them to others: {joints}.")
     print(f"\n{started.path}: read it, then: bo-sysid check {started.path}")

@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.sentences import set_words
 from bo_sysid.diagnosis.settling import settle
 from bo_sysid.diagnosis.signatures import response_to_forces
 from bo_sysid.diagnosis.timestep import finer_step
+from bo_sysid.effects.machine import JointScale
 from bo_sysid.recording import Recording
 
 _PIECE = 0.1  # [s] over which the missing force is taken as constant: above noise, below motion
@@ -80,7 +81,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
     a start and one constant force a joint, by least squares on the linearised simulator with a
     wide prior: y = P r, f = (AᵀA + 1/s²)⁻¹ Aᵀ y with A the projected response to the forces.
     Both models step as finely as the recordings show: half a long step is a slope over speed that
-    no force explains.
+    no force explains. In a closed chain the forces are those on the joints that are free.
 
     Args:
         evidence: what the diagnosis was made from.
@@ -129,9 +130,15 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
                 "sigma": sigma[:, k],
             }
         )
-        for k, (name, joint) in enumerate(machine.joints.items())
+        for k, (name, joint) in enumerate(_free(problem).items())
     ]
     return pd.concat(parts, ignore_index=True)
+
+
+def _free(problem: Problem) -> dict[str, JointScale]:
+    """Return the joints that do not follow from others."""
+    joints = problem.machine.joints.items()
+    return {name: joint for name, joint in joints if name not in problem.loops.joints}
 
 
 def _forces(
@@ -147,7 +154,7 @@ def _forces(
         start, _ = settle(problem, linear, hypothesis, start, 1, _SHARES)
     linear = linearise(problem, hypothesis, start)
     y = project(linear.Q, problem.residual(hypothesis, start, finer))
-    joints = problem.machine.joints
+    joints = _free(problem)
     one = np.ones((len(y), linear.macros, 1))
     A = np.concatenate(
         [response_to_forces(linear, n, j.force * one) for n, j in joints.items()], -1

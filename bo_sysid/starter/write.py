@@ -90,7 +90,7 @@ def _held(rules: Rules) -> str:
     """Return what becomes of joints that were not recorded, as a comment."""
     held, following = ", ".join(rules.held), ", ".join(rules.following)
     told = [f"held where the model puts them: {held}"] if held else []
-    told += [f"moved by what the model ties them to: {following}"] if following else []
+    told += [f"left to move, since the model ties them to others: {following}"] if following else []
     return f"  # not recorded, so {'; '.join(told)}" if told else ""
 
 
