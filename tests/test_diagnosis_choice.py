@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.experiment import next_experiment
 from bo_sysid.diagnosis.explain import explain
 from bo_sysid.diagnosis.findings import findings
-from bo_sysid.diagnosis.forecast import AHEAD
+from bo_sysid.diagnosis.forecast import AHEAD, LONGER
 from bo_sysid.diagnosis.hints import (
     bending,
     doubtful,
@@ -336,6 +336,18 @@ def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> No
     first, *more = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences
     assert first.startswith("Forecast error on the unseen recording")
     assert [said in m for m in more] == ([True] if said else [])
+
+
+def test_a_repair_that_makes_longer_windows_worse_is_not_confirmed() -> None:
+    errors = {"refitted": (1.1, 1.06), "repaired": (1.0, 3.68), "noise_floor": (1.0, 1.0)}
+    rows = [
+        {"measure": measure, "horizon_s": ahead, "model": m, "error": e[k], "unit": ""}
+        for m, e in errors.items()
+        for k, (measure, ahead) in enumerate([("forecast", AHEAD), ("fit", LONGER)])
+    ]
+    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[1]
+    assert "follows the unseen recording worse than without what was found (3.68 for 1.06" in said
+    assert "does not confirm the repair" in said
 
 
 @pytest.mark.parametrize("after", [1.1, 4.0])

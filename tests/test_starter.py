@@ -689,3 +689,25 @@ def test_a_drive_that_is_late_alone_gives_no_clock(tmp_path: Path) -> None:
     started = init(tmp_path / "gantry.xml", [tmp_path / "log.csv"], tmp_path / "gantry.yaml")
     assert Study.load(started.path).recordings.clocks == {}
     assert started.rules.columns["ctrl.x_motor"]["from"] == "TqX"
+
+
+def test_the_pose_of_a_floating_base_is_found_by_its_letters(tmp_path: Path) -> None:
+    (tmp_path / "rover.xml").write_text(
+        '<mujoco><worldbody><body name="rover"><freejoint name="root"/><geom size=".1"/>'
+        '<body pos="0 .2 0"><joint name="wheel"/><geom size=".1"/></body></body></worldbody>'
+        '<actuator><velocity name="drive" joint="wheel" kv="1"/></actuator></mujoco>'
+    )
+    time = 0.01 * np.arange(400)
+    log = {"time": time, "mocap_x": 0.1 * np.sin(time), "mocap_y": 0 * time, "mocap_z": 0 * time}
+    turn = 0.3 * np.sin(2 * time)
+    log |= {"mocap_qx": 0 * time, "mocap_qy": 0 * time, "mocap_qz": np.sin(turn / 2)}
+    log |= {"mocap_qw": np.cos(turn / 2), "wheel_pos": np.sin(time), "drive_cmd": np.cos(time)}
+    pd.DataFrame(log).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "rover.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    found = [started.rules.columns[f"qpos.root.{k}"]["from"] for k in range(7)]
+    assert found == [f"mocap_{k}" for k in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    assert "base: fixed" not in (tmp_path / "study.yaml").read_text()
+    assert "unit" not in started.rules.columns["qpos.wheel"]
+    pd.DataFrame(log).drop(columns="mocap_qw").to_csv(tmp_path / "part.csv", index=False)
+    held = init(tmp_path / "rover.xml", [tmp_path / "part.csv"], tmp_path / "other.yaml")
+    assert any("wrong for one that drives or walks" in note for note in held.notes)

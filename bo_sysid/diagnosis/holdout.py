@@ -31,6 +31,7 @@ from bo_sysid.recording import Recording
 
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
 _ALIKE = 0.02  # by which two errors differ in words
+_WORSE = 0.2  # of an error, by which a repair makes longer windows worse
 _AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
@@ -84,9 +85,28 @@ class Holdout:
             said = "The unseen recording does not confirm the repair."
         elif after > _AT_FLOOR * floor:
             said = "The floor is not reached: these recordings do not show all that is missing."
+        elif longer := self._longer:
+            said = longer
         else:
             return (text,)
         return (text, said, *self._elsewhere)
+
+    @property
+    def _longer(self) -> str:
+        """Where the repair makes longer windows worse, in words; empty where it does not."""
+        for measure, does in (("fit", "follows"), ("forecast", "forecasts")):
+            models = ("refitted", "repaired", "noise_floor")
+            errors = [self.error(measure, LONGER, m) for m in models]
+            if None in errors:
+                continue
+            before, after, floor = (float(e or 0.0) for e in errors)
+            if after > max((1 + _WORSE) * before, _AT_FLOOR * floor):
+                return (
+                    f"Over {LONGER:g} s the repaired model {does} the unseen recording worse than "
+                    f"without what was found ({_figure(after)} for {_figure(before)} sensor "
+                    "sigmas), which does not confirm the repair."
+                )
+        return ""
 
     @property
     def _elsewhere(self) -> tuple[str, ...]:

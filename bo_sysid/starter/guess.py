@@ -15,6 +15,7 @@ from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
+from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
 
 _BODY = 0.85  # what the name of a joint's body counts, of its own
@@ -105,7 +106,11 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
-    used = {g.column for g in guesses.values()} | {*model.qpos_channels, *model.qvel_channels}
+    pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
+    rules |= {n: {"from": g.column} for n, g in pose.items()}
+    guesses |= pose
+    known = (model.qpos_channels, model.qvel_channels, model.act_channels, model.sensor_channels)
+    used = {g.column for g in guesses.values()}.union(*known)
     silent = [j for j in joints if positions and f"qpos.{j}" not in guesses]
     loops = Loops.of(compiled, silent).joints
     following = tuple(n for n in silent if n in loops or tied_by(compiled, n))

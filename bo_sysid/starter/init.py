@@ -19,6 +19,7 @@ from bo_sysid.runs import atomic
 from bo_sysid.starter.behaviour import agrees, by_behaviour
 from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, guess_rules, read
+from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import constant_hint, without_constant
 from bo_sysid.starter.write import relative, study_text
 
@@ -61,7 +62,7 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     train, holdout = files[: len(files) - held], files[len(files) - held :]
     tables = _alike([t for f in train for t in read_tables(f)])
     _alike([*tables[:1], *(t for f in holdout for t in read_tables(f))])
-    whole, notes, fixed = _held_base(source, tables[0].columns)
+    whole, notes, fixed = _held_base(source, tables[0])
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
     if edits:
         notes.append(
@@ -152,15 +153,18 @@ def _alike(tables: list[RawTable]) -> list[RawTable]:
     return tables
 
 
-def _held_base(source: Path, columns: object) -> tuple[Model, list[str], bool]:
+def _held_base(source: Path, table: RawTable) -> tuple[Model, list[str], bool]:
     """Return the model; a floating base that no column tells about is held."""
     model = Model.from_file(source)
     compiled = model.compile()
     free = [n for n in model.joints if int(compiled.joint(n).type[0]) == 0]
-    told = [c for c in list(columns) if any(f in str(c) for f in free)]  # type: ignore[call-overload]
-    if not free or told:
+    told = [c for c in table.columns if any(f in c for f in free)]
+    if not free or told or pose_guesses(compiled, table):
         return model, [], False
-    note = f"The base ({', '.join(free)}) was not recorded and is held where the model puts it."
+    note = (
+        f"No column was found for the pose of the base ({', '.join(free)}), which is held where "
+        "the model puts it: right for a robot on a stand, wrong for one that drives or walks."
+    )
     return Model.from_file(source, base="fixed"), [note], True
 
 

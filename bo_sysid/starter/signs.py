@@ -66,7 +66,8 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
     """
     evidence = evidence_of(model, recordings)
     if evidence is None:
-        names = {n for r in recordings for n in r.channels if n.startswith(("qpos.", "ctrl."))}
+        joints = {f"qpos.{model.joint(j).name}" for j in range(model.njnt)}
+        names = {n for r in recordings for n in r.channels if n in joints or n.startswith("ctrl.")}
         return Tested({}, dict.fromkeys(names, "these logs cannot be compared with the model"))
     h = evidence.identity()
     before = evidence.shares(h, _DELAYS).min(axis=0)

@@ -1,0 +1,52 @@
+"""Which columns are the pose of a floating base: three of a position, four of a quaternion."""
+
+import re
+
+import mujoco
+import numpy as np
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import RawTable
+from bo_sysid.starter.matching import Guess
+
+_LETTER = re.compile(r"(?P<stem>.*?)[\s_.\-]?(?P<letter>[wxyz])", re.IGNORECASE)
+_UNIT = 0.02  # by which the length of a quaternion may differ from 1
+_CONFIDENCE = 0.7
+_REASON = "the names, and a quaternion's length of 1; it must be in the model's world frame"
+
+
+def pose_guesses(model: mujoco.MjModel, table: RawTable) -> list[Guess]:
+    """Return the columns of the pose of the only free joint of a model, none where that is open.
+
+    Columns that are called after one stem and end in x, y, z or in w, x, y, z (qw, quat_x, …).
+    """
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    stems = _stems(table)
+    turns = [own for own in stems.values() if set(own) == set("wxyz") and _unit(table, own)]
+    places = [own for own in stems.values() if set(own) == set("xyz")]
+    if len(free) != 1 or len(turns) != 1 or len(places) != 1:
+        return []
+    joint = model.joint(int(free[0])).name
+    columns = [places[0][k] for k in "xyz"] + [turns[0][k] for k in "wxyz"]
+    return [
+        Guess(f"qpos.{joint}.{i}", column, table.units.get(column, ""), _REASON, _CONFIDENCE)
+        for i, column in enumerate(columns)
+    ]
+
+
+def _stems(table: RawTable) -> dict[str, dict[str, str]]:
+    """Return by stem the columns by the letter that they end in."""
+    found: dict[str, dict[str, str]] = {}
+    for name in table.columns:
+        if match := _LETTER.fullmatch(name):
+            found.setdefault(match["stem"].lower(), {})[match["letter"].lower()] = name
+    return found
+
+
+def _unit(table: RawTable, columns: dict[str, str]) -> bool:
+    """Whether four columns make quaternions."""
+    try:
+        length = np.sqrt(sum(table.column(name) ** 2 for name in columns.values()))
+    except RecordingError:
+        return False
+    return bool(np.nanmax(np.abs(length - 1.0)) < _UNIT)
