@@ -213,6 +213,16 @@ class Linear:
             out *= np.where(p.seen(self.parts), p.weight, 0.0)[..., None]
         return out.reshape(len(out), -1, s.shape[-1])
 
+    def _turned(
+        self, s: Float[np.ndarray, "W M1 n c"], channel: str
+    ) -> Float[np.ndarray, "W M1 c"]:
+        """Return the change of one number of a quaternion, from that of the orientation."""
+        q, v, number = self.problem.layout.turns[channel]
+        last = self.trajectory.qpos.shape[1] - 1
+        rows = np.minimum(np.arange(self.macros + 1) * self.macro, last)
+        G = _quaternion_rate(self.trajectory.qpos[:, rows, q : q + 4])[..., number, :]
+        return np.asarray(np.einsum("wmj,wmjc->wmc", G, s[:, :, v : v + 3]))
+
     def _later(
         self, s: Float[np.ndarray, "W M1 n c"], channel: str, delay: float
     ) -> Float[np.ndarray, "W H c"]:
@@ -222,13 +232,15 @@ class Linear:
         acceleration at its start.
         """
         p, nv = self.problem, self.problem.machine.model.nv
-        position = channel in p.layout.qpos
+        turned = channel in p.layout.turns
+        position = channel in p.layout.qpos and not turned
         column = (
             int(p.layout.velocity[p.layout.qpos[channel]])
             if position
-            else nv + p.layout.qvel[channel]
+            else nv + p.layout.qvel.get(channel, 0)
         )
-        values, length = s[:, :, column], self.macro * p.windows.timestep
+        values = self._turned(s, channel) if turned else s[:, :, column]
+        length = self.macro * p.windows.timestep
         at = (p.windows.step + p.windows.fraction) / self.macro - delay / length
         inside = np.maximum(at, 0.0)
         node = np.minimum(np.floor(inside + 1e-9).astype(int), self.macros)
@@ -245,6 +257,13 @@ class Linear:
             before, v = np.minimum(at, 0.0)[..., None], s[:, :2, nv + column]
             out = out + length * before * (v[:, :1] + 0.5 * before * (v[:, 1:] - v[:, :1]))
         return np.asarray(out)
+
+
+def _quaternion_rate(q: Float[np.ndarray, "... 4"]) -> Float[np.ndarray, "... 4 3"]:
+    """Return G of dq = G dθ for a rotation dθ in the body's frame: half of q times (0, dθ)."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [[-x, -y, -z], [w, -z, y], [z, w, -x], [-y, x, w]]
+    return np.asarray(0.5 * np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
 def _along_loops(problem: Problem, start: State) -> Float[np.ndarray, "W n n"]:

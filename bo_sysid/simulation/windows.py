@@ -137,6 +137,8 @@ class Layout:
             the coordinates of a quaternion.
         unrecorded: channels of the joints that nothing measures.
         also: columns of the joints that a channel of a position or velocity shows as well.
+        turns: for each channel of a quaternion, the columns of `qpos` and `qvel` where the
+            quaternion and its angular velocity begin, and which of its numbers the channel is.
     """
 
     qpos: Mapping[str, int]
@@ -145,17 +147,21 @@ class Layout:
     velocity: Int[np.ndarray, " nq"]
     unrecorded: frozenset[str] = frozenset()
     also: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    turns: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: Model, compiled: mujoco.MjModel) -> "Layout":
         """Return the layout of a model."""
-        rate = np.full(compiled.nq, -1)
+        rate, turned = np.full(compiled.nq, -1), {}
         for j in range(compiled.njnt):
-            q, v = compiled.jnt_qposadr[j], compiled.jnt_dofadr[j]
+            q, v = int(compiled.jnt_qposadr[j]), int(compiled.jnt_dofadr[j])
             kind = int(compiled.jnt_type[j])
             if kind == int(mujoco.mjtJoint.mjJNT_FREE):
                 rate[q : q + 3] = np.arange(v, v + 3)
-            elif kind != int(mujoco.mjtJoint.mjJNT_BALL):
+                turned |= {q + 3 + i: (q + 3, v + 3, i) for i in range(4)}
+            elif kind == int(mujoco.mjtJoint.mjJNT_BALL):
+                turned |= {q + i: (q, v, i) for i in range(4)}
+            else:
                 rate[q] = v
         qpos = {name: i for i, name in enumerate(model.qpos_channels)}
         qvel = {name: i for i, name in enumerate(model.qvel_channels)}
@@ -172,6 +178,7 @@ class Layout:
             rate,
             frozenset(f"{g}.{n}" for n in model.unrecorded for g in ("qpos", "qvel")),
             also,
+            {name: turned[i] for name, i in qpos.items() if i in turned},
         )
 
 
