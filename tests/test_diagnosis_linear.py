@@ -246,3 +246,45 @@ def test_what_a_delayed_reading_shows_from_before_its_log_does_not_count(prepare
     assert (r[1:, :, elbow] != 0).all()
     J = linearise(problem, at, ready.start).J.reshape(*r.shape, -1)
     assert (J[0, unknown, elbow] == 0).all()
+
+
+BALL = """
+<mujoco>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body pos="0 0 1"><joint name="yaw" axis="0 0 1" damping=".05" armature=".002"/>
+      <geom type="capsule" size=".015" fromto="0 0 0 .25 0 0" mass=".4" contype="0"/>
+      <body pos=".25 0 0"><joint name="ball" type="ball" damping=".002"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 0 .05 -.3" mass=".2" contype="0"/>
+      </body></body>
+  </worldbody>
+  <actuator><motor name="tau" joint="yaw"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_quaternion_follows_its_start() -> None:
+    """The response of a ball joint's quaternion against two simulations."""
+    model = Model.from_xml(BALL)
+    plant = model.compile()
+    data, rows = mujoco.MjData(plant), []
+    for k in range(300):
+        data.ctrl[0] = 0.1 * np.sin(0.05 * k)
+        rows.append([data.time, *data.qpos, *data.ctrl])
+        for _ in range(5):
+            mujoco.mj_step(plant, data)
+    time, yaw, *ball, tau = np.transpose(rows)
+    motion = {"yaw": yaw, **{f"ball.{i}": q for i, q in enumerate(ball)}}
+    recording = Recording.from_arrays(time, qpos=motion, ctrl={"tau": tau})
+    sigma = {f"qpos.{n}": 1e-3 for n in motion}
+    machine = survey(plant, [recording])
+    problem = pose(model, machine, [recording], sigma, (), horizon=20, engine=Engine(1))
+    start = problem.windows.start
+    linear, here = linearise(problem, Hypothesis(), start), problem.residual(Hypothesis(), start)
+    for k in range(2 * plant.nv):
+        change = np.zeros((len(start), 2 * plant.nv))
+        change[:, k] = 1e-6
+        there = problem.residual(Hypothesis(), problem.moved(start, change))
+        seen = (here - there) / 1e-6
+        error = np.linalg.norm(linear.J[..., k] - seen)
+        assert error < 0.1 * np.linalg.norm(seen), k  # its matrices are held over 8 ms

@@ -152,7 +152,8 @@ class Layout:
     @classmethod
     def of(cls, model: Model, compiled: mujoco.MjModel) -> "Layout":
         """Return the layout of a model."""
-        rate, turned = np.full(compiled.nq, -1), {}
+        rate = np.full(compiled.nq, -1)
+        turned: dict[int, tuple[int, int, int]] = {}
         for j in range(compiled.njnt):
             q, v = int(compiled.jnt_qposadr[j]), int(compiled.jnt_dofadr[j])
             kind = int(compiled.jnt_type[j])
