@@ -93,6 +93,22 @@ def test_an_encoder_offset_shifts_the_goal_along() -> None:
     assert rest(arm, model, float(shifted.values[0])) + reading.offset == pytest.approx(GOAL)
 
 
+@pytest.mark.parametrize(("gear", "gain", "bias"), [(2, 10, -10), (1, 0.2, -12), (-3, 4, -2)])
+def test_an_encoder_offset_is_what_the_servo_reads_whatever_gear_and_gain(gear, gain, bias) -> None:
+    servo = (
+        f'<actuator><general name="servo" joint="hinge" gear="{gear}" gainprm="{gain}" '
+        f'biastype="affine" biasprm="0.3 {bias} -1"/></actuator>'
+    )
+    arm, offset, u, q, v = pendulum(servo), 0.2, 0.5, 0.3, -0.7
+    model, (_, goal) = arm.edited("encoder_offset", "joint", "hinge", [offset])
+    shifted = goal.change(Channel(np.arange(2.0), np.full(2, u), hold="zero"), 0.001)
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, shifted.values[0]
+    mujoco.mj_forward(model, data)
+    expected = gain * u + 0.3 + bias * gear * (q + offset) - gear * v
+    assert data.actuator_force[0] == pytest.approx(expected)
+
+
 def test_back_emf_limits_the_speed(slide) -> None:
     _, _, v = slide.effect("back_emf", "actuator", "drive", [4.0], 6.0, ctrl=0.5)
     assert v[-1, 0] == pytest.approx(3 * 0.5 / 4.0, rel=1e-4)

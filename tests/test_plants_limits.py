@@ -56,6 +56,27 @@ def test_commands_are_narrowed_to_what_the_limits_allow(tmp_path):
     assert not limit_edits(study(tmp_path, {}), model)
 
 
+def test_a_servo_of_any_gear_and_gain_is_told_no_position_beyond_its_limits(tmp_path):
+    given = '<position name="elbow" joint="elbow" kp="20" ctrlrange="-3 3"/>'
+    servo = (
+        '<general name="elbow" joint="elbow" gear="-2" gainprm="0.2" biastype="affine" '
+        'biasprm="0.4 -12 -8"/>'
+    )
+    text = ARM.replace(given, servo)
+    option = '<option gravity="0 0 0" integrator="implicitfast"/><worldbody>'
+    model = Model.from_xml(text.replace("<worldbody>", option, 1))
+    limits = {"elbow": {"position": [-0.5, 1.0]}}
+    made = model.compile(limit_edits(study(tmp_path, limits), model))
+    rests = []
+    for command in control_range(made):
+        data = mujoco.MjData(made)
+        data.ctrl[1] = command[1]
+        mujoco.mj_step(made, data, 10000)
+        assert abs(data.qvel[1]) < 1e-6
+        rests.append(data.qpos[1])
+    np.testing.assert_allclose(sorted(rests), [-0.5, 1.0], atol=1e-5)
+
+
 def test_a_velocity_servo_keeps_to_the_effort_however_fast_its_joint_is(tmp_path):
     servo = '<velocity name="shoulder" joint="shoulder" gear="2" kv="1.5" ctrlrange="-9 9"/>'
     text = ARM.replace('<motor name="shoulder" joint="shoulder" gear="4" ctrlrange="-3 3"/>', servo)

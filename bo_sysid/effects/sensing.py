@@ -48,11 +48,18 @@ def _encoder_extent(site: Site, machine: Machine) -> Extent:
 def encoder_offset(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> tuple[Part, ...]:
-    """The encoder reads x[0] more than the joint's position; a servo's goal shifts along."""
-    shift = float(x[0])
-    servos = [a.name for a in machine.actuators.values() if a.joint == site.name and a.servo]
-    filters = tuple(Filter(name, lambda channel, dt: shifted(channel, -shift)) for name in servos)
-    return (Reading(f"qpos.{site.name}", offset=shift), *filters)
+    """The encoder reads x[0] more than the joint's position; a servo's goal shifts along.
+
+    A servo's force is g u + b r (q + x[0]) with gain g, bias b per length and gear r, so that its
+    control shifts by b r x[0] / g.
+    """
+    servos = [a for a in machine.actuators.values() if a.joint == site.name and a.servo and a.gain]
+    filters = tuple(_goal(a.name, a.bias[1] * a.gear * float(x[0]) / a.gain) for a in servos)
+    return (Reading(f"qpos.{site.name}", offset=float(x[0])), *filters)
+
+
+def _goal(servo: str, shift: float) -> Filter:
+    return Filter(servo, lambda channel, dt: shifted(channel, shift))
 
 
 def _scaled_extent(site: Site, machine: Machine) -> Extent:

@@ -25,7 +25,8 @@ def command_bounds(
     """Return the least and the largest control of an actuator; infinite where nothing limits it.
 
     Within its control range, a motor is bounded by the effort, |u| ≤ effort / |r g| with gear r and
-    gain g, a position servo by the position.
+    gain g, a position servo by the position: without a load it rests at q where
+    g u + b0 + b1 r q = 0.
 
     Args:
         model: the compiled model.
@@ -38,10 +39,12 @@ def command_bounds(
     if model.actuator_ctrllimited[control]:
         low, high = model.actuator_ctrlrange[control]
     gear = float(model.actuator_gear[actuator, 0])
-    scale = abs(gear * float(model.actuator_gainprm[actuator, 0]))
+    gain = float(model.actuator_gainprm[actuator, 0])
+    scale = abs(gear * gain)
     if is_position_servo(model, actuator):
-        if position is not None:
-            ends = sorted(gear * x for x in position)
+        if position is not None and gain:
+            b0, b1 = model.actuator_biasprm[actuator, :2].tolist()
+            ends = sorted(-(b0 + b1 * gear * x) / gain for x in position)
             low, high = max(low, ends[0]), min(high, ends[1])
     elif effort is not None and scale:
         low, high = max(low, -effort / scale), min(high, effort / scale)
