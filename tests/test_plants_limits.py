@@ -95,6 +95,16 @@ def test_a_velocity_servo_keeps_to_the_effort_however_fast_its_joint_is(tmp_path
     np.testing.assert_allclose(made.actuator_forcerange[0], [-0.3, 0.3])  # its own is narrower
 
 
+@pytest.mark.parametrize(("own", "kept"), [("-1 5", [-1, 5]), ("-1 50", [-1, 10]), ("3 5", [3, 5])])
+def test_an_effort_widens_no_range_of_the_model(tmp_path, own, kept):
+    model = Model.from_xml(ARM.replace('kp="20"', f'kp="20" forcerange="{own}"'))
+    made = model.compile(limit_edits(study(tmp_path, {"elbow": {"effort": 10.0}}), model))
+    np.testing.assert_allclose(made.actuator_forcerange[1], kept)
+    if own == "3 5":
+        with pytest.raises(StudyError, match="leaves actuator 'elbow' no force"):
+            limit_edits(study(tmp_path, {"elbow": {"effort": 2.0}}), model)
+
+
 def test_an_actuator_without_a_control_is_not_limited(tmp_path):
     limits = {"shoulder": {"effort": 2.0}, "elbow": {"position": [-0.5, 1.0]}}
     model = Model.from_xml(ARM.replace("<actuator>", f"<actuator>{STUCK}"))

@@ -160,11 +160,11 @@ class RangeEdit:
 
     Attributes:
         controls: least and largest control by actuator.
-        forces: largest force by actuator, in [N m] or [N] before the gear.
+        forces: least and largest force by actuator, in [N m] or [N] before the gear.
     """
 
     controls: Mapping[str, tuple[float, float]]
-    forces: Mapping[str, float]
+    forces: Mapping[str, tuple[float, float]]
     moves_mass = False
 
     def __call__(self, spec: mujoco.MjSpec) -> None:
@@ -172,9 +172,9 @@ class RangeEdit:
         for name, (low, high) in self.controls.items():
             spec.actuator(name).ctrllimited = True
             spec.actuator(name).ctrlrange = [low, high]
-        for name, force in self.forces.items():
+        for name, (low, high) in self.forces.items():
             spec.actuator(name).forcelimited = True
-            spec.actuator(name).forcerange = [-force, force]
+            spec.actuator(name).forcerange = [low, high]
 
     def __str__(self) -> str:
         return f"ranges of {', '.join({**self.controls, **self.forces})}"

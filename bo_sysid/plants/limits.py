@@ -36,23 +36,32 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
         if joint not in model.joints:
             raise study.error(("limits", joint), f"no such joint; {nearest(joint, model.joints)}")
     bounds: dict[str, tuple[float, float]] = {}
-    forces: dict[str, float] = {}
+    forces: dict[str, tuple[float, float]] = {}
     for a, name in zip(controlled(compiled), model.controlled, strict=True):
         limit = study.limits.get(_joint_of(compiled, a))
         if limit is None:
             continue
+        where = ("limits", _joint_of(compiled, a))
         if limit.effort is not None and has_bias(compiled, a):
-            own = compiled.actuator_forcerange[a] if compiled.actuator_forcelimited[a] else np.inf
-            gear = abs(float(compiled.actuator_gear[a, 0]))
-            forces[name] = min(limit.effort / gear, float(np.abs(own).max()))
+            forces[name] = _forces(compiled, a, limit.effort)
+            if not forces[name][0] < forces[name][1]:
+                raise study.error(where, f"leaves actuator {name!r} no force")
         low, high = command_bounds(compiled, a, limit.position, limit.effort)
         if not low < high:
-            raise study.error(
-                ("limits", _joint_of(compiled, a)), f"leaves actuator {name!r} no command"
-            )
+            raise study.error(where, f"leaves actuator {name!r} no command")
         if np.isfinite([low, high]).all():
             bounds[name] = (low, high)
     return (RangeEdit(bounds, forces),)
+
+
+def _forces(model: mujoco.MjModel, actuator: int, effort: float) -> tuple[float, float]:
+    """Return the least and largest force of an actuator, before its gear, within an effort."""
+    most = effort / abs(float(model.actuator_gear[actuator, 0]))
+    low, high = -most, most
+    if model.actuator_forcelimited[actuator]:
+        own_low, own_high = model.actuator_forcerange[actuator].tolist()
+        low, high = max(low, own_low), min(high, own_high)
+    return low, high
 
 
 def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
