@@ -21,7 +21,7 @@ from bo_sysid.identify import identify
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
-from bo_sysid.simulation import Engine, State, cut
+from bo_sysid.simulation import Engine, MujocoSimulator, State, cut
 from bo_sysid.simulation.windows import Layout, predicted
 from bo_sysid.study import Study
 
@@ -287,3 +287,20 @@ def test_a_channel_shows_the_joint_that_its_encoder_sees_as_well(
     apart = predicted(Layout.of(plain, plain.compile()), each, whole)
     assert np.abs(apart[..., 1]).max() > 1e-3
     np.testing.assert_allclose(both[..., 0], apart.sum(axis=-1), atol=1e-12)
+
+
+def test_one_step_predictions_show_it_as_well(tmp_path: Path) -> None:
+    text = JOINT.replace("<geom", '<joint name="play" axis="0 1 0" damping="0.1"/><geom')
+    (tmp_path / "joint.xml").write_text(text)
+    seen = Model.from_file(tmp_path / "joint.xml", unrecorded={"play": "hinge"})
+    time = np.arange(0, 0.5, 0.002)
+    recording = Recording.from_arrays(
+        time, qpos={"hinge": np.sin(3 * time)}, ctrl={"hinge": tones(0, time)}
+    )
+    windows = cut(seen, [recording], horizon=1)
+    windows.start.qpos[:, 1] = 0.2
+    assert windows.aligned
+    (once,) = MujocoSimulator(seen, (), Engine(1)).predictions(np.zeros((1, 0)), windows)
+    whole = Engine(1).rollout(seen.compile(), windows.start, windows.ctrl)
+    expected = predicted(Layout.of(seen, seen.compile()), windows, whole)
+    np.testing.assert_allclose(once.values, expected, atol=1e-12)

@@ -165,9 +165,13 @@ class MujocoSimulator:
         return out
 
     def _one_shot(self, windows: Windows, layout: Layout) -> bool:
-        """Whether only the last state is observed, under constant controls and no law."""
+        """Whether only the last state is observed, under constant controls and no law.
+
+        Channels that show a joint besides their own are read from the trajectory.
+        """
         return (
-            windows.step.shape[1] == 1
+            not any(n in layout.also for n in windows.channels)
+            and windows.step.shape[1] == 1
             and windows.aligned
             and int(windows.step[0, 0]) == windows.steps
             and not self.laws
