@@ -24,6 +24,7 @@ from bo_sysid.identify.problem import make_problem
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
+from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.simulation.stepper import Stepper
 from bo_sysid.study import Study
@@ -100,6 +101,59 @@ def test_a_dead_zone_is_stepped_on_the_command(machine, tmp_path) -> None:
         plain.step()
         assert stepper.data.ctrl[1] == 0.04
     np.testing.assert_allclose(stepper.data.qpos, plain.data.qpos, atol=1e-12)
+
+
+FRICTION = (  # as a diagnosis writes it: an actuator without a control
+    '<general name="stuck" joint="shoulder" dyntype="dcmotor" dynprm="0 0 0 0 0 20 .1" input="none"'
+    ' gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" actdim="1" '
+    'actearly="true"/>'
+)
+
+
+def test_filters_keep_to_their_controls_behind_an_actuator_without_one(machine, tmp_path) -> None:
+    text = ARM.read_text().replace("<actuator>", f"<actuator>{FRICTION}")
+    (tmp_path / "arm.xml").write_text(text)
+    Beside(machine, beside(machine).effects[1:]).write(tmp_path / "arm.json")
+    stepper = Stepper(tmp_path / "arm.xml", tmp_path / "arm.json")
+    plain = mujoco.MjData(stepper.model)
+    for _ in range(50):
+        stepper.data.ctrl[:] = (0.2, 0.04)  # within the dead zone of the elbow alone
+        plain.ctrl[:] = (0.2, 0.0)
+        stepper.step()
+        mujoco.mj_step(stepper.model, plain)
+    np.testing.assert_allclose(stepper.data.qpos, plain.qpos, atol=1e-12)
+
+
+def test_a_force_is_held_as_in_the_search(machine, tmp_path) -> None:
+    law = LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}, hold=0.01)
+    made = Beside(machine, (), (law,))
+    made.write(tmp_path / "arm.json")
+    stepper = Stepper(ARM, tmp_path / "arm.json")
+    stepper.data.qpos[:] = start = np.array([0.3, -0.4])
+    for _ in range(203):
+        stepper.data.ctrl[:] = (0.2, -0.05)
+        stepper.step()
+    ctrl = np.tile([0.2, -0.05], (1, 203, 1))
+    state = State(start[None], np.zeros((1, 2)), np.zeros((1, 0)))
+    found = Engine(1).rollout(arm().compile(), state, ctrl, laws=force_laws(made.parts(arm())))
+    np.testing.assert_allclose(stepper.data.qpos, found.qpos[0, -1], atol=1e-12)
+
+
+def test_laws_are_told_how_long_the_simulation_runs(machine, tmp_path) -> None:
+    beside(machine).write(tmp_path / "arm.json")
+    stepper, told = Stepper(ARM, tmp_path / "arm.json"), []
+
+    def law(m: LawInputs) -> np.ndarray:
+        told.append(float(m.time[0]))
+        return 0 * m.time
+
+    stepper._laws = (ForceLaw("elbow", law),)
+    for steps in (3, 2):
+        mujoco.mj_resetData(stepper.model, stepper.data)
+        for _ in range(steps):
+            stepper.step()
+    dt = stepper.model.opt.timestep
+    np.testing.assert_allclose(told, [0, dt, 2 * dt, 0, dt])
 
 
 def test_readings_are_undone(machine) -> None:

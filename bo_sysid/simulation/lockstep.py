@@ -117,11 +117,17 @@ class LockStep:
         self._ctrl = {n: views["ctrl"][:, i] for n, i in self._actuator.items()}
         self._memories: list[dict[str, Any]] = [{} for _ in laws]
 
-    def apply(self, step: int) -> None:
-        """Evaluate every law at the state before simulation step `step`."""
+    def apply(self, step: int, column: int | None = None) -> None:
+        """Evaluate every law at the state before simulation step `step`.
+
+        Args:
+            step: since the roll-out began.
+            column: of the signals and forces at that step; by default the step's number.
+        """
+        k = step if column is None else column
         applied = self._views["qfrc_applied"]
-        applied[:] = 0.0 if self._force is None else self._force[:, step]
-        signals = {name: values[:, step] for name, values in self._signals.items()}
+        applied[:] = 0.0 if self._force is None else self._force[:, k]
+        signals = {name: values[:, k] for name, values in self._signals.items()}
         time = np.full(len(applied), step * self._timestep)
         for law, memory in zip(self._laws, self._memories, strict=True):
             self._evaluate(law, _ALL, time, signals, memory)

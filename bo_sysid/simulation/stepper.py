@@ -9,8 +9,9 @@ from bo_sysid.effects import Filter
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel
-from bo_sysid.simulation.lockstep import LockStep, force_laws
+from bo_sysid.simulation.lockstep import LockStep, force_laws, steps_held
 
 _MEMORY = 2.0  # [s] of commands that filters look back on
 
@@ -18,9 +19,9 @@ _MEMORY = 2.0  # [s] of commands that filters look back on
 class Stepper:
     """Steps an `MjData` as `mj_step` does, with forces on joints and filters on its controls.
 
-    Forces of the laws come on top of `data.qfrc_applied`, which stays as it was set. Filters that
-    look back see what was in `data.ctrl` at the last steps. Forces that read recorded channels
-    cannot be stepped here.
+    Forces of the laws come on top of `data.qfrc_applied`, which stays as it was set; they are held
+    as long as they were when they were learned. Filters that look back see what was in `data.ctrl`
+    at the last steps. Forces that read recorded channels cannot be stepped here.
 
     Args:
         model: path of the model file.
@@ -37,6 +38,9 @@ class Stepper:
         self.model: mujoco.MjModel = source.compile()
         self.data = mujoco.MjData(self.model)
         self._filters = [p for p in parts if isinstance(p, Filter)]
+        self._control = {
+            self.model.actuator(a).name: i for i, a in enumerate(controlled(self.model))
+        }
         self._laws = force_laws(parts)
         self._time: list[float] = []
         self._past: list[np.ndarray] = []
@@ -50,17 +54,24 @@ class Stepper:
         commanded, applied = d.ctrl.copy(), d.qfrc_applied.copy()
         self._remember(commanded)
         for f in self._filters:
-            i = m.actuator(f.actuator).id
+            i = self._control[f.actuator]
             values = np.array([c[i] for c in self._past])
             times = np.array(self._time)
             channel = Channel(times, values, "", "", "zero")
             d.ctrl[i] = f.change(channel, m.opt.timestep).at(np.array([d.time]))[0]
-        assert self._lockstep is not None  # noqa: S101 - made above
-        self._signals[ELAPSED][0, 0] = d.time
-        self._lockstep.apply(0)
-        d.qfrc_applied[:] += applied
+        d.qfrc_applied[:] = applied + self._forces()
         mujoco.mj_step(m, d)
         d.ctrl[:], d.qfrc_applied[:] = commanded, applied
+
+    def _forces(self) -> np.ndarray:
+        """Return the forces of the laws, evaluated anew where they are not held."""
+        assert self._lockstep is not None  # noqa: S101 - made by the first step
+        if self._step % steps_held(self._laws, self.model.opt.timestep) == 0:
+            self._signals[ELAPSED][0, 0] = self.data.time
+            self._lockstep.apply(self._step, column=0)
+            self._held = self.data.qfrc_applied.copy()
+        self._step += 1
+        return self._held
 
     def _restart(self) -> None:
         """Forget the past: the simulation was reset."""
@@ -69,6 +80,7 @@ class Stepper:
         self._signals = {ELAPSED: np.zeros((1, 1))}
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
         self._time, self._past = [], []
+        self._step, self._held = 0, np.zeros(self.model.nv)
 
     def _remember(self, commanded: np.ndarray) -> None:
         now = float(self.data.time)
