@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import mujoco
 import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, posed, record
+from effect_bench import MOTOR, pendulum
 from effect_machines import case
 
 from bo_sysid.diagnosis.evidence import make_evidence
@@ -131,6 +133,23 @@ def test_a_force_of_a_users_own_is_written_beside_the_model(tmp_path) -> None:
     assert isinstance(force, Force)
     with pytest.raises(ModelError, match=r"model_repaired\.json: unknown effect 'worn_spot'"):
         read_beside(tmp_path / BESIDE, machine.model).parts(arm())
+
+
+def test_no_name_of_a_model_is_run_as_code(tmp_path) -> None:
+    name = 'x""";raise(SystemExit("ran"))#\\'
+    quoted = escape(name, {'"': "&quot;"})
+    xml = MOTOR.replace('name="motor"', f'name="{quoted}"')
+    bench = pendulum(xml)
+    zone = next(c for c in candidates([CATALOGUE["actuator_deadzone"]], bench.machine))
+    assert zone.site.name == name
+    own = Hypothesis(members=(zone,), x=(zone.probe,))
+    write_model(bench.model, bench.machine, own, tmp_path, timestep=0.001)
+    text = (tmp_path / MODULE).read_text(encoding="utf-8")
+    made: dict[str, object] = {"__file__": str(tmp_path / MODULE)}
+    exec(compile(text, MODULE, "exec"), made)  # noqa: S102 - runs what is tested
+    stepper = made["load"]()
+    stepper.step()
+    assert "raise(SystemExit" in text  # in a comment
 
 
 def test_what_an_earlier_diagnosis_left_beside_the_model_is_gone(tmp_path) -> None:

@@ -72,9 +72,8 @@ def write_model(
     words = _words(beside.parts(model, own))
     if words:
         beside.write(folder / BESIDE)
-        text = _MODULE.format(words="\n".join(f"- {w}" for w in words), model=MODEL, beside=BESIDE)
         with atomic(folder / MODULE) as unfinished:
-            unfinished.write_text(text, encoding="utf-8")
+            unfinished.write_text(_module(words), encoding="utf-8")
     else:  # those of an earlier diagnosis in the same folder say what is no longer so
         for name in (BESIDE, MODULE):
             (folder / name).unlink(missing_ok=True)
@@ -83,9 +82,7 @@ def write_model(
     return Written(words, added, (share * step, step))
 
 
-_MODULE = '''"""What {model} lacks because MJCF cannot say it:
-
-{words}
+_MODULE = f'''"""What {MODEL} lacks because MJCF cannot say it; {BESIDE} holds it.
 
     from model_repaired import load
 
@@ -101,8 +98,16 @@ from bo_sysid.simulation.stepper import Stepper
 
 def load() -> Stepper:
     folder = Path(__file__).parent
-    return Stepper(folder / "{model}", folder / "{beside}")
+    return Stepper(folder / "{MODEL}", folder / "{BESIDE}")
 '''
+
+
+def _module(words: Sequence[str]) -> str:
+    """Return the module that steps the repaired model.
+
+    Names are a model's, which may hold anything: they only stand quoted, in comments.
+    """
+    return _MODULE + "\n\n# It adds:\n" + "".join(f"# {w!r}\n" for w in words)
 
 
 def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
