@@ -3,9 +3,10 @@
 import mujoco
 import numpy as np
 import pytest
-from effect_bench import MOTOR, SERVO, SLIDE, Bench, G, pendulum
+from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
 from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable
+from bo_sysid.effects.actuation import _supply
 from bo_sysid.recording import Channel
 from bo_sysid.recording.alignment import control_steps
 
@@ -140,6 +141,23 @@ def test_a_full_sag_makes_torque_follow_the_voltage(slide, volts) -> None:
 def test_voltage_sag_needs_a_voltage_that_sags() -> None:
     for aux, sites in (({}, 0), ({"voltage": VOLTS}, 1), ({"voltage": 0 * VOLTS + 24}, 0)):
         assert len(applicable(CATALOGUE["voltage_sag"], Bench(SLIDE, aux).machine)) == sites
+
+
+@pytest.mark.parametrize(
+    ("aux", "supply"),
+    [
+        (["forearm_voltage", "arm_voltage"], "aux.arm_voltage"),
+        (["fore_arm_voltage", "voltage"], "aux.voltage"),
+        (["arm.volts", "voltage"], "aux.arm.volts"),
+        (["forearm_voltage"], "aux.forearm_voltage"),  # names no actuator
+        (["fore_arm_voltage"], None),  # another motor's
+    ],
+)
+def test_a_supply_belongs_to_the_actuator_that_it_names_as_a_whole(aux, supply) -> None:
+    motors = "".join(f'<motor name="{n}" joint="hinge"/>' for n in ("arm", "fore_arm"))
+    xml = PENDULUM.format(actuator=f"<actuator>{motors}</actuator>", damping=0)
+    machine = Bench(xml, {n: VOLTS - k for k, n in enumerate(aux)}).machine
+    assert _supply(Site("actuator", "arm"), machine) == supply
 
 
 def filtered(bench: Bench, id: str, x: float, channel: Channel, dt: float = 0.001) -> Channel:

@@ -1,5 +1,6 @@
 """Actuators that are weaker than the model's, and servos tuned otherwise."""
 
+import re
 from collections.abc import Callable
 
 import mujoco
@@ -188,10 +189,26 @@ def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 
 def _supply(site: Site, machine: Machine) -> str | None:
-    """Return the recorded supply voltage of an actuator: its own where there is one."""
+    """Return the recorded supply voltage of an actuator: its own, else one that names none."""
     volts = [n for n, c in machine.scales.items() if n.startswith("aux.") and _sags(c)]
-    own = [n for n in volts if site.name in n]
-    return next(iter(own or volts), None)
+    owners = {n: _owner(n, machine) for n in volts}
+    own = [n for n in volts if owners[n] == site.name]
+    return next(iter(own or [n for n in volts if owners[n] is None]), None)
+
+
+def _owner(channel: str, machine: Machine) -> str | None:
+    """Return the actuator that a channel names as a whole; of several the longest name."""
+    words = _words(channel)
+    named = [
+        a
+        for a in machine.actuators
+        if any(words[k : k + len(_words(a))] == _words(a) for k in range(len(words)))
+    ]
+    return max(named, key=len, default=None)
+
+
+def _words(name: str) -> list[str]:
+    return re.split(r"[._/-]", name)
 
 
 def _sags(channel: ChannelScale) -> bool:
