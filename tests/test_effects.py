@@ -285,3 +285,12 @@ def test_nothing_acts_at_the_joints_of_a_base_that_floats(motor: str, sites: tup
     machine = survey(model.compile(), [recording])
     assert machine.names("joint") == sites
     assert set(machine.joints) == {"x", "z", "pitch", "hip"}  # their scales are known all the same
+
+
+def test_a_file_of_effects_may_hold_dataclasses(tmp_path) -> None:
+    text = (Path(__file__).parent.parent / "studies" / "effects" / "my_effect.py").read_text()
+    head = "from __future__ import annotations\nfrom dataclasses import dataclass\n"
+    own = "\n@dataclass\nclass Own:\n    size: float = 1.0\n\nassert Own().size == 1\n"
+    (tmp_path / "mine.py").write_text(head + text + own)
+    (made,) = load_effects(tmp_path / "mine.py")
+    assert made.id == "worn_spot"

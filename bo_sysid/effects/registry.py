@@ -1,6 +1,5 @@
 """The catalogue: effects by id, the package's own and those of a study."""
 
-import importlib.util
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ import pandas as pd
 from bo_sysid.effects.contract import Apply, Effect, Extent, Site, SiteKind
 from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, UserError, nearest
+from bo_sysid.execution.files import run_file
 
 _FEW = 4  # components that a table names
 
@@ -74,10 +74,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
     """
     before = dict(_EFFECTS)
     try:
-        spec = importlib.util.spec_from_file_location(f"bo_sysid_effects_{path.stem}", path)
-        if spec is None or spec.loader is None:
-            raise StudyError("effect_files must be Python files (.py)")
-        spec.loader.exec_module(importlib.util.module_from_spec(spec))
+        run_file(path)
         made = tuple(e for id, e in _EFFECTS.items() if id not in before)
     except StudyError as error:
         raise StudyError(f"{path}: {error}") from error

@@ -1,9 +1,7 @@
 """From a study to its model and its recordings."""
 
 import hashlib
-import importlib.util
 import os
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -12,6 +10,7 @@ from typing import Any
 from bo_sysid.effects import Effect, Part, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.errors import UserError, nearest
+from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recordings
 from bo_sysid.study.study import Study
@@ -203,21 +202,12 @@ def load_module(study: Study, file: str) -> ModuleType:
     """
     key = study.code.get(file, ())
     path = study.file(file, key)
-    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
-    spec = importlib.util.spec_from_file_location(f"bo_sysid_user_{path.stem}_{digest}", path)
-    if spec is None or spec.loader is None:
-        raise study.error(key, f"{file} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
-    except BaseException as error:
-        del sys.modules[spec.name]
-        if isinstance(error, UserError) or not isinstance(error, Exception):
-            raise
-        # whatever it is, it is for the file's author
+        return run_file(path)
+    except UserError:
+        raise
+    except Exception as error:  # whatever it is, it is for the file's author
         raise study.error(key, f"{file} fails: {type(error).__name__}: {error}") from error
-    return module
 
 
 def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recording, ...]:
