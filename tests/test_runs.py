@@ -206,3 +206,22 @@ def test_a_killed_process_leaves_whole_files_and_no_lock(tmp_path: Path) -> None
         assert len(set(run.read_json("state.json")["k"])) == 1
         assert names(folder) == {"run.json", "study.yaml", "state.json"}
         assert len(run.record["sessions"]) == 2
+
+
+def test_two_writers_of_one_file_write_apart(tmp_path: Path) -> None:
+    path = tmp_path / "answer.json"
+    with atomic(path) as mine:  # as two machines that share a folder, with one process number
+        mine.write_text("mine")
+        with atomic(path) as other:
+            other.write_text("other")
+        assert path.read_text() == "other"
+    assert path.read_text() == "mine"
+    assert names(tmp_path) == {"answer.json"}
+
+
+def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
+    with opened(tmp_path / "run") as run:
+        (run.folder / ".tmp-1-answer.json").write_text("half")
+        (run.folder / ".tmp-1-folder").mkdir()
+    with opened(tmp_path / "run") as run:
+        assert not (run.folder / ".tmp-1-answer.json").exists()

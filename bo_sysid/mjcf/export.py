@@ -1,9 +1,7 @@
 """Write a spec as a plain MJCF file that stands alone with a folder of assets beside it."""
 
 import ctypes
-import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -13,6 +11,7 @@ import mujoco
 
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.compiling import mujoco_message
+from bo_sysid.runs import atomic
 
 
 def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str) -> None:
@@ -33,23 +32,14 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str) -> None:
     _copy_assets(spec, path.with_name(f"{path.stem}_assets"), source)
     with _all_digits():
         text = _LONG_NUMBER.sub(lambda number: repr(float(number[0])), spec.to_xml())
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".xml")
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+    with atomic(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
         try:
-            mujoco.MjModel.from_xml_path(name)
+            mujoco.MjModel.from_xml_path(str(unfinished))
         except (ValueError, mujoco.FatalError) as error:
             raise ModelError(
                 f"{source}: MuJoCo does not read its own export to {path}: {mujoco_message(error)}"
             ) from None
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 # A double written with 17 digits, between quotes or blanks: repr gives the shortest equal one.
@@ -119,8 +109,8 @@ def _copy(
         while name in taken:
             number += 1
             name = f"{number}_{PurePosixPath(file).name}"
-        folder.mkdir(exist_ok=True)
-        (folder / name).write_bytes(content)
+        with atomic(folder / name) as unfinished:
+            unfinished.write_bytes(content)
         copies[key] = f"{folder.name}/{name}"
     return copies[key]
 

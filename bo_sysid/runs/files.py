@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import os
+import uuid
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,9 +20,12 @@ UNFINISHED = ".tmp-"
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to, and move it there when the block has ended well."""
+    """Yield a path beside `path` to write to, and move it there when the block has ended well.
+
+    No other writer has it, on this machine or another that shares the folder.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f"{UNFINISHED}{os.getpid()}-{path.name}")
+    beside = path.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{path.name}")
     try:
         yield beside
         with open(beside, "rb+") as file:

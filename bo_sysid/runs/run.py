@@ -263,7 +263,8 @@ def _existing(
 def _remove_leftovers(folder: Path) -> None:
     """Remove what a killed process was writing."""
     for path in folder.rglob(f"{UNFINISHED}*"):
-        path.unlink(missing_ok=True)
+        if path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def _now() -> str:
