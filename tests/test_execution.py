@@ -93,6 +93,30 @@ def test_a_result_that_cannot_be_sent_is_an_error() -> None:
     assert "pickle" in str(second.error).lower()
 
 
+def test_a_job_that_cannot_be_sent_is_an_error_and_the_others_go_on() -> None:
+    jobs = {"a": 2.0, "b": lambda: None, "c": 3.0}
+    outcomes = {o.key: o for o in LocalEngine(1).run(square, jobs)}
+    assert (outcomes["a"].result, outcomes["c"].result) == (4, 9)
+    assert "pickle" in str(outcomes["b"].error).lower()
+    assert not outcomes["b"].wrong_input
+
+
+def test_processes_that_die_leave_no_open_file() -> None:
+    def opened() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("the system does not list open files")
+    kept = list(LocalEngine(1).run(die_at_three, {"a": 1}))  # with what multiprocessing keeps
+    before = opened()
+    held = LocalEngine(1).run(die_at_three, {str(k): 3 for k in range(3)} | {"end": 1})
+    for outcome in held:
+        kept.append(outcome)
+        if outcome.key != "end":
+            assert opened() <= before + 3  # of the one process
+    assert len(kept) == 5
+
+
 def test_processes_use_one_thread_each() -> None:
     (outcome,) = LocalEngine(1).run(blas_threads, {"a": None})
     assert outcome.result == 1

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
-from bo_sysid.errors import StudyError
+from bo_sysid.errors import JobError, StudyError
 from bo_sysid.execution.jobs import Engine, Outcome, answer
 from bo_sysid.execution.threads import threads
 
@@ -50,12 +51,12 @@ class LocalEngine:
                 for connection in wait(list(busy)):
                     worker = busy.pop(connection)  # type: ignore[call-overload]
                     outcome, alive = worker.take()
+                    if not (waiting and alive):
+                        worker.stop()
                     if waiting:
                         worker = worker if alive else _Worker.start()
                         busy[worker.connection] = worker
                         worker.give(function, *waiting.popleft())
-                    else:
-                        worker.stop()
                     yield outcome
         finally:
             for worker in busy.values():
@@ -81,9 +82,13 @@ class _Worker:
 
     def give(self, function: Callable[[Any], Any], key: str, job: Any) -> None:
         self.key = key
+        try:
+            told = ForkingPickler.dumps((function, job))
+        except Exception:  # the job cannot be sent: the process says so, as of any that fails
+            told = ForkingPickler.dumps((_fail, traceback.format_exc()))
         # a process that has just died is noticed when its answer is taken
         with contextlib.suppress(BrokenPipeError):
-            self.connection.send((function, job))
+            self.connection.send_bytes(told)
 
     def take(self) -> tuple[Outcome, bool]:
         """Return the outcome of the job, and whether the process lives on."""
@@ -99,6 +104,11 @@ class _Worker:
         self.connection.close()
         self.process.terminate()
         self.process.join()
+        self.process.close()
+
+
+def _fail(said: str) -> None:
+    raise JobError(said)
 
 
 def _work(connection: Connection) -> None:

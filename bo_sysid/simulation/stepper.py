@@ -80,7 +80,8 @@ class Stepper:
         self._signals = {ELAPSED: np.zeros((1, 1))}
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
         self._time, self._past = [], []
-        self._step, self._held = 0, np.zeros(self.model.nv)
+        self._step = 0
+        self._held: np.ndarray = np.zeros(self.model.nv)
 
     def _remember(self, commanded: np.ndarray) -> None:
         now = float(self.data.time)
