@@ -1,5 +1,6 @@
 """The page of a run: what it shows, that text stays text, and what it says of a damaged run."""
 
+import http.client
 import json
 import re
 import shutil
@@ -8,6 +9,7 @@ import urllib.error
 import urllib.request
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -260,7 +262,25 @@ def test_the_live_page_is_served_to_this_machine_and_follows_the_run(tmp_path: P
         assert get("version") != before
         with pytest.raises(urllib.error.HTTPError, match="404"):
             get("../secret.txt")
+        (run / "next experiment.csv").write_text("controls")
+        assert get("next%20experiment.csv") == "controls"
+        for host, status in (("127.0.0.1:9", 200), ("localhost", 200), ("other.example", 403)):
+            asked = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+            asked.request("GET", "/version", headers={"Host": host})
+            assert asked.getresponse().status == status
+            asked.close()
         server.shutdown()
+
+
+def test_a_page_that_is_closed_is_no_error(tmp_path: Path, capsys) -> None:
+    run = write_run(tmp_path / "run", "elbow")
+    with make_server(run) as server:
+        handler = object.__new__(server.RequestHandlerClass)
+        handler.path, handler.headers = "/version", {"Host": "127.0.0.1"}
+        handler.send_response = Mock(side_effect=BrokenPipeError)
+        handler.send_error = Mock()
+        handler.do_GET()
+        handler.send_error.assert_not_called()
 
 
 @needs_chromium

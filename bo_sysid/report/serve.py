@@ -4,6 +4,7 @@ import hashlib
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 from bo_sysid.errors import RunError
 from bo_sysid.report.page import NAME, page
@@ -28,9 +29,11 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
         """Answers with the page, with its version, or with a file that the page links to."""
 
         def do_GET(self) -> None:
-            wanted = self.path.split("?")[0].lstrip("/")
+            wanted = unquote(self.path.split("?")[0]).lstrip("/")
             try:
-                if wanted in ("", NAME):
+                if not self._asked_here():
+                    self.send_error(HTTPStatus.FORBIDDEN, "This machine alone is answered")
+                elif wanted in ("", NAME):
                     self._send("text/html; charset=utf-8", page(folder, live=True).encode())
                 elif wanted == "version":
                     self._send("text/plain", version(folder).encode())
@@ -38,8 +41,17 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
                     self._send("application/octet-stream", (folder / wanted).read_bytes())
                 else:
                     self.send_error(HTTPStatus.NOT_FOUND)
+            except ConnectionError:  # the page was closed
+                return
             except (RunError, OSError) as error:
                 self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, explain=str(error))
+
+        def _asked_here(self) -> bool:
+            """Whether this machine is asked by its own name; a page of another may lead here.
+
+            The port may be another one, of a tunnel.
+            """
+            return urlsplit(f"//{self.headers.get('Host', '')}").hostname in (HOST, "localhost")
 
         def log_message(self, *_: object) -> None:
             """Keep the terminal free."""
