@@ -30,7 +30,9 @@ def test_a_mark_is_red_where_the_joint_is(tmp_path: Path) -> None:
 
 
 def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
+    (tmp_path / "out.png").write_text("of an earlier run")
     assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_model_gets_light_and_a_white_sky_where_it_has_none() -> None:

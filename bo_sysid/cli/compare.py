@@ -25,14 +25,17 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Compare, and print what came of it."""
     study = load_study(args)
-    with open_run(args, study, "compare") as run, shown("compare") as progress:
-        from bo_sysid.compare.compare import compare
+    with open_run(args, study, "compare") as run:
+        with shown("compare") as progress:
+            from bo_sysid.compare.compare import compare
 
-        compare(study, run, progress=progress, trust_code=args.trust_code, strict=args.strict)
+            compare(study, run, progress=progress, trust_code=args.trust_code, strict=args.strict)
 
-    from bo_sysid.report.comparison import write_comparison_figures
+        from bo_sysid.report.comparison import write_comparison_figures
+
+        write_comparison_figures(run)
+
     from bo_sysid.report.text import run_text
 
-    write_comparison_figures(run)
     print(run_text(run.folder))
     print(f"\nFigures: {run.path('figures')}; tables: {run.folder}/*.parquet")

@@ -25,14 +25,17 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Learn, and print what came of it."""
     study = load_study(args)
-    with open_run(args, study, "learn") as run, shown("learn") as progress:
-        from bo_sysid.learn.learn import learn
+    with open_run(args, study, "learn") as run:
+        with shown("learn") as progress:
+            from bo_sysid.learn.learn import learn
 
-        learn(study, run, progress=progress, strict=args.strict)
+            learn(study, run, progress=progress, strict=args.strict)
 
-    from bo_sysid.report.learning import write_learning_figures
+        from bo_sysid.report.learning import write_learning_figures
+
+        write_learning_figures(run)
+
     from bo_sysid.report.text import run_text
 
-    write_learning_figures(run)
     print(run_text(run.folder))
     print(f"\nFigures: {run.path('figures')}. See the policy: bo-sysid play {run.folder}")

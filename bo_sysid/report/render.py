@@ -20,6 +20,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import SkyEdit
 from bo_sysid.report.look import NOMINAL
 from bo_sysid.report.robot import Posed, view
+from bo_sysid.runs import atomic
 
 BACKENDS = ("egl", "osmesa")
 _SIZE = (480, 640)  # pixels, rows and columns
@@ -32,7 +33,7 @@ _SEEN_THROUGH = 0.5  # opacity of the robot
 def rendered(
     model: Path, pose: Mapping[str, float], points: Sequence[Sequence[float]], out: Path
 ) -> str | None:
-    """Render a robot with marks into a PNG file.
+    """Render a robot with marks into a PNG file, which is there as a whole or not at all.
 
     Args:
         model: an MJCF file.
@@ -43,13 +44,16 @@ def rendered(
     Returns:
         The OpenGL that did it, None where none works.
     """
+    out.unlink(missing_ok=True)  # what an earlier run drew is not this one's
     told = os.environ.get("MUJOCO_GL", "")
     request = {"model": str(model), "pose": dict(pose), "points": [list(p) for p in points]}
     for backend in (told,) if told in (*BACKENDS, "glfw") else BACKENDS:
         with tempfile.TemporaryDirectory() as folder:
-            asked = Path(folder) / "request.json"
-            asked.write_text(json.dumps({**request, "out": str(out)}), encoding="utf-8")
-            if _drawn(backend, asked) and out.is_file():
+            asked, drawn = Path(folder) / "request.json", Path(folder) / "drawn.png"
+            asked.write_text(json.dumps({**request, "out": str(drawn)}), encoding="utf-8")
+            if _drawn(backend, asked) and drawn.is_file():
+                with atomic(out) as unfinished:
+                    unfinished.write_bytes(drawn.read_bytes())
                 return backend
     return None
 
