@@ -122,6 +122,26 @@ def test_a_users_class_is_a_task():
     assert plant.evaluate(lambda o: 0 * o, 2).shape == (2,)
 
 
+def test_a_class_that_fails_when_it_is_made_is_not_made_without_its_seed():
+    class Wrong(Reach):
+        def __init__(self, random=None):
+            super().__init__(random=random)
+            if random is not None:
+                raise TypeError("wrong in here")
+
+    class Unseeded(Reach):
+        def __init__(self):
+            super().__init__(random=7)
+
+    model = Model.from_dm_control("reacher", "easy").compile()
+    with pytest.raises(TypeError, match="wrong in here"):
+        class_task(Wrong, model).make(3)
+    assert isinstance(class_task(Unseeded, model).make(3), Unseeded)
+    assert class_task(Reach, model).make(3).random.randint(1000) == np.random.RandomState(
+        3
+    ).randint(1000)
+
+
 def test_a_termination_ends_trajectory_and_episode():
     model = Model.from_dm_control("reacher", "easy")
     task = class_task(Reach, model.compile())

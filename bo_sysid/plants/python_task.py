@@ -4,6 +4,7 @@ A task of the suite keeps its own physics class and timing; a task class in a us
 dm_control's plain physics, and may say `control_timestep` and `time_limit` in [s].
 """
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -101,13 +102,21 @@ def class_task(cls: Any, model: mujoco.MjModel) -> PythonTask:
     step = float(getattr(cls, "control_timestep", model.opt.timestep))
     limit = float(getattr(cls, "time_limit", 1000 * step))
 
+    seeded = _takes(cls, "random")
+
     def make(seed: int) -> Any:
-        try:
-            return cls(random=seed)
-        except TypeError:
-            return cls()
+        return cls(random=seed) if seeded else cls()
 
     return PythonTask(cls.__name__, make, Physics, step, limit)
+
+
+def _takes(cls: Any, name: str) -> bool:
+    """Whether a class is made with an argument of this name."""
+    try:
+        asked = inspect.signature(cls).parameters
+    except (TypeError, ValueError):  # it does not say
+        return False
+    return name in asked or any(p.kind is p.VAR_KEYWORD for p in asked.values())
 
 
 class PythonMachine:
