@@ -1,5 +1,6 @@
 """Recordings of the plant that a study describes, with a study on them."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -7,15 +8,22 @@ import yaml
 from bo_sysid.execution import Progress, Report, silent
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.limits import limit_edits
+from bo_sysid.plants.plant import Trajectory
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
+from bo_sysid.runs.run import versions
 from bo_sysid.study import Study
-from bo_sysid.study.inputs import load_model
+from bo_sysid.study.inputs import fingerprints, load_model
+
+_MADE_OF = "recorded.json"
+"""What the recordings of a run were made of: hashes of files, versions."""
 
 
 def record_into(run: Run, study: Study, name: str, progress: Report = silent) -> Path:
     """Write recordings of the study's plant into a run folder.
+
+    Those that an interrupted call left are kept where nothing that they depend on has changed.
 
     Args:
         run: the run folder.
@@ -39,7 +47,9 @@ def record_into(run: Run, study: Study, name: str, progress: Report = silent) ->
     plant, model = build_plant(study), load_model(study)
     if isinstance(plant.task, PythonTask):
         progress(Progress(0, len(names), plant.task.notice))
-    for number, title in enumerate(names):
+    done = _done(run, study, names)
+    plant.resume([Trajectory(f"{plant.name}-{k}", 0, 0.0) for k in range(done)])
+    for number, title in enumerate(names[done:], done):
         (recording,) = record(
             plant,
             model,
@@ -60,3 +70,13 @@ def record_into(run: Run, study: Study, name: str, progress: Report = silent) ->
     }
     file = "study_recorded.yaml" if name.lower() == "study" else f"{name}.yaml"
     return run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))
+
+
+def _done(run: Run, study: Study, names: Sequence[str]) -> int:
+    """Return how many recordings are there already, made of the same files by the same packages."""
+    now = {"files": fingerprints(study, recorded=False), "versions": versions()}
+    if not (run.has(_MADE_OF) and run.read_json(_MADE_OF) == now):
+        for name in names:
+            run.path(f"{name}.parquet").unlink(missing_ok=True)
+        run.write_json(_MADE_OF, now)
+    return next((k for k, n in enumerate(names) if not run.has(f"{n}.parquet")), len(names))
