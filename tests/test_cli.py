@@ -385,3 +385,68 @@ def test_an_actuator_with_a_bias_alone_needs_no_control(folder: Path, say: Say) 
     code, out, _ = say("check", "arm.yaml")
     assert code == 0
     assert re.search(r"ctrl.offset +without effect +0 of 1", out)
+
+
+def test_figures_are_drawn_before_a_run_counts_as_finished(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(run: Run) -> None:
+        raise UserError("no figure")
+
+    for verb, figures in (("learn", "learning"), ("compare", "comparison")):
+        module = "learn.learn.learn" if verb == "learn" else "compare.compare.compare"
+        monkeypatch.setattr(f"bo_sysid.{module}", lambda study, run, **_: run.write_text("a", "b"))
+        monkeypatch.setattr(f"bo_sysid.report.{figures}.write_{figures}_figures", fail)
+        assert say(verb, "arm.yaml", "--out", verb)[0] == 2
+        assert json.loads((folder / verb / "run.json").read_text())["status"] == "failed"
+
+
+def test_a_run_tells_the_command_that_made_it(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bo_sysid.report.parts import Found
+    from bo_sysid.report.provenance import again
+
+    monkeypatch.setattr("bo_sysid.learn.learn.learn", lambda study, run, **_: None)
+    monkeypatch.setattr("bo_sysid.report.learning.write_learning_figures", lambda run: None)
+    monkeypatch.setattr("bo_sysid.report.text.run_text", lambda folder: "")
+    (folder / "my arm.yaml").write_text(STUDY)
+    for out in (["--out", "run"], ["--ou=run"]):
+        assert say("learn", "my arm.yaml", *out, "--strict", "--set", "search.budget=20")[0] == 0
+        section = again(Found(folder / "run"))
+        told = dict(section.code)["Command"]
+        assert told == "bo-sysid learn 'my arm.yaml' --strict --set search.budget=20"
+
+
+def test_an_interrupted_record_goes_on_as_if_it_had_not_been(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from bo_sysid.execution import Progress
+    from bo_sysid.plants.recorded import record_into
+    from bo_sysid.study import Study
+
+    plant = {"noise": {"qpos": 0.01}, "record": {"train": 2, "holdout": 1, "seconds": 0.5}}
+    names = ("train-0", "train-1", "holdout-0")
+
+    def made(out: str, stop: int = -1) -> list[str]:
+        study = Study.load("arm.yaml", {"plant": plant})
+        told: list[str] = []
+
+        def watch(progress: Progress) -> None:
+            told.append(progress.message)
+            if progress.step == stop:
+                raise KeyboardInterrupt
+
+        with Run.open(folder / out, study.resolved(folder / out), "record") as run:
+            record_into(run, study, "arm", watch)
+        return told
+
+    assert made("whole") == list(names)
+    with pytest.raises(KeyboardInterrupt):
+        made("cut", stop=1)
+    assert made("cut") == list(names[1:])
+    for name in names:
+        whole, cut = ((folder / o / f"{name}.parquet").read_bytes() for o in ("whole", "cut"))
+        assert whole == cut
+    (folder / "pendulum.xml").write_text(MODEL.replace("0.05", "0.2"))
+    assert made("cut") == list(names)  # of another model now

@@ -94,6 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = None
     try:
         args = make_parser().parse_args(argv)
+        args.given = list(sys.argv[1:] if argv is None else argv)
         args.run(args)
         sys.stdout.flush()
     except SystemExit as end:  # --help and --version

@@ -84,5 +84,20 @@ def open_run(args: argparse.Namespace, study: "Study", verb: str) -> Iterator["R
     folder = run_folder(args, verb)
     with use_threads(args.threads):
         seed = study.search.seed
-        with Run.open(folder, study.resolved(relative_to=folder), verb, seed=seed) as run:
+        told, said = study.resolved(relative_to=folder), arguments(args)
+        with Run.open(folder, told, verb, seed=seed, arguments=said) as run:
             yield run
+
+
+def arguments(args: argparse.Namespace) -> list[str]:
+    """Return the command line as it was given, less where it writes to."""
+    said: list[str] = []
+    given = iter(getattr(args, "given", ()))
+    for word in given:
+        name, _, value = word.partition("=")
+        if len(name) > 2 and "--out".startswith(name):  # argparse takes what is short of it, too
+            if not value:
+                next(given, None)
+        else:
+            said.append(word)
+    return said

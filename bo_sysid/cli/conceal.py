@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from bo_sysid.cli.common import RUNS, Verbs
+from bo_sysid.cli.common import RUNS, Verbs, arguments
 from bo_sysid.cli.progress import shown
 
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> None:
     folder = args.out or RUNS / f"{args.suite.stem}-conceal"
     with (
         use_threads(args.threads),
-        Run.open(folder, record, "conceal") as opened,
+        Run.open(folder, record, "conceal", arguments=arguments(args)) as opened,
         shown("conceal") as progress,
     ):
         said = conceal(opened, args.suite, overrides=overrides, seals=args.seals, progress=progress)

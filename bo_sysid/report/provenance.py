@@ -1,6 +1,7 @@
 """What was done to the data of a run, and how to run it again."""
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -41,9 +42,7 @@ def again(found: Found) -> Section:
     record: Any = {}
     if found.has("run.json"):
         record = read_json(found.folder, "run.json")
-        seed = f" --seed {record['seed']}" if record.get("seed") is not None else ""
-        trust = " --trust-code" if _names_code(found) else ""
-        code.append(("Command", f"bo-sysid {record['command']} study.yaml{seed}{trust}"))
+        code.append(("Command", _command(found, record)))
     if found.has("study.yaml"):
         text = (found.folder / "study.yaml").read_text(encoding="utf-8", errors="replace")
         code.append(("Study", text))
@@ -52,6 +51,17 @@ def again(found: Found) -> Section:
     links = [(name, words) for name, words in _FILES.items() if found.has(name)]
     tables = [("Versions", Table.of(versions))] if last else []
     return Section("again", "Run it again", code=code, tables=tables, links=links)
+
+
+def _command(found: Found, record: Mapping[str, Any]) -> str:
+    """Return the command as it was given; of a run made in Python, one on the study in it."""
+    sessions = record.get("sessions") or ()
+    given = [s["arguments"] for s in sessions if s.get("arguments")]
+    if given:
+        return f"bo-sysid {shlex.join(given[-1])}"
+    seed = f" --seed {record['seed']}" if record.get("seed") is not None else ""
+    trust = " --trust-code" if _names_code(found) else ""
+    return f"bo-sysid {record['command']} study.yaml{seed}{trust}"
 
 
 def _names_code(found: Found) -> bool:

@@ -5,7 +5,7 @@ import hashlib
 import json
 import platform
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -58,6 +58,7 @@ class Run:
         command: str,
         *,
         seed: int | None = None,
+        arguments: Sequence[str] = (),
     ) -> "Run":
         """Make a run folder, or go on with one of the same study and command.
 
@@ -66,6 +67,7 @@ class Run:
             study: the resolved study, with paths relative to `folder`.
             command: the verb.
             seed: seed of everything drawn at random.
+            arguments: of the command line, for who wants to run it again; empty in Python.
 
         Raises:
             RunError: another process writes to the folder, or the folder holds another study or
@@ -81,7 +83,10 @@ class Run:
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
             run._record["status"] = "running"
-            run._record["sessions"].append({"started": _now(), "versions": versions()})
+            session: dict[str, Any] = {"started": _now(), "versions": versions()}
+            if arguments:
+                session["arguments"] = list(arguments)
+            run._record["sessions"].append(session)
             run.write_text(_STUDY, text)
             run.write_json(_RECORD, run._record)
         except BaseException:
@@ -91,7 +96,7 @@ class Run:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """What `run.json` holds: command, seed, versions, hash of the study, times, status."""
+        """What `run.json` holds: command, seed, arguments, versions, hash of the study, times, status."""
         return self._record
 
     def path(self, name: str) -> Path:
