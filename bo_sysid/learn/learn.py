@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, UserError
 from bo_sysid.execution import Report, limit_threads, silent
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iterate import Teller, iterate
@@ -64,12 +64,13 @@ def learn(
         study: names the task, the model, what is uncertain, and the plant; without a plant the
             machine is a person's, and the loop waits for recordings.
         run: folder that keeps every phase; a run that was interrupted goes on to the result that
-            it would have had. A temporary one by default.
+            it would have had. By default a temporary one, where the study has a plant.
         progress: told after every phase.
         strict: refuse messy recordings of a person's machine.
 
     Raises:
-        UserError: the study, its model, its task or a recording is wrong.
+        UserError: the study, its model, its task or a recording is wrong, or a person's machine
+            has no run folder to take the policy from and put its recording into.
     """
     import torch  # noqa: F401 - before threads are limited, or its own would not be
 
@@ -78,6 +79,11 @@ def learn(
         # and with them what an interrupted run goes on to
         with limit_threads(1):
             return _learned(study, run, progress, strict)
+    if study.plant is None:
+        raise UserError(
+            "learning on a machine of your own needs a run folder, for its policies and "
+            "recordings: learn(study, run)"
+        )
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "run"
         with Run.open(folder, study.resolved(relative_to=folder), "learn") as own:
