@@ -231,6 +231,10 @@ def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
     assert went_on.iterations["plant_return"].isna().all()
     assert any("trajectory-01 ends after 8 of 20 s" in note for note in went_on.notes)
 
+    with_a_gap(tmp_path / "run" / "recordings" / "trajectory-01.csv")
+    with pytest.raises(RunError, match=r"trajectory-01\.csv: changed since this run used it"):
+        learned(tmp_path, study)
+
 
 def test_what_to_record_has_the_columns_and_units_of_the_study(tmp_path: Path) -> None:
     study = machine_study(tmp_path)
@@ -269,6 +273,11 @@ def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path)
     with pytest.raises(UserError, match=r"trajectory-01"):
         learned(tmp_path, study)
     assert place.exists()
+    shutil.copyfile(tmp_path / "first.csv", place)
+    write_recording(read_recording(tmp_path / "first.csv"), place.with_suffix(".parquet"))
+    with pytest.raises(UserError, match=r"trajectory-01.* are there; only one may be"):
+        learned(tmp_path, study)
+    place.with_suffix(".parquet").unlink()
     place.unlink()
     assert "waiting for recording 1" in learned(tmp_path, study).waiting
 
@@ -314,6 +323,11 @@ def test_a_run_does_not_go_on_with_another_model(tmp_path: Path) -> None:
         learned(tmp_path, study)
     model.export(tmp_path / "model.xml", [])
     assert "waiting for recording 1" in learned(tmp_path, study).waiting
+
+
+def test_a_machine_of_ones_own_needs_a_run_folder(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="needs a run folder"):
+        learn(Study.from_dict(machine_study(tmp_path), tmp_path))
 
 
 def test_waiting_is_no_failure(

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import pandas as pd
 
-from bo_sysid.errors import RunError, StudyError
+from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.learn.hand_over import hand_over
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.values import VALUE_SEED, Estimate
@@ -24,6 +24,8 @@ from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import corrected, read_files, read_train
 
+_USED = "used_recordings.json"
+"""Digests of the recordings of policies that a run has used, by the iteration that began so."""
 _WHOLE = 0.95  # share of an episode that a recording of it should have
 _LONGEST = 20.0  # [s] of the first excitation, where a task has no end
 
@@ -194,7 +196,9 @@ class MachineSource:
         """Find the recording of iteration `number`, or write the policy and say what to record.
 
         Raises:
-            RecordingError: the recording is wrong; the run waits for a better one.
+            RecordingError: the recording is wrong, or there are two; the run waits for a better
+                one.
+            RunError: it is another one than the run used before.
         """
         if policy is None:
             return None
@@ -203,9 +207,24 @@ class MachineSource:
         found = [path for path in there if path.is_file()]
         if not found:
             return Waiting(hand_over(self._scene, self._run, policy, number - 1, stem))
-        read_files(self._scene.study, found[:1], self._strict)
+        if len(found) > 1:
+            both = " and ".join(path.name for path in found)
+            raise RecordingError(f"{self._run.path(stem)}: {both} are there; only one may be")
+        read = read_files(self._scene.study, found, self._strict)
+        self._require_used(number, found[0], _digest(read))
         self._files.append(found[0])
         return None
+
+    def _require_used(self, number: int, file: Path, digest: str) -> None:
+        """Refuse another recording than the one with which an iteration was begun."""
+        used = self._run.read_json(_USED) if self._run.has(_USED) else {}
+        begun = self._run.path(f"iterations/{number:02d}").is_dir()
+        if begun and used.get(str(number), digest) != digest:
+            raise RunError(
+                f"{file}: changed since this run used it; put back what was there, or use "
+                "another --out"
+            )
+        self._run.write_json(_USED, {**used, str(number): digest})
 
     def recordings(self, study: Study) -> tuple[Recording, ...]:
         """The first recordings and those of policies, as a study's model is to see them."""
