@@ -132,6 +132,86 @@ def test_every_number_of_a_finding_is_a_parameter_where_the_model_has_it(
     assert "policy" not in held  # nor what stands at its default
 
 
+def found(effect: str, kind: str, site: str, value: float, unit: str, **details: float) -> Finding:
+    within = {d: Quantity(x, unit, (x - 0.02, x + 0.02)) for d, x in details.items()}
+    q = Quantity(value, unit, (0.99 * value, 1.01 * value))
+    return Finding(effect, kind, site, q, 0.0, value, within, None, 0.98, (), "", (value,))
+
+
+SERVO = '<position name="elbow" joint="elbow" kp="20" kv="1"/>'
+IN_THE_MODEL = {
+    "fluid_drag": found("fluid_drag", "world", "world", 900.0, "kg/m³", viscosity=0.01),
+    "wind": found("wind", "world", "world", 3.0, "m/s", x=1.0, y=-2.0, z=2.0),
+    "gravity_compensation": found("gravity_compensation", "body", "upper", 0.4, "fraction"),
+    "servo_kp": found("servo_kp", "actuator", "elbow", 25.0, "N m/rad"),
+    "servo_kd": found("servo_kd", "actuator", "elbow", 1.5, "N m s/rad"),
+}
+NUMBERS = {
+    "option.density": 900.0, "option.viscosity": 0.01, "option.wind[0]": 1.0,
+    "option.wind[1]": -2.0, "option.wind[2]": 2.0, "body[upper].gravcomp": 0.4,
+    "body[forearm].gravcomp": 0.4, "actuator[elbow].kp": 25.0, "actuator[elbow].kv": 1.5,
+}  # fmt: skip
+
+
+def written(spec: mujoco.MjSpec) -> None:
+    """Write what stands under `IN_THE_MODEL`."""
+    spec.option.density, spec.option.viscosity, spec.option.wind = 900.0, 0.01, [1.0, -2.0, 2.0]
+    for body in ("upper", "forearm"):
+        spec.body(body).gravcomp = 0.4
+    servo = spec.actuator("elbow")
+    servo.gainprm[0], servo.biasprm[1], servo.biasprm[2] = 25.0, -25.0, -1.5
+
+
+def study_on(folder: Path, findings: list[Finding], edit: Callable[[mujoco.MjSpec], None]) -> str:
+    """Write the study on an arm with a servo that was repaired; return its text."""
+    write_recording(record(duration=1.0), folder / "train.parquet")
+    text = ARM.read_text().replace('<motor name="elbow" joint="elbow" gear="1"/>', SERVO)
+    (folder / "arm.xml").write_text(text)
+    content = {
+        "version": 1, "name": "arm", "model": "arm.xml", "recordings": {"train": ["train.parquet"]},
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(content))
+    study = Study.load(folder / "study.yaml")
+    load_model(study).export(folder / MODEL, [edit])
+    made = study_text(study, findings, folder, Written((), {}))
+    (folder / "repaired.yaml").write_text(made)
+    return made
+
+
+def test_what_stands_in_the_model_is_a_parameter_and_the_study_loads(tmp_path: Path) -> None:
+    text = study_on(tmp_path, list(IN_THE_MODEL.values()), written)
+    study = Study.load(tmp_path / "repaired.yaml")
+    model = load_model(study)
+    held = study.parameter_set(model)
+    own = {a: p for p in held for a in p.addresses}
+    assert set(own) == set(NUMBERS)
+    for address, value in NUMBERS.items():
+        assert Address.parse(address).read(model) == pytest.approx(value)
+        assert own[address].low < value < own[address].high
+    for ends in ([p.low for p in held], [p.high for p in held]):
+        model.compile(parameter_edits(model, held, ends))
+    assert own["option.viscosity"].low == 0
+    assert "# no parameter" not in text
+
+
+@pytest.mark.parametrize(
+    ("finding", "why"),
+    [
+        (found("timestep", "world", "world", 0.001, "s"), "are cut for the time step"),
+        (found("actuator_saturation", "actuator", "elbow", 2.0, "N m"), "limits either way"),
+        (found("actuator_delay", "actuator", "elbow", 0.02, "s"), "no more of the past"),
+        (found("armature", "joint", "elbow", 3e-9, "kg m²"), "no one number of the repaired"),
+        (found("com_shift", "body", "fore\nmodel: arm", 0.1, "m"), "no one number of the repaired"),
+    ],
+)
+def test_what_is_no_parameter_says_why(tmp_path: Path, finding: Finding, why: str) -> None:
+    first, *rest = study_on(tmp_path, [finding], lambda spec: None).splitlines()
+    assert first.startswith(f"# no parameter: {finding.effect} at {' '.join(finding.site.split())}")
+    assert why in first
+    assert rest[0] == "version: 1"
+    assert "parameters" not in yaml.safe_load("\n".join(rest))
+
+
 def test_what_was_written_says_that_it_steps_finer() -> None:
     assert Written((), {}, (0.0005, 0.001)).notes == (
         "model_repaired.xml steps at 0.0005 s, since 0.001 s shows in the recordings",

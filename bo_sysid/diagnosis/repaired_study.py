@@ -25,10 +25,23 @@ _ADDRESSES = {
     "payload": {"": "body[{site}_payload].mass"},
     "contact_friction": {"": "geom[{site}].friction[0]"},
     "actuator_lag": {"": "actuator[{site}].dynprm[0]"},
+    "servo_kp": {"": "actuator[{site}].kp"},
+    "servo_kd": {"": "actuator[{site}].kv"},
+    "fluid_drag": {"": "option.density", "viscosity": "option.viscosity"},
+    "wind": {axis: f"option.wind[{k}]" for k, axis in enumerate("xyz")},
+    "gravity_compensation": {"": "body[{site}].gravcomp"},
 }
 """Where the repaired model has an effect at `{site}`, and the details of it by name."""
+_SIGNED = ("rest angle", *"xyz")  # details that may be negative
 _SAME = 1e-3  # relative difference of what was found from what the repaired model has
-_NO_ADDRESS = "# no parameter, since no number of the repaired model is it"
+_NO_ADDRESS = {
+    "timestep": "recordings are cut for the time step of the repaired model",
+    "actuator_saturation": "two numbers of the repaired model are it, the limits either way",
+    "actuator_delay": "the repaired model keeps no more of the past than this delay needs",
+    "contact_softness": "all contacts of the repaired model share it",
+}
+"""Why effects are no parameter of the repaired study that numbers of the model may be."""
+_NO_NUMBER = "no one number of the repaired model has its value"
 _BRISTLES = tuple(f"actuator[{{site}}_friction].biasprm[{k}]" for k in (3, 4))  # at speed, at rest
 
 
@@ -59,8 +72,14 @@ def study_text(
         for made in (parameters := _parameters(model, f)):
             if not _taken(model, data.get("parameters", ()), made):
                 data.setdefault("parameters", []).append(made)
-        absent += [] if parameters else [f"{_NO_ADDRESS}: {f.effect} at {f.site}\n"]
+        absent += [] if parameters else [_absent(f)]
     return "".join(absent) + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _absent(finding: Finding) -> str:
+    """Return the comment on a finding that is no parameter; a name in it is one line."""
+    site, why = " ".join(finding.site.split()), _NO_ADDRESS.get(finding.effect, _NO_NUMBER)
+    return f"# no parameter: {finding.effect} at {site}, since {why}\n"
 
 
 def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
@@ -70,8 +89,26 @@ def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
         return [_parameter(finding, "", own)]
     places = _ADDRESSES.get(finding.effect, {})
     named = {detail: a.format(site=finding.site) for detail, a in places.items()}
-    held = {d: a for d, a in named.items() if _holds(model, a, _found(finding, d)[0])}
-    return [_parameter(finding, d, _named(model, [a])) for d, a in held.items()]
+    placed = {d: [a, *_carried(model, finding)] for d, a in named.items()}
+    held = {
+        d: own
+        for d, own in placed.items()
+        if all(_holds(model, a, _found(finding, d)[0]) for a in own)
+    }
+    return [_parameter(finding, d, _named(model, own)) for d, own in held.items()]
+
+
+def _carried(model: Model, finding: Finding) -> list[str]:
+    """Return the further numbers that are one with a finding's: those of what a body carries."""
+    if finding.effect != "gravity_compensation":
+        return []
+    compiled = model.compile()
+    parent, carrier = compiled.body_parentid, compiled.body(finding.site).id
+    found = [carrier]
+    for b in range(carrier + 1, compiled.nbody):  # a body comes after its parent
+        if parent[b] in found:
+            found.append(b)
+    return [f"body[{compiled.body(b).name}].gravcomp" for b in found[1:]]
 
 
 def _found(finding: Finding, detail: str) -> tuple[float, Quantity]:
@@ -83,7 +120,7 @@ def _found(finding: Finding, detail: str) -> tuple[float, Quantity]:
 def _holds(model: Model, address: str, value: float) -> bool:
     """Whether a model has a value there, and not, such as a second lag, beside it."""
     try:
-        return bool(np.isclose(Address.parse(address).read(model), value, rtol=_SAME))
+        return bool(np.isclose(Address.parse(address).read(model), value, rtol=_SAME, atol=0.0))
     except ModelError:
         return False
 
@@ -102,7 +139,7 @@ def _parameter(finding: Finding, detail: str, own: Sequence[str]) -> dict[str, A
     return {
         "name": f"{name}, {detail}" if detail else name,
         "address": own[0] if len(own) == 1 else list(own),
-        "low": float(value - width if detail else max(value - width, 0.0)),
+        "low": float(value - width if detail in _SIGNED else max(value - width, 0.0)),
         "high": float(value + width),
         "unit": q.unit,
     }
