@@ -96,7 +96,7 @@ class Run:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """What `run.json` holds: command, seed, arguments, versions, hash of the study, times, status."""
+        """What `run.json` holds: command, seed, arguments, versions, hash of the study, status."""
         return self._record
 
     def path(self, name: str) -> Path:

@@ -44,6 +44,8 @@ class Stepper:
         self._laws = force_laws(parts)
         self._time: list[float] = []
         self._past: list[np.ndarray] = []
+        self._step = 0
+        self._held: np.ndarray = np.zeros(self.model.nv)
         self._lockstep: LockStep | None = None
 
     def step(self) -> None:
@@ -81,7 +83,6 @@ class Stepper:
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
         self._time, self._past = [], []
         self._step = 0
-        self._held: np.ndarray = np.zeros(self.model.nv)
 
     def _remember(self, commanded: np.ndarray) -> None:
         now = float(self.data.time)
