@@ -279,3 +279,17 @@ def test_states_move_and_differ_as_mujoco_has_it() -> None:
         mujoco.mj_differentiatePos(model, difference[k], 1.0, qpos[k], expected[k])
     np.testing.assert_allclose(moved.qpos, expected, atol=1e-12)
     np.testing.assert_allclose(tangent_difference(model, moved.qpos, qpos), difference, atol=1e-9)
+
+
+@pytest.mark.parametrize("hold", [0.0, 0.01])
+def test_after_a_divergence_nothing_moves(hold: float) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002"/><worldbody><body>'
+        '<joint name="x" type="slide"/><geom size=".1" mass="1"/></body></worldbody></mujoco>'
+    )
+    law = ForceLaw("x", lambda m: np.where((m.time > 0.05) & (m.qpos["x"] > 0.5), 1e14, 0.0), hold)
+    start = State(np.array([[-1.0], [1.0]]), np.zeros((2, 1)), np.zeros((2, 0)))
+    t = Engine(1).rollout(model, start, np.zeros((2, 200, 0)), laws=[law])
+    assert t.diverged[1]
+    np.testing.assert_array_equal(t.diverged, [False, True])
+    assert len(np.unique(t.qpos[1, 40:])) == 1

@@ -198,6 +198,7 @@ class Engine:
         driven = batch.bind("ctrl")
         states = np.zeros((batch.nsim, steps, model.nq + model.nv + model.na))
         alive = np.ones(batch.nsim, bool)
+        before = batch.warning[:, :, 1].sum(axis=1)
         for k in range(0, steps, every):
             if model.nu:
                 driven[:] = ctrl[:, k]
@@ -212,6 +213,7 @@ class Engine:
             except SimulationError as error:
                 alive[error.ids] = False
             states[rows, part] = out[spec]
+            alive &= batch.warning[:, :, 1].sum(axis=1) == before
         return states, None, ~alive
 
     def _lockstep(
