@@ -127,30 +127,25 @@ def _find_modes(
 
 
 def _mixture_draws(
-    modes: Sequence[_Mode], prior: Prior, rng: np.random.Generator, draws: int
+    modes: Sequence[_Mode], prior: Prior, rng: np.random.Generator
 ) -> tuple[list[Draw], Float[np.ndarray, " K"]]:
     """Return draws from the mixture of the modes' bumps and their log importance weights."""
     mass = np.array([m.log_density + 0.5 * np.linalg.slogdet(m.scale)[1] for m in modes])
     share = np.exp(mass - mass.max())
     share = share / share.sum()
-    counts = np.maximum(np.round(draws * share).astype(int), 8)
+    counts = np.maximum(np.round(DRAWS * share).astype(int), 8)
     found: list[Draw] = []
     weights: list[Float[np.ndarray, " k"]] = []
     for kernel in dict.fromkeys(m.evidence.kernel for m in modes):
         members = [
-            (m, c / counts.sum())
-            for m, c in zip(modes, counts, strict=True)
-            if m.evidence.kernel == kernel
+            (m, int(c)) for m, c in zip(modes, counts, strict=True) if m.evidence.kernel == kernel
         ]
-        bumps = [(multivariate_t(m.theta, m.scale, df=STUDENT_DOF), f) for m, f in members]
+        bumps = [(multivariate_t(m.theta, m.scale, df=STUDENT_DOF), c) for m, c in members]
         theta = np.concatenate(
-            [
-                np.reshape(b.rvs(round(f * counts.sum()), random_state=rng), (-1, len(prior.mean)))
-                for b, f in bumps
-            ]
+            [np.reshape(b.rvs(c, random_state=rng), (-1, len(prior.mean))) for b, c in bumps]
         )
         proposal = np.logaddexp.reduce(
-            [np.log(f) + np.atleast_1d(b.logpdf(theta)) for b, f in bumps], axis=0
+            [np.log(c / counts.sum()) + np.atleast_1d(b.logpdf(theta)) for b, c in bumps], axis=0
         )
         value, _ = _log_posterior(members[0][0].evidence, prior, theta)
         found += [Draw(kernel, row) for row in theta]
@@ -164,7 +159,6 @@ def sample_hyperparameters(
     *,
     members: int,
     seed: int,
-    draws: int = DRAWS,
 ) -> tuple[tuple[Draw, ...], Float[np.ndarray, " M"], float]:
     """Return members of the ensemble, their weights, which sum to 1, and the log evidence.
 
@@ -176,13 +170,12 @@ def sample_hyperparameters(
         prior: of θ, the same for all families.
         members: how many to resample; equal ones are merged, so fewer may come back.
         seed: of the draws.
-        draws: size of the importance sample.
     """
     rng = np.random.default_rng(seed)
     spread = np.zeros((3, len(prior.mean)))
     spread[1, :-1], spread[2, :-1] = -1.0, 1.0
     modes = _find_modes(evidences, prior, prior.mean + spread * prior.std)
-    found, log_weights = _mixture_draws(modes, prior, rng, draws)
+    found, log_weights = _mixture_draws(modes, prior, rng)
     weights = np.exp(log_weights - log_weights.max())
     evidence = float(log_weights.max() + np.log(weights.mean()))
     weights = weights / weights.sum()

@@ -148,19 +148,18 @@ def _require_clean(problems: tuple[Posed, ...]) -> None:
             load_train(problem.study, strict=True)
 
 
-def so_far(study: Study, folder: Path, *, trust_code: bool = False) -> Comparison:
+def so_far(study: Study, folder: Path) -> Comparison:
     """Return what the finished runs of a comparison say, also while others are going on.
 
     Args:
         study: that the folder is a comparison of.
         folder: of the run; nothing is written to it.
-        trust_code: allow the studies under `compare.problems` to name Python files.
 
     Raises:
         RunError: no run has finished yet.
-        StudyError: a study names Python files that are not trusted.
+        StudyError: a study under `compare.problems` names Python files.
     """
-    arms, problems = arms_of(study), problems_of(study, trust_code=trust_code)
+    arms, problems = arms_of(study), problems_of(study, trust_code=False)
     keys = {record_name(key): key for key in keys_of(study, arms, problems)}
     records = {k: read_json(folder, name) for name, k in keys.items() if (folder / name).is_file()}
     if not records:

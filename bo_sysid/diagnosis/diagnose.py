@@ -24,7 +24,7 @@ from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
-from bo_sysid.runs import Run, plain
+from bo_sysid.runs import Run
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import require_scales
@@ -246,7 +246,7 @@ def _repair(
         run.write_text(EXPERIMENT, controls.to_csv(index=False))
     else:  # that of an earlier diagnosis in the same folder is none of this one's
         run.path(EXPERIMENT).unlink(missing_ok=True)
-    run.write_json("answer.json", plain({**answer.as_json(), "sha256": answer.sha256}))
+    run.write_json("answer.json", {**answer.as_json(), "sha256": answer.sha256})
     return written.notes
 
 

@@ -29,6 +29,7 @@ from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
 _TRIED, _BEGUN = 2, 3  # joints that are added, by what their points leave; points of each
+_ELIMINATIONS = 14  # members that are left out, at most
 _NEARER = 0.97  # of what a set leaves far off, that a round must come below
 _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
 
@@ -159,7 +160,7 @@ def rubbing(fit: Fit, *, bent: bool = False) -> bool:
     return any(c.bent if bent else c.bendable for c in fit.members)
 
 
-def eliminate(search: Search, steps: int = 14) -> None:
+def eliminate(search: Search) -> None:
     """Leave out what is too small until the leading set is admissible.
 
     Where contact bends the response, that is known of a set only once it was fitted without each
@@ -169,7 +170,7 @@ def eliminate(search: Search, steps: int = 14) -> None:
     """
     touching = can_touch(search.prepared.problem.machine.model)
     done: set[tuple[object, object]] = set()
-    for _ in range(steps):
+    for _ in range(_ELIMINATIONS):
         for f in ranked(search.fits.values(), search.prior):
             before, nearer = len(search.fits), False
             small = weak(f, search.nominal, search.fits.values())

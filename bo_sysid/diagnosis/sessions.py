@@ -1,7 +1,7 @@
 """Magnitudes by recording: where sessions of one machine disagree, the interval must say so."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -102,9 +102,8 @@ def _alone(
     problem: Problem, fit: Fit, rows: Bool[np.ndarray, " W"], x: Sequence[np.ndarray] | None = None
 ) -> Fit:
     part, start = problem.rows(rows), fit.start.rows(rows)
-    linear = linearise(part, fit.hypothesis, start)
     return refit(
-        replace(linear, problem=part),
+        linearise(part, fit.hypothesis, start),
         fit.members,
         fit.x if x is None else x,
         groups=fit.groups,

@@ -112,7 +112,6 @@ class Scene:
         *,
         seed: int = 0,
         threads: int = 1,
-        stagger: bool = False,
         common: int | None = None,
     ) -> Environment:
         """Return `n` simulations of the task; see `make_environment`."""
@@ -122,7 +121,6 @@ class Scene:
             n,
             seed=seed,
             threads=threads,
-            stagger=stagger,
             common=common,
             laws=self.laws,
         )

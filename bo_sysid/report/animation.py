@@ -13,6 +13,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.report.look import COLOURS, MODELS
 from bo_sysid.report.robot import Posed, depth_order, outline, view
 
+_COMPARED = ("nominal", "repaired")  # columns
 _PANEL = 300  # pixels, of a side
 _FINER = 2  # drawn larger and shrunk, for smooth edges
 _RATE = 20  # pictures a second
@@ -23,12 +24,7 @@ _FILL, _EDGE, _PAPER = "#CDD3DA", "#8A949E", "#FFFFFF"
 _MARGIN = 0.12  # of a panel
 
 
-def write_animation(
-    path: Path,
-    model: Model,
-    traces: pd.DataFrame,
-    models: Sequence[str] = ("nominal", "repaired"),
-) -> bool:
+def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
     """Write recorded motion (grey) with each model's forecast (outlined), one panel a model.
 
     The piece in which the first model is worst is shown, in real time.
@@ -37,22 +33,21 @@ def write_animation(
         path: the GIF file.
         model: whose joints the traces are of.
         traces: recording, time [s], window, channel, recorded and one column for each model.
-        models: columns to compare.
 
     Returns:
         Whether there is anything to show: the traces have positions of the model's joints.
     """
-    piece = _worst(traces[traces["channel"].isin(model.qpos_channels)], models[0])
+    piece = _worst(traces[traces["channel"].isin(model.qpos_channels)], _COMPARED[0])
     if piece.empty:
         return False
-    poses = {m: _poses(piece, m) for m in ("recorded", *models)}
+    poses = {m: _poses(piece, m) for m in ("recorded", *_COMPARED)}
     posed = Posed.of(model, poses["recorded"][0])
     onto = view(posed)
     shapes = {m: [_shapes(posed, model, pose, onto) for pose in poses[m]] for m in poses}
     everything = np.concatenate([s for m in shapes for frame in shapes[m] for s in frame])
     place = _Place.of(everything)
     frames = [
-        _frame([(m, shapes["recorded"][k], shapes[m][k]) for m in models], place)
+        _frame([(m, shapes["recorded"][k], shapes[m][k]) for m in _COMPARED], place)
         for k in range(len(poses["recorded"]))
     ]
     times = [1000 // _RATE] * (len(frames) - 1) + [_PAUSE]

@@ -20,13 +20,12 @@ _NEAR = 26.0  # points between a joint and a mark, from which on its name keeps 
 _FEW, _LIST = 3, 3.6  # sites whose words are written large; inches of their list
 
 
-def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> Figure:
+def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> Figure:
     """Return the robot with sites marked.
 
     Args:
         posed: the model in a pose.
         sites: each with its words; they stand in a list, and their numbers at the sites.
-        title: of the figure.
     """
     onto = view(posed)
     shapes = {g: outline(posed.surface(g), onto) for g in posed.geoms}
@@ -51,8 +50,6 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]], title: str = "") -> F
     axis.set_ylim(*box[:, 1])
     axis.set_aspect("equal")
     axis.set_axis_off()
-    if title:
-        axis.set_title(title, fontsize="medium")
     return figure
 
 
