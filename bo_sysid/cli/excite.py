@@ -11,16 +11,32 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     """Add the verb."""
     parser = verbs.add_parser(
         "excite",
-        help="plan a safe trajectory that tells the parameters",
-        description="Plan controls that keep the study's limits and tell its parameters as well "
-        "as possible, through the simulator. Writes a CSV file, a picture, predicted intervals.",
+        help="plan a safe trajectory from which the parameters can be identified",
+        description="Plan controls that keep the study's limits and from which its parameters "
+        "can be identified as well as possible, through the simulator. Writes a CSV file, a picture, predicted intervals.",
     )
     add_study(parser)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="runs/<study>-excite otherwise")
-    parser.add_argument("--seconds", type=float, default=10.0, help="length of the trajectory")
-    parser.add_argument("--interval", type=float, default=0.01, help="between two controls, in s")
     parser.add_argument(
-        "--budget", type=int, default=2400, help="trajectories that are tried, 28 or more"
+        "--seconds",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="length of the trajectory in s (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--interval",
+        type=float,
+        default=0.01,
+        metavar="S",
+        help="time between two controls in s (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--budget",
+        type=int,
+        default=2400,
+        metavar="N",
+        help="trajectories that are tried, 28 or more (default: %(default)s)",
     )
     parser.add_argument(
         "--effects", action="store_true", help="also friction, damping, armature, springs of joints"

@@ -20,8 +20,9 @@ def once(
 
     Args:
         run: the folder.
-        study: is asked.
-        compute: does so, with progress, and draws what was found.
+        study: its files and recordings are fingerprinted, and compared with those of the finished
+            run.
+        compute: writes the results and figures into `run`.
         results: files that a finished run has.
         strict: refuse messy recordings.
 

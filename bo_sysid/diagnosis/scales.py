@@ -16,7 +16,7 @@ _MOVES = 15.0  # [sigma] range below which a joint shows noise only
 def channel_noise(
     recordings: Sequence[Recording], machine: Machine, given: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return σ of each position channel: what is given, else from third differences.
+    """Return σ of each position channel: what is given, else what `noise_sigma` estimates.
 
     Recorded velocities are not observed: most are differences of the same positions, with noise
     that is neither white nor independent.

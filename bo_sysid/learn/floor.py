@@ -88,8 +88,9 @@ def floor_of(
 def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, float]:
     """Return σ of every observed channel: the study's, else what is known, else estimated.
 
-    Third differences take motion that bends within three samples for noise: without a word about
-    the sensors the floor is expected too high, and missing physics may hide beneath it.
+    The estimate takes motion that is too fast for differences of the highest order for noise, see
+    `sensor_noise`: there, without a word about the sensors, the floor is expected too high, and
+    missing physics may hide beneath it.
     """
     given = {**known, **problem.study.recordings.noise}
     found = [sensor_noise(r) for r in problem.recordings]
