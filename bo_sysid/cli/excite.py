@@ -12,8 +12,9 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     parser = verbs.add_parser(
         "excite",
         help="plan a safe trajectory from which the parameters can be identified",
-        description="Plan controls that keep the study's limits and from which its parameters "
-        "can be identified as well as possible, through the simulator. Writes a CSV file, a picture, predicted intervals.",
+        description="Plan controls that keep the study's limits and from which its parameters can "
+        "be identified as well as possible, through the simulator. Writes a CSV file, a picture, "
+        "predicted intervals.",
     )
     add_study(parser)
     parser.add_argument("--out", type=Path, metavar="FOLDER", help="runs/<study>-excite otherwise")
