@@ -161,7 +161,12 @@ class Model:
 
     @classmethod
     def from_menagerie(
-        cls, robot: str, *, base: Literal["free", "fixed"] = "free", hold: Sequence[str] = ()
+        cls,
+        robot: str,
+        *,
+        base: Literal["free", "fixed"] = "free",
+        hold: Sequence[str] = (),
+        unrecorded: Mapping[str, str | None] = MappingProxyType({}),
     ) -> "Model":
         """Read a robot from the MuJoCo Menagerie under `$BO_SYSID_MENAGERIE`.
 
@@ -169,12 +174,14 @@ class Model:
             robot: its folder, whose `scene.xml` is taken where there is one, or a file in it.
             base: as in `from_file`.
             hold: as in `from_file`.
+            unrecorded: as in `from_file`.
 
         Raises:
             ModelError: the variable is not set, the robot is not there, or does not compile.
         """
         file = sources.menagerie_file(robot)
-        return cls.from_file(file, base=base, hold=hold, name=Path(robot).stem)
+        name = Path(robot).stem
+        return cls.from_file(file, base=base, hold=hold, unrecorded=unrecorded, name=name)
 
     @property
     def loops(self) -> Loops:

@@ -27,11 +27,13 @@ def load_model(study: Study) -> Model:
     source = study.model
     if source.dm_control is not None:
         return Model.from_dm_control(source.dm_control.domain, source.dm_control.task)
+    base, hold, unrecorded = source.base, source.hold, source.unrecorded
     if source.menagerie is not None:
-        return Model.from_menagerie(source.menagerie, base=source.base, hold=source.hold)
+        robot = source.menagerie
+        return Model.from_menagerie(robot, base=base, hold=hold, unrecorded=unrecorded)
     assert source.file is not None  # noqa: S101 - the study has exactly one source
     file = study.file(source.file, ("model",))
-    return Model.from_file(file, base=source.base, hold=source.hold, unrecorded=source.unrecorded)
+    return Model.from_file(file, base=base, hold=hold, unrecorded=unrecorded)
 
 
 def held_notes(study: Study) -> tuple[str, ...]:

@@ -46,15 +46,16 @@ class ModelSource(Section):
     """Joints held where the file puts them, as those that were not recorded."""
     unrecorded: Mapping[Name, Name | None] = {}
     """Joints that move though nothing measures them, each with the joint whose encoder shows it as
-    well (play that the encoder on a link sees), or null."""
+    well (play that the encoder on a link sees), or null: its start is fitted, or follows from the
+    others where the model's equalities close a chain."""
 
     @model_validator(mode="after")
     def _one(self) -> "ModelSource":
         _exactly_one(self, "file", "dm_control", "menagerie")
         if self.dm_control is not None and self.hold:
             raise ValueError("hold goes with file or menagerie; a task of dm_control moves whole")
-        if self.file is None and self.unrecorded:
-            raise ValueError("unrecorded goes with file")
+        if self.dm_control is not None and self.unrecorded:
+            raise ValueError("unrecorded goes with file or menagerie")
         return self
 
 
