@@ -74,3 +74,14 @@ def test_what_is_said_before_the_first_step_is_said_at_once(
     assert capsys.readouterr().err.splitlines() == [
         "diagnose: the elbow leaves its range", "diagnose 1/2, 0:10 left: half",
     ]  # fmt: skip
+
+
+def test_a_long_step_says_that_it_is_still_at_it(capsys: pytest.CaptureFixture[str]) -> None:
+    now = [0.0]
+    lines = Lines("diagnose", clock=lambda: now[0])
+    lines(Progress(1, 6, "windows"))
+    now[0] = 59.0
+    lines.still()
+    now[0] = 125.0
+    lines.still()
+    assert capsys.readouterr().err.splitlines()[-1:] == ["diagnose: at it for 2:05"]

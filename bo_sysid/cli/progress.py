@@ -2,6 +2,7 @@
 
 import contextlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -9,6 +10,8 @@ from bo_sysid.execution import Progress, Report
 
 EVERY = 5.0
 """Least time between two lines, in s."""
+STILL = 60.0
+"""Time after which a long step says that it is still at it, in s."""
 
 
 @contextlib.contextmanager
@@ -18,7 +21,19 @@ def shown(title: str) -> Iterator[Report]:
         with _bar(title) as report:
             yield report
     else:
-        yield Lines(title)
+        lines, over = Lines(title), threading.Event()
+        beat = threading.Thread(target=_beating, args=(lines, over), daemon=True)
+        beat.start()
+        try:
+            yield lines
+        finally:
+            over.set()
+            beat.join()
+
+
+def _beating(lines: "Lines", over: threading.Event) -> None:
+    while not over.wait(STILL):
+        lines.still()
 
 
 class Lines:
@@ -34,7 +49,7 @@ class Lines:
         self, title: str, every: float = EVERY, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._title, self._every, self._clock = title, every, clock
-        self._began = self._last = clock()
+        self._began = self._last = self._told = clock()
         self._first: int | None = None
 
     def __call__(self, progress: Progress) -> None:
@@ -45,7 +60,7 @@ class Lines:
         if not progress.step:
             print(f"{self._title}: {progress.message}", file=sys.stderr, flush=True)
             return
-        now = self._clock()
+        now = self._told = self._clock()
         if self._first is None:
             self._first = progress.step - 1  # a resumed run does not begin at zero
         if now - self._last < self._every and progress.step < progress.of:
@@ -60,17 +75,30 @@ class Lines:
             flush=True,
         )
 
+    def still(self) -> None:
+        """Print how long nothing was said, where that is long."""
+        since = self._clock() - self._told
+        if since >= STILL:
+            print(f"{self._title}: at it for {_duration(since)}", file=sys.stderr, flush=True)
+
 
 @contextlib.contextmanager
 def _bar(title: str) -> Iterator[Report]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.progress import Progress as Bar
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[message]}", markup=False),
     )

@@ -130,7 +130,7 @@ class Trajectory:
         sensordata: `W x (S+1) x nsensordata` where sensors were asked for, else None.
         ctrl: `W x S x nu` controls as controllers wrote them, None where none did.
         diverged: `W` flags: MuJoCo warned (bad position, velocity or acceleration, a full
-            buffer) or raised; from there on the rows repeat the last good state.
+            buffer) or raised; from there on the rows repeat one state, and mean nothing.
     """
 
     qpos: Float[np.ndarray, "W S1 nq"]
