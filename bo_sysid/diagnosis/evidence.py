@@ -66,6 +66,9 @@ class Evidence:
             for joint, other in self.model.loops.mirrored.items()
             if joint in self.machine.joints
         ]
+        following = [j for j in self.model.loops.joints if j not in self.machine.joints]
+        if following:
+            said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
             said.append("Nothing of the model touches in these recordings: contact is left out.")
         return tuple(said)

@@ -157,13 +157,14 @@ def _framing(
     """
     asked = study.deviation
     rates = set(model.qvel_channels)
-    measured = not model.unrecorded and any(rates & set(r.channels) for r in recordings)
+    unmeasured = set(model.unrecorded) - set(model.loops.joints)
+    measured = not unmeasured and any(rates & set(r.channels) for r in recordings)
     if asked.starts == "fitted" or not rates or measured:
         return asked.starts == "fitted", asked.horizon, ()
     name = next(n for n in model.qpos_channels if n in recordings[0].channels)
     interval = float(np.median([np.median(np.diff(r.channels[name].time)) for r in recordings]))
     horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
-    why = "a joint moves unmeasured" if model.unrecorded else "no velocity was recorded"
+    why = "a joint moves unmeasured" if unmeasured else "no velocity was recorded"
     note = (
         f"{why}, so that "
         f"starts cannot be measured: they are fitted, in windows of {horizon} instants "
