@@ -344,7 +344,10 @@ def test_waiting_is_no_failure(
 # --- play ---
 
 
-def test_play_evaluates_and_records(whole: Path, tmp_path: Path) -> None:
+def test_play_evaluates_and_records(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
     played = play(whole, episodes=3, out=tmp_path)
     assert played.returns.shape == (3,)
     assert "± " in played.sentence
