@@ -12,6 +12,7 @@ from bo_sysid.checks.balance import Dynamics, unexplained
 from bo_sysid.errors import ModelError, RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.loops import Loops
+from bo_sysid.report.robot import Posed
 from bo_sysid.starter.init import init
 from bo_sysid.study.check import check
 
@@ -163,3 +164,8 @@ def test_init_lets_joints_of_a_loop_follow(tmp_path: Path) -> None:
     text = (tmp_path / "study.yaml").read_text()
     assert "unrecorded: {pin: null, follower: null}" in text
     assert "scale: " not in text.replace("apply: scale", "")
+
+
+def test_a_picture_shows_the_chain_closed() -> None:
+    posed = Posed.of(Model.from_xml(PARALLELOGRAM), {"qpos.crank": 0.5})
+    np.testing.assert_allclose(posed.data.qpos, [0.5, -0.5, 0.5], atol=1e-9)

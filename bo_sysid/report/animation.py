@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -43,7 +42,7 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
     poses = {m: _poses(piece, m) for m in ("recorded", *_COMPARED)}
     posed = Posed.of(model, poses["recorded"][0])
     onto = view(posed)
-    shapes = {m: [_shapes(posed, model, pose, onto) for pose in poses[m]] for m in poses}
+    shapes = {m: [_shapes(posed, pose, onto) for pose in poses[m]] for m in poses}
     everything = np.concatenate([s for m in shapes for frame in shapes[m] for s in frame])
     place = _Place.of(everything)
     frames = [
@@ -76,12 +75,10 @@ def _poses(piece: pd.DataFrame, column: str) -> list[dict[str, float]]:
 
 
 def _shapes(
-    posed: Posed, model: Model, pose: Mapping[str, float], onto: Float[np.ndarray, "2 3"]
+    posed: Posed, pose: Mapping[str, float], onto: Float[np.ndarray, "2 3"]
 ) -> list[Float[np.ndarray, "n 2"]]:
     """Return the outlines of a robot in a pose, farthest first."""
-    for k, channel in enumerate(model.qpos_channels):
-        posed.data.qpos[k] = pose.get(channel, posed.data.qpos[k])
-    mujoco.mj_kinematics(posed.model, posed.data)
+    posed.move(pose)
     order = depth_order(posed, posed.geoms, onto)
     return [outline(posed.surface(int(g)), onto) for g in order]
 

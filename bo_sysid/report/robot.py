@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Loops, Model
 
 Points = Float[np.ndarray, "P 3"]
 
@@ -24,22 +24,41 @@ _SKIPPED = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 @dataclass(frozen=True)
 class Posed:
-    """A compiled model in a pose."""
+    """A compiled model in a pose.
+
+    Attributes:
+        model: compiled, with what only the eye needs.
+        data: in the pose.
+        channels: of each entry of `qpos`.
+        loops: by which joints that no channel tells follow from the others.
+    """
 
     model: mujoco.MjModel
     data: mujoco.MjData
+    channels: tuple[str, ...]
+    loops: Loops
 
     @classmethod
     def of(cls, model: Model, pose: Mapping[str, float]) -> "Posed":
-        """Put a model into a pose given by position channels; others stay where the model is."""
+        """Put a model into a pose given by position channels.
+
+        Other joints stay where the model is, or follow where a closed chain says so.
+        """
         compiled = model.compile(visuals=True)
-        data = mujoco.MjData(compiled)
-        for k, channel in enumerate(model.qpos_channels):
-            if channel in pose:
-                data.qpos[k] = pose[channel]
-        mujoco.mj_kinematics(compiled, data)
-        mujoco.mj_comPos(compiled, data)
-        return cls(compiled, data)
+        silent = [n for n in model.joints if f"qpos.{n}" not in pose]
+        loops = Loops.of(model.compile(), silent)
+        posed = cls(compiled, mujoco.MjData(compiled), model.qpos_channels, loops)
+        posed.move(pose)
+        return posed
+
+    def move(self, pose: Mapping[str, float]) -> None:
+        """Put the model into another pose of the same channels."""
+        for k, channel in enumerate(self.channels):
+            self.data.qpos[k] = pose.get(channel, self.data.qpos[k])
+        if self.loops.silent:
+            self.data.qpos[:] = self.loops.followed(self.data.qpos[None])[0]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
 
     @property
     def geoms(self) -> list[int]:
