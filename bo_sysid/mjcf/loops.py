@@ -62,7 +62,7 @@ class Loops:
             silent: joints that are not recorded.
             apart: joints that follow from nothing, such as what gives way behind an encoder.
         """
-        bare = _bare(model)
+        bare = _bare(model) if model.neq else model
         if not bare.eq_active0.any():
             return cls(bare, (), np.zeros(0, int), False)
         J = _slopes(bare, _somewhere(bare))
