@@ -90,9 +90,11 @@ class Loops:
         for e in np.flatnonzero(model.eq_active0):
             if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or model.eq_obj2id[e] < 0:
                 continue
-            pair = [model.joint(int(j)).name for j in (model.eq_obj1id[e], model.eq_obj2id[e])]
-            if not model.eq_data[e, 2:5].any() and sum(n in self.joints for n in pair) == 1:
-                found[pair[pair[0] not in self.joints]] = pair[pair[0] in self.joints]
+            one, two = (model.joint(int(j)).name for j in (model.eq_obj1id[e], model.eq_obj2id[e]))
+            in_proportion = not model.eq_data[e, 2:5].any()
+            if in_proportion and (one in self.joints) != (two in self.joints):
+                follower, other = (one, two) if one in self.joints else (two, one)
+                found[follower] = other
         return found
 
     @property
