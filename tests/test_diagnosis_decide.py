@@ -110,6 +110,23 @@ def test_sets_that_differ_by_less_than_both_leave_are_told_apart_by_nothing(mach
     assert decision.probability[:2] == pytest.approx([0.5, 0.5])
 
 
+@pytest.mark.parametrize(("rms", "apart", "told"), [(1.02, 0.03, False), (1.02, 0.2, True),
+                                                    (1.0, 0.03, True)])  # fmt: skip
+def test_what_the_model_itself_leaves_decides_nothing_between_sets_that_are_close(
+    machine, rms: float, apart: float, told: bool
+) -> None:
+    """Beside a leftover of .2 sigma a difference of .03 may be 40 nats for no good reason."""
+    wrong = fit((candidate(machine, "payload", "forearm"),), rms)
+    right = replace(
+        fit((candidate(machine, "link_mass", "forearm"),), rms),
+        residual=wrong.residual + apart,
+        cv=wrong.cv + 80.0 / BLOCKS,
+    )
+    decision = decided(fit((), 9.0, seed=3), wrong, right)
+    assert decision.best is wrong
+    assert (decision.probability[0] > 0.99) == told
+
+
 @pytest.mark.parametrize(("deviations", "stays"), [(8.0, True), (2.0, False)])
 def test_a_small_member_of_a_group_stays_where_it_is_surely_there(
     machine, deviations: float, stays: bool

@@ -73,6 +73,16 @@ def test_a_site_is_said_once_and_sentences_begin_with_what_acts(
     assert sentence(found, Quantity(633.0, "N/m", (599.0, 667.0)), 0.0, 0.0) == words
 
 
+def test_a_medium_is_told_with_both_of_its_numbers() -> None:
+    (drag,) = candidates([CATALOGUE["fluid_drag"]], machine())
+    density = Quantity(20.0, "kg/m³", (-30.0, 70.0))
+    viscosity = {"viscosity": Quantity(15.6, "Pa s", (15.4, 15.8))}
+    assert sentence(drag, density, 0.0, 0.0, viscosity) == (
+        "The machine moves in a medium denser than the model's by 20 ± 50 kg/m³, "
+        "and more viscous by 15.6 ± 0.2 Pa s."
+    )
+
+
 def test_a_spring_that_a_model_has_is_told_as_the_spring() -> None:
     assert said("joint_spring", machine(stiffness=2.0), 1.5) == (
         "The spring at the hinge is 3.50 ± 0.03 N m/rad, not 2 as in the model."

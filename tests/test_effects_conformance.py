@@ -33,13 +33,15 @@ def test_the_catalogue_has_every_id_at_its_kind_of_site() -> None:
 @pytest.mark.parametrize("effect", OWN, ids=lambda e: e.id)
 class TestWords:
     def test_sentence_and_evidence(self, effect: Effect) -> None:
-        said = effect.sentence.format(site="the elbow", value="0.1 N m", interval="")
+        more = {c.name: "0.2" for c in effect.components}
+        words = {**more, "site": "the elbow", "value": "0.1 N m", "interval": ""}
+        said = effect.sentence.format_map(words)
         assert "0.1 N m" in said
         assert said[0].isupper() or said.startswith("the elbow")
         assert said.endswith(".")
         assert effect.kind == "world" or "the elbow" in said
-        for words in (effect.evidence, effect.separation, effect.noun, effect.form):
-            assert words
+        for text in (effect.evidence, effect.separation, effect.noun, effect.form):
+            assert text
         assert not effect.evidence.endswith(".")
 
     def test_components(self, effect: Effect) -> None:

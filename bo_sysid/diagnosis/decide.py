@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +22,7 @@ from bo_sysid.diagnosis.rules import (
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
 # what they leave is far above the sensors' noise
+_CHANCE = 0.5  # of what is left unexplained: sets closer than that it may part by chance
 _TRIFLE = 0.1  # of what a richer effect holds, that it has of its own
 _NEARLY = 0.5  # of the size that a member must have, for a set that stands for the best
 _ROUNDS = 3
@@ -166,15 +168,13 @@ def _levelled(
 ) -> Float[np.ndarray, " f"]:
     """Return the scores where sets of one size that predict nearly the same differ by their prior.
 
-    Nearly is little beside what all of them leave, E = √(rms² - 1): there how far each was fitted
-    decides between them, not the machine.
+    Nearly is little beside what all of them leave, E = √(rms² - 1): that is no noise but the
+    model's step or other small physics, and sets whose predictions are d apart may differ in N
+    samples by up to 2 N d E for no better reason than how it happens to lie.
     """
+    apart = max(_SAME * sqrt(best.excess), min(_CHANCE * sqrt(best.excess), _SAME))
     level = score[[f is best for f in fits].index(True)] - prior.log(best)
-    same = [
-        len(f.members) == len(best.members)
-        and _apart(f, best, Q, dof) < _SAME * np.sqrt(best.excess)
-        for f in fits
-    ]
+    same = [len(f.members) == len(best.members) and _apart(f, best, Q, dof) < apart for f in fits]
     return np.where(same, [level + prior.log(f) for f in fits], score)
 
 

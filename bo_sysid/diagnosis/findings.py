@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -124,6 +125,7 @@ def findings(
     for candidate, x, quantity, label, spread, own in terms:
         before = candidate.effect.nominal(candidate.site, machine)
         begun = candidate.effect.nominal(candidate.site, fitted)
+        details = _details(candidate, x, fit.covariance[own, own], spread, fitted)
         found.append(
             Finding(
                 candidate.effect.id,
@@ -132,11 +134,11 @@ def findings(
                 quantity,
                 before,
                 quantity.value if candidate.effect.absolute else begun + quantity.value,
-                _details(candidate, x, fit.covariance[own, own], spread, fitted),
+                details,
                 _group_words(label, candidate, fit),
                 probability,
                 equivalents,
-                sentence(candidate, quantity, before, begun),
+                sentence(candidate, quantity, before, begun, details),
                 tuple(float(v) for v in candidate.full(x)),
             )
         )
@@ -156,7 +158,13 @@ def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
     )
 
 
-def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: float) -> str:
+def sentence(
+    candidate: Candidate,
+    quantity: Quantity,
+    before: float,
+    begun: float,
+    details: Mapping[str, Quantity] = MappingProxyType({}),
+) -> str:
     """Return a finding in words: what, where, how much, how sure.
 
     Args:
@@ -164,6 +172,7 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: flo
         quantity: by how much it changes the model.
         before: what the nominal model has.
         begun: what the model has that it is added to.
+        details: further components by name, which a sentence may have placeholders for.
     """
     effect, site = candidate.effect, spoken(candidate.site)
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
@@ -180,7 +189,8 @@ def sentence(candidate: Candidate, quantity: Quantity, before: float, begun: flo
         size = amount(quantity)
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
-        text = text.format(site=site, value=size, interval="")
+        more = {name: amount(q) for name, q in details.items()}
+        text = text.format_map({**more, "site": site, "value": size, "interval": ""})
     return text[0].upper() + text[1:]
 
 

@@ -199,7 +199,7 @@ class Effect:
         apply: edits a spec, returns parts that MJCF cannot express.
         extent: bounds and probe at a site, None where the effect does not apply.
         noun: what it is called in a sentence, "dry friction".
-        sentence: with the placeholders {site}, {value} and {interval}.
+        sentence: with the placeholders {site}, {value} and {interval}, and those of its details.
         evidence: what gives it away in recordings.
         separation: which experiment separates it from what looks alike.
         shapes: how many of the last components are shapes, in which predictions are not linear.

@@ -64,11 +64,13 @@ def _viscosity(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tupl
     extent=_drag_extent,
     nominal=_density,
     noun="drag of the medium",
-    sentence="The machine moves in a medium denser than the model's by {value}.",
+    sentence="The machine moves in a medium denser than the model's by {value}, and more viscous "
+    "by {viscosity}.",
     form="option density, viscosity",
     evidence="drag on all links that grows with their speed through space",
     separation="the same joint speed with the links stretched and folded",
     details=_viscosity,
+    prior=0.5,
 )
 def fluid_drag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Add x[0] to the density and x[1] to the viscosity of the medium around all bodies."""
