@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
-from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable
+from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable, survey, unit_at
 from bo_sysid.effects.actuation import _supply
-from bo_sysid.recording import Channel
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 
 GOAL = 1.0
@@ -291,3 +291,35 @@ def test_what_is_no_position_servo_has_no_proportional_gain() -> None:
       biastype="affine" biasprm="0 -10 -2"/></actuator>"""
     machine = pendulum(spring).machine
     assert CATALOGUE["servo_kp"].extent(Site("actuator", "servo"), machine) is None
+
+
+QUADROTOR = """<mujoco><worldbody><body name="frame" pos="0 0 1"><freejoint name="base"/>
+  <geom type="box" size=".1 .1 .02" mass="1"/><site name="left" pos=".1 0 0"/>
+  <site name="right" pos="-.1 0 0"/></body></worldbody>
+  <actuator><motor name="left" site="left" gear="0 0 1 0 0 .016"/>
+  <motor name="right" site="right" gear="0 0 1 0 0 -.016"/></actuator></mujoco>"""
+
+
+def test_a_propeller_can_be_weak_late_and_limited() -> None:
+    """It acts at a site, on no joint; its forces are in N, and a weak one tilts the frame."""
+    spec = mujoco.MjSpec.from_string(QUADROTOR)
+    time = np.arange(0.0, 1.0, 0.01)
+    u = 4.9 + np.sin(time)
+    pose = {f"base.{k}": np.zeros(100) for k in range(7)}
+    log = Recording.from_arrays(time, qpos=pose, ctrl={"left": u, "right": u})
+    machine = survey(spec.compile(), [log])
+    site = Site("actuator", "left")
+    assert site in applicable(CATALOGUE["actuator_gain"], machine)
+    for id in ("actuator_lag", "actuator_delay", "actuator_deadzone", "actuator_saturation"):
+        assert CATALOGUE[id].extent(site, machine) is not None
+    for id in ("servo_kp", "back_emf"):  # they need a joint
+        assert CATALOGUE[id].extent(site, machine) is None
+    assert unit_at("N m", site, machine) == "N"
+    CATALOGUE["actuator_gain"].parts(spec, site, np.array([-0.06]), machine)
+    data = mujoco.MjData(weak := spec.compile())
+    data.ctrl[:] = 5.0
+    mujoco.mj_forward(weak, data)
+    lever, inertia = 0.1, weak.body_inertia[1, 1]
+    assert data.qacc[4] == pytest.approx(0.06 * 5.0 * lever / inertia, rel=1e-6)
+    limited = CATALOGUE["actuator_saturation"]
+    assert limited.reported(np.array([1.0]), machine, site) == pytest.approx(float(u.max()) - 1.0)

@@ -386,7 +386,7 @@ def test_names_of_elements_are_no_units_and_the_last_column_is_the_last_control(
 def test_a_model_without_hinges_and_slides_is_refused_in_words() -> None:
     body = '<body><joint name="b" type="ball"/><geom size=".1"/></body>'
     ball = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
-    with pytest.raises(RecordingError, match=r"hinges and slides.*'qpos.b.0'"):
+    with pytest.raises(RecordingError, match=r"no hinge or slide.*'qpos.b.0'"):
         guess_rules(Model.from_xml(ball), RawTable("log", {"time": TIMES, "qpos.b.0": WAVE}))
 
 
@@ -711,3 +711,24 @@ def test_the_pose_of_a_floating_base_is_found_by_its_letters(tmp_path: Path) -> 
     pd.DataFrame(log).drop(columns="mocap_qw").to_csv(tmp_path / "part.csv", index=False)
     held = init(tmp_path / "rover.xml", [tmp_path / "part.csv"], tmp_path / "other.yaml")
     assert any("wrong for one that drives or walks" in note for note in held.notes)
+
+
+def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_path: Path) -> None:
+    """A quadrotor has no joint but its base; its motors are the numbered columns that are left."""
+    arms = "".join(f'<site name="arm{k}" pos="{x} 0 0"/>' for k, x in ((1, 0.1), (2, -0.1)))
+    motors = "".join(f'<motor name="m{k}" site="arm{k}" gear="0 0 1 0 0 0"/>' for k in (1, 2))
+    (tmp_path / "quad.xml").write_text(
+        f'<mujoco><worldbody><body name="frame"><freejoint name="base"/><geom size=".1"/>{arms}'
+        f"</body></worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    time = 0.01 * np.arange(300)
+    log = {"time": time, **{f"mocap_{k}": 0.1 * np.sin(time) for k in "xyz"}}
+    log |= {"mocap_qw": np.ones(300), **{f"mocap_q{k}": np.zeros(300) for k in "xyz"}}
+    log |= {"motor2": 20 + np.cos(time), "motor1": 20 + np.sin(time), "battery": 16 - time}
+    pd.DataFrame(log).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "quad.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    columns = {n: rule["from"] for n, rule in started.rules.columns.items()}
+    assert columns["qpos.base.0"] == "mocap_x"
+    assert columns["qpos.base.3"] == "mocap_qw"
+    assert (columns["ctrl.m1"], columns["ctrl.m2"]) == ("motor1", "motor2")
+    assert set(Study.load(started.path).recordings.columns) == set(columns)

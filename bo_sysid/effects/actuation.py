@@ -6,7 +6,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import actuator_at, affine, drives, with_own_bias
+from bo_sysid.effects.actuators import actuator_at, affine, used, with_own_bias
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -24,7 +24,8 @@ _SAG = 0.005  # of a supply's voltage: less is no sag
 
 
 def _gain_extent(site: Site, machine: Machine) -> Extent | None:
-    return Extent((0.02,), (-0.95,), (3.0,)) if affine(site, machine) else None
+    plain = used(site, machine) and actuator_at(site, machine).plain
+    return Extent((0.02,), (-0.95,), (3.0,)) if plain else None
 
 
 @effect(
@@ -113,7 +114,7 @@ def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if not drives(site, machine) or not a.levels:
+    if not used(site, machine) or not a.levels:
         return None
     lost = tuple(((1.0 - level) * a.force_max,) for level in a.levels)
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)

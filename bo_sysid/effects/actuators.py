@@ -15,10 +15,18 @@ def actuator_at(site: Site, machine: Machine) -> ActuatorScale:
     return machine.actuators[site.name]
 
 
-def drives(site: Site, machine: Machine) -> bool:
-    """Whether the actuator drives one joint and was used."""
+def used(site: Site, machine: Machine) -> bool:
+    """Whether the actuator was used, and drives a joint that was recorded or no single joint.
+
+    A propeller acts at a site, others on a tendon, a body or a ball joint.
+    """
     a = actuator_at(site, machine)
-    return a.joint in machine.joints and a.ctrl_max > 0
+    return (a.joint is None or a.joint in machine.joints) and a.ctrl_max > 0
+
+
+def drives(site: Site, machine: Machine) -> bool:
+    """Whether the actuator drives one joint that was recorded, and was used."""
+    return actuator_at(site, machine).joint is not None and used(site, machine)
 
 
 def affine(site: Site, machine: Machine) -> bool:

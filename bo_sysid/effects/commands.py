@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import actuator_at, drives
+from bo_sysid.effects.actuators import actuator_at, used
 from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Site
 from bo_sysid.effects.filters import cut_out, delayed, lagged, limited
 from bo_sysid.effects.machine import Machine
@@ -18,7 +18,7 @@ _INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
 
 
 def _lag_extent(site: Site, machine: Machine) -> Extent | None:
-    if not drives(site, machine):
+    if not used(site, machine):
         return None
     return Extent((_LAGS[0],), (0.0,), (0.5,), tuple((p,) for p in _LAGS))
 
@@ -55,7 +55,7 @@ def actuator_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
 
 
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:
-    if not drives(site, machine):
+    if not used(site, machine):
         return None
     return Extent((_DELAYS[0],), (0.0,), (0.1,), tuple((p,) for p in _DELAYS))
 
@@ -97,7 +97,7 @@ def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Mach
 
 def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if a.servo or not drives(site, machine):
+    if a.servo or not used(site, machine):
         return None
     return Extent((0.05 * a.ctrl_std,), (0.0,), (_MOST_CUT_OUT * a.ctrl_max,))
 
@@ -125,7 +125,7 @@ def _fastest(site: Site, machine: Machine) -> float:
 
 def _rate_extent(site: Site, machine: Machine) -> Extent | None:
     jumps = actuator_at(site, machine).jumps
-    if not (drives(site, machine) and jumps):
+    if not (used(site, machine) and jumps):
         return None
     most = _fastest(site, machine)
     wanted = {j / machine.sampling for j in jumps[1:]} | {jumps[0] / t for t in _RAMPS}

@@ -308,8 +308,12 @@ _SLIDE = {
 
 
 def unit_at(unit: str, site: Site, machine: Machine) -> str:
-    """Return a unit as it reads at a site: at a slide joint N m becomes N, rad becomes m."""
+    """Return a unit as it reads at a site: N m becomes N where no joint is turned but pushed."""
     if unit == CHANNEL_UNIT:
         return machine.scales[site.name].unit
-    joint = machine.joint_of(site.kind, site.name)
-    return unit if joint is None or joint.hinge else _SLIDE.get(unit, unit)
+    if site.kind == "actuator" and site.name in machine.actuators:
+        pushed = machine.actuators[site.name].pushes
+    else:
+        joint = machine.joint_of(site.kind, site.name)
+        pushed = joint is not None and not joint.hinge
+    return _SLIDE.get(unit, unit) if pushed else unit

@@ -53,8 +53,10 @@ class ActuatorScale:
     Attributes:
         name: of the actuator.
         index: its number.
-        joint: the joint it drives, None where it is not a single joint.
-        gear: ratio of force along the joint and actuator force.
+        joint: the hinge or slide joint it drives, None where it acts on something else.
+        gear: ratio of force along the joint and actuator force; 1 without a joint, where the force
+            is the actuator's own.
+        pushes: whether that force is one, in [N], and no torque.
         gain: force per control.
         bias: constant, per length, per velocity.
         servo: whether its force depends on the position of the joint.
@@ -71,6 +73,7 @@ class ActuatorScale:
     index: int
     joint: str | None
     gear: float
+    pushes: bool
     gain: float
     bias: tuple[float, float, float]
     servo: bool

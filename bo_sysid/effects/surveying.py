@@ -20,6 +20,9 @@ _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+_ALONG = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
@@ -98,13 +101,9 @@ def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
 def _actuator(
     model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
 ) -> ActuatorScale:
-    name = model.actuator(a).name
-    drives_joint = int(model.actuator_trntype[a]) in (
-        int(mujoco.mjtTrn.mjTRN_JOINT),
-        int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-    )
-    joint = model.joint(int(model.actuator_trnid[a, 0])).name if drives_joint else None
-    gear, gain = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
+    name, joint = model.actuator(a).name, _driven(model, a)
+    gear = 1.0 if joint is None else float(model.actuator_gear[a, 0])
+    gain = float(model.actuator_gainprm[a, 0])
     affine = int(model.actuator_biastype[a]) == _AFFINE
     b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
     key = f"ctrl.{name}"
@@ -127,6 +126,7 @@ def _actuator(
         index=a,
         joint=joint,
         gear=gear,
+        pushes=_pushes(model, a),
         gain=gain,
         bias=(float(b[0]), float(b[1]), float(b[2])),
         servo=bool(b[1] != 0),
@@ -139,6 +139,30 @@ def _actuator(
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
         jumps=_jumps(recordings, key),
     )
+
+
+def _driven(model: mujoco.MjModel, a: int) -> str | None:
+    """Return the hinge or slide joint that an actuator drives, None where there is none."""
+    if int(model.actuator_trntype[a]) not in _ALONG:
+        return None
+    joint = model.joint(int(model.actuator_trnid[a, 0]))
+    return joint.name if int(joint.type[0]) in (_HINGE, _SLIDE) else None
+
+
+def _pushes(model: mujoco.MjModel, a: int) -> bool:
+    """Whether an actuator makes a force in [N] and no torque.
+
+    On a slide, through a crank, along a spatial tendon, at a site, a body or a free joint.
+    """
+    at, k = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
+    if at in _ALONG and int(model.jnt_type[k]) in (_HINGE, _SLIDE, _BALL):
+        return int(model.jnt_type[k]) == _SLIDE
+    if at == int(mujoco.mjtTrn.mjTRN_TENDON):
+        first = model.tendon_adr[k]
+        return int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT)
+    if at == int(mujoco.mjtTrn.mjTRN_SLIDERCRANK):
+        return True
+    return bool(np.any(model.actuator_gear[a, :3]))
 
 
 def _jumps(recordings: Sequence[Recording], channel: str) -> tuple[float, ...]:
@@ -166,7 +190,7 @@ def _joint(
     return JointScale(
         name=name,
         dof=dof,
-        hinge=int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE),
+        hinge=int(model.joint(name).type[0]) == _HINGE,
         force=force,
         speed=max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
         acceleration=acceleration,

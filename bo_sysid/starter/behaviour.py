@@ -83,7 +83,7 @@ def _judged(
     model: mujoco.MjModel, guesses: Mapping[str, Guess], tested: Tested
 ) -> dict[str, Guess]:
     """Return the guesses, surer where the motion is balanced, less sure where no sign is told."""
-    out = {}
+    out, joints = {}, {model.joint(j).name for j in range(model.njnt)}
     for n, g in guesses.items():
         share = tested.left.get(driven(model, n), 1.0)
         if n in tested.untold:
@@ -92,7 +92,7 @@ def _judged(
         elif share <= _AGREES and not g.reason.startswith(_MOVED):
             told = f"{_AGREED} (unexplained forces {share:.2g})"
             g = replace(g, reason=f"{g.reason}; {told}", confidence=max(g.confidence, _LIKELY))
-        elif n.startswith("qpos.") and share > _AGREES:
+        elif n.startswith("qpos.") and driven(model, n) in joints and share > _AGREES:
             g = replace(g, reason=f"{g.reason}; the motion of others tells its sign")
         out[n] = g
     return out

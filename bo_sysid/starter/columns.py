@@ -30,7 +30,7 @@ WORDS: dict[str, frozenset[str]] = {
     ),
     "effort": frozenset(
         {"torque", "tau", "tq", "trq", "effort", "efforts", "current", "cur", "curr", "amps", "pwm",
-         "duty", "load", "force", "volts", "voltage"}
+         "duty", "load", "force", "volts", "voltage", "thrust", "throttle"}
     ),
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
-from bo_sysid.starter.matching import Guess, match, named_after, rates_of
+from bo_sysid.starter.matching import Guess, match, named_after, numbered, rates_of
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
 
@@ -71,17 +71,18 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         table: the first log, as a reader returned it.
 
     Raises:
-        RecordingError: the model has no hinge and no slide, the log no clock, or cells that are
-            no numbers hide its positions.
+        RecordingError: there is no hinge, slide or pose of a base to match, the log has no clock,
+            or cells that are no numbers hide its positions.
     """
     columns = describe(table)
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
-    if not joints:
+    pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
+    if not joints and not pose:
         raise RecordingError(
-            f"{table.source}: init matches columns with hinges and slides, and {model.source} has "
-            "none; write the study by hand, with columns like "
-            + ", ".join(repr(n) for n in model.qpos_channels[:4])
+            f"{table.source}: init matches columns with hinges, slides and the pose of a floating "
+            f"base, and {model.source} has no hinge or slide, and the log no such pose; write the "
+            f"study by hand, with columns like {', '.join(map(repr, model.qpos_channels[:4]))}"
         )
     positions = match(
         "qpos",
@@ -91,7 +92,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         trust=_BODY,
         fits=partial(fits_joint, compiled),
     )
-    if not positions and (bad := spoilt(table)):
+    if joints and not positions and (bad := spoilt(table)):
         raise RecordingError(
             f"{table.source}: no column looks like the position of a joint of {model.source} "
             f"({', '.join(joints)}); {'; '.join(bad)}"
@@ -100,13 +101,12 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
     )
     commands = _commands(model, compiled, columns)
-    commands += _last_one(model, table, columns, (*positions, *velocities, *commands))
+    commands += _left_over(model, table, columns, (*positions, *velocities, *commands))
     guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
     time = clock_rule(table, columns)
     ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
-    pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
     rules |= {n: {"from": g.column} for n, g in pose.items()}
     guesses |= pose
     known = (model.qpos_channels, model.qvel_channels, model.act_channels, model.sensor_channels)
@@ -154,19 +154,27 @@ def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column])
     return found
 
 
-def _last_one(
+def _left_over(
     model: Model, table: RawTable, columns: Sequence[Column], known: Sequence[Guess]
 ) -> list[Guess]:
-    """Match the only column that is left and changes with the only actuator that has none."""
+    """Match actuators without a column with the only columns that are left and change.
+
+    One with one; several with as many whose names differ by a number alone, in its order.
+    """
     used, told = {g.column for g in known}, {g.channel for g in known}
     without = [a for a in model.controlled if f"ctrl.{a}" not in told]
     left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     compiled = model.compile()
     left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
-    if len(without) != 1 or len(left) != 1:
-        return []
-    return [Guess(f"ctrl.{without[0]}", left[0].name, left[0].unit, "nothing else is left", 0.3)]
+    if len(without) == 1:
+        reason, chosen = "nothing else is left", left if len(left) == 1 else []
+    else:
+        reason, chosen = "the order alone", numbered(left, len(without))
+    return [
+        Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
+        for a, c in zip(without, chosen, strict=bool(chosen))
+    ]
 
 
 def _is_goal(column: Column) -> bool:

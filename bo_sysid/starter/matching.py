@@ -181,17 +181,23 @@ def _begun(word: str, others: Sequence[str]) -> bool:
     )
 
 
-def _family(columns: Sequence[Column], count: int) -> list[Column]:
+def numbered(columns: Sequence[Column], count: int) -> list[Column]:
     """Return `count` columns whose names differ by a number alone, in its order; else nothing."""
-    if count == 0:
-        return []
     families: dict[tuple[str, ...], list[Column]] = {}
     for c in columns:
         stem = tuple(w for w in c.words if not w.isdigit())
         families.setdefault(stem, []).append(c)
-    fits = [f for f in families.values() if len(f) == count]
-    if not fits and len(columns) == count:
-        fits = [list(columns)]
-    if not fits:
-        return []
-    return sorted(fits[0], key=lambda c: [int(w) for w in c.words if w.isdigit()] or [0])
+    fits = next((f for f in families.values() if len(f) == count), [])
+    return sorted(fits, key=_number)
+
+
+def _family(columns: Sequence[Column], count: int) -> list[Column]:
+    """Return `count` numbered columns, or all columns where there are as many; else nothing."""
+    found = numbered(columns, count)
+    if found or len(columns) != count:
+        return found
+    return sorted(columns, key=_number)
+
+
+def _number(column: Column) -> list[int]:
+    return [int(w) for w in column.words if w.isdigit()] or [0]
