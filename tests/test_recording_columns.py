@@ -143,12 +143,14 @@ def test_the_time_column_is_named_and_converted():
     assert "Time stamps in column 't' converted from ms to s." in recording.notes
 
 
+@pytest.mark.parametrize("column", ["t", "time"])
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
-def test_stamps_that_are_seconds_apart_ask_for_their_unit(factor, unit):
-    table = RawTable("log.csv", {"t": factor * TIME, "qpos.a": WAVE})
-    with pytest.raises(RecordingError, match=f"log.csv: .*'t' are .* s apart.*unit: {unit}}}"):
-        to_recording(table, {"time": {"from": "t"}})
-    recording = to_recording(table, {"time": {"from": "t", "unit": unit}})
+def test_stamps_that_are_seconds_apart_ask_for_their_unit(factor, unit, column):
+    table = RawTable("log.csv", {column: factor * TIME, "qpos.a": WAVE})
+    words = f"log.csv: .*'{column}' are .* s apart.*unit: {unit}}}"
+    with pytest.raises(RecordingError, match=words):
+        to_recording(table, {} if column == "time" else {"time": {"from": "t"}})
+    recording = to_recording(table, {"time": {"from": column, "unit": unit}})
     np.testing.assert_allclose(recording.channels["qpos.a"].time, TIME, atol=1e-12)
 
 

@@ -251,7 +251,7 @@ def test_a_date_that_is_missing_names_its_row(tmp_path):
 def test_a_column_that_turns_from_whole_to_broken_numbers_late_is_read(tmp_path):
     values = np.zeros(200_000)
     values[-1] = 0.5
-    lines = (f"{k},{int(v) if v == 0 else v},{k}" for k, v in enumerate(values))
+    lines = (f"{k / 1000},{int(v) if v == 0 else v},{k}" for k, v in enumerate(values))
     path = tmp_path / "log.csv"
     path.write_text("time,ctrl.m,qpos.a\n" + "\n".join(lines))
     np.testing.assert_array_equal(read_recording(path).channels["ctrl.m"].values, values)
@@ -341,14 +341,14 @@ def test_a_wrong_csv_file_says_where(text, match, tmp_path):
 def several_clocks():
     rng = np.random.default_rng(3)
     make = Recording.from_arrays
-    fast = make(np.cumsum(rng.uniform(1, 2, 90)), qpos={"a": rng.normal(size=90)})
+    fast = make(np.cumsum(rng.uniform(0.01, 0.02, 90)), qpos={"a": rng.normal(size=90)})
     slow = make(
-        rng.uniform() + np.arange(30) * 3.0,
+        rng.uniform() + np.arange(30) * 0.03,
         ctrl={"m": rng.normal(size=30), "n": rng.normal(size=30)},
         sensor={"s": rng.normal(size=30)},
         units={"ctrl.m": "N m"},
     )
-    lone = make(np.arange(7) * 12.0 + 0.1, sensor={"t": rng.normal(size=7)})
+    lone = make(np.arange(7) * 0.12 + 0.1, sensor={"t": rng.normal(size=7)})
     return Recording(
         "three clocks", {**fast.channels, **slow.channels, **lone.channels}, ("Made up.",)
     )

@@ -110,8 +110,7 @@ class _Mapper:
         dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
         self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
         if hold == "none":
-            told = column == name and _kind(clock.column) == "time"  # the convention's are seconds
-            if not told and stated not in self._measured:
+            if stated not in self._measured:
                 self._require_fast(stated, clock)
             self._measured.add(stated)
         self.notes += [f"{name}: {note}." for note in notes]
