@@ -78,6 +78,37 @@ def test_the_loop_goes_on_with_the_repaired_model(
     assert again.chosen == told.chosen
 
 
+UPRIGHT = """
+import numpy as np
+from dm_control.suite import base
+
+class Upright(base.Task):
+    def initialize_episode(self, physics):
+        physics.data.qpos[0] = self.random.uniform(1.0, 3.0)
+        super().initialize_episode(physics)
+
+    def get_observation(self, physics):
+        return {"pose": np.concatenate([physics.data.qpos, physics.data.qvel])}
+
+    def get_reward(self, physics):
+        return float(np.cos(physics.data.qpos[0]))
+"""
+
+
+def test_a_task_of_the_users_own_is_diagnosed_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its file is named relative to the study, and found from the folder of the diagnosis."""
+    data = lacking(trajectories=1, choose="argmax")
+    load_model(Study.from_dict(data, tmp_path)).export(tmp_path / "pole.xml", [])
+    (tmp_path / "upright.py").write_text(UPRIGHT)
+    data |= {"model": {"file": "pole.xml"}, "task": {"file": "upright.py", "class": "Upright"}}
+    monkeypatch.setattr(bo_sysid.diagnosis, "diagnose", knowing)
+    told = learned(tmp_path, data)
+    assert told.iterations["diagnosed"].tolist() == [True]
+    assert "It." in told.notes
+
+
 @pytest.mark.slow
 def test_the_diagnosis_itself_repairs_the_model(tmp_path: Path) -> None:
     told = learned(tmp_path, lacking())

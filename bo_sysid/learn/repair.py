@@ -51,8 +51,9 @@ def repaired(
     asked = data.get("diagnosis", {})
     data["diagnosis"] = {**asked, "exclude": sorted({*asked.get("exclude", ()), *further})}
     trusted = bool(scene.study.code)
-    study = Study.from_dict(data, folder, trust_code=trusted)
+    folder.mkdir(exist_ok=True)  # paths that lead out of a folder lead out of one that is there
     try:
+        study = Study.from_dict(data, folder, trust_code=trusted)
         with Run.open(folder, data, "diagnose", seed=scene.seed) as own:
             found = diagnose(study, own, progress=progress)
         path = folder / "study_repaired.yaml"
