@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import RunError, UserError
 from bo_sysid.execution import Report, limit_threads, silent
+from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iterate import Teller, iterate
 from bo_sysid.learn.iteration import Iteration, reread
@@ -189,6 +191,7 @@ def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
 
 def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> tuple[str, ...]:
     notes = [s for i in done if i.figures["diagnosis"] for s in i.figures["diagnosis"]]
+    notes += _doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
     if scene.study.search.refine:
@@ -196,6 +199,23 @@ def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> t
     faults = trajectories.loc[trajectories["fault"] != "", "fault"]
     notes += [f"{fault}; what was recorded until then is used" for fault in faults]
     return tuple(dict.fromkeys(notes))
+
+
+def _doubts(last: Iteration) -> list[str]:
+    """Return why the last policy may not be the machine's: what B and the model do not hold."""
+    floor, said = last.found.floor, []
+    bounds = zip(*last.scene.candidates.bounds, strict=True)
+    for (name, value), ends in zip(last.figures["chosen"].items(), bounds, strict=True):
+        if ends[0] < ends[1] and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
+            said.append(f"{name} = {value:.4g} is an end of B; widen it if it may lie beyond")
+    if lacks_physics(floor, last.found.reason):
+        asked = last.scene.study.learn.diagnose != "never"
+        hint = "" if asked else "; learn: {diagnose: auto} looks for what it lacks"
+        said.append(
+            f"no candidate explains the recordings: {floor.ratio:.1f} times what noise and the "
+            f"spacing of B leave is left{hint}"
+        )
+    return said
 
 
 def _summary(result: Learning, done: list[Iteration]) -> dict[str, Any]:
