@@ -95,6 +95,8 @@ def test_saturated_and_frozen_channels() -> None:
     frozen = next(f for f in flags if f.kind == "frozen")
     assert frozen.evidence["seconds"] == pytest.approx(0.99)
     assert any("leaves the model's control range" in f.sentence for f in flags)
+    short = Recording.from_arrays(TIME[:30], qpos={"x": q[:30]}, ctrl={"m": np.sin(3 * TIME[:30])})
+    assert channel_flags(Model.from_xml(SLIDE).compile(), [short]) == []  # one is the largest
     steady = Recording.from_arrays(TIME, qpos={"x": np.round(np.sin(TIME), 2)}, ctrl={"m": q})
     assert channel_flags(Model.from_xml(SLIDE).compile(), [steady]) == []
 

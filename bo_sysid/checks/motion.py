@@ -14,6 +14,7 @@ from bo_sysid.recording.alignment import GAP
 
 _TOLD = 10.0  # a joint must move by so many standard deviations of its noise
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
+_SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
 _STUCK = 0.25  # [s] of one and the same value while the channel otherwise changes, and
 _RUNS = 15.0  # so many times its typical run
@@ -186,8 +187,9 @@ def _saturated(
     flags = []
     if len(np.unique(values)) > 20:  # a command of few levels is meant to stay at them
         for side, extreme in (("largest", values.max()), ("smallest", values.min())):
-            share = float(spent[values == extreme].sum() / spent.sum())
-            if share > _HELD_AT_LIMIT:
+            held = values == extreme
+            share = float(spent[held].sum() / spent.sum())
+            if share > _HELD_AT_LIMIT and held.sum() >= _SEVERAL:
                 flags.append(
                     Flag(
                         "note",
