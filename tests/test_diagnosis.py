@@ -12,9 +12,11 @@ from diagnosis_helpers import ARM, NAMES, record
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
+from bo_sysid.diagnosis.diagnose import _nowhere, gather
 from bo_sysid.errors import UserError
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_train
 
 FRICTION = [("dry_friction", "joint", "elbow", [0.03])]
 
@@ -52,6 +54,15 @@ def test_dry_friction_is_found_at_the_elbow_and_nothing_else(diagnosed) -> None:
     assert finding.quantity.interval[0] < 0.03 < finding.quantity.interval[1]
     assert finding.sentence.startswith("The elbow has dry friction of 0.030")
     assert finding.sentence.endswith("N m that the model lacks.")
+
+
+def test_an_effect_that_is_asked_for_and_can_act_nowhere_is_said(tmp_path: Path) -> None:
+    """The arm has motors, and no position servo."""
+    for asked, words in ((["servo_kp", "dry_friction"], "servo_kp can act nowhere"), ("all", "")):
+        study = write_study(tmp_path, diagnosis={"effects": asked})
+        (note,) = _nowhere(study, gather(study, load_train(study))) or ("",)
+        assert words in note
+        assert "dry_friction" not in note
 
 
 def test_the_forecast_error_falls_to_the_noise(diagnosed) -> None:

@@ -19,6 +19,7 @@ from bo_sysid.simulation import Engine, State
 from bo_sysid.starter.columns import derivatives, describe, words
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
+from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.study import Study
 
 ROOT = Path(__file__).parent.parent
@@ -732,3 +733,17 @@ def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_pat
     assert columns["qpos.base.3"] == "mocap_qw"
     assert (columns["ctrl.m1"], columns["ctrl.m2"]) == ("motor1", "motor2")
     assert set(Study.load(started.path).recordings.columns) == set(columns)
+
+
+@pytest.mark.parametrize(
+    ("place", "turn"), [("mocap_{}", "mocap_q{}"), ("pos_{}", "quat_{}"), ("{}", "q{}")]
+)
+def test_a_gyro_beside_the_pose_of_a_base_is_no_position(place: str, turn: str) -> None:
+    text = '<mujoco><worldbody><body><freejoint name="b"/><geom size=".1"/></body></worldbody>'
+    columns = {"time": TIMES, **{f"gyro_{k}": WAVE for k in "xyz"}}
+    columns |= {place.format(k): 0.1 * WAVE for k in "xyz"}
+    columns |= {turn.format(k): np.full(len(TIMES), float(k == "w")) for k in "wxyz"}
+    columns |= {f"acc_{k}": WAVE for k in "xyz"}
+    compiled = Model.from_xml(text + "</mujoco>").compile()
+    found = [g.column for g in pose_guesses(compiled, RawTable("log", columns))]
+    assert found == [place.format(k) for k in "xyz"] + [turn.format(k) for k in "wxyz"]

@@ -161,6 +161,7 @@ def diagnose(
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
     said = (note for recording in evidence.recordings for note in recording.notes)
+    told = (*_nowhere(study, evidence), *notes, *held_notes(study))
     result = Diagnosis(
         study.name,
         answer,
@@ -170,7 +171,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        tuple(dict.fromkeys((*notes, *held_notes(study), *evidence.notes, *outside, *said))),
+        tuple(dict.fromkeys((*told, *evidence.notes, *outside, *said))),
         contact,
     )
     if run is not None:
@@ -180,6 +181,18 @@ def diagnose(
         _pictures(run, result)
     tell(result.verdict)
     return result
+
+
+def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
+    """Return which effects a study asks for by name that none of the candidates is."""
+    asked = study.diagnosis.effects
+    if asked == "all":
+        return ()
+    found = {c.effect.id for c in evidence.candidates}
+    wanted = chosen(study_effects(study), asked, study.diagnosis.exclude)
+    missing = [e.id for e in wanted if e.id not in found and e.family != "learned"]
+    sites = "nowhere in this model as it was recorded"
+    return (f"Not looked for: {', '.join(missing)} can act {sites}.",) if missing else ()
 
 
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:

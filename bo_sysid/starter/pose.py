@@ -1,12 +1,14 @@
 """Which columns are the pose of a floating base: three of a position, four of a quaternion."""
 
 import re
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
+from bo_sysid.starter.columns import WORDS, words
 from bo_sysid.starter.matching import Guess
 
 _LETTER = re.compile(r"(?P<stem>.*?)[\s_.\-]?(?P<letter>[wxyz])", re.IGNORECASE)
@@ -24,14 +26,38 @@ def pose_guesses(model: mujoco.MjModel, table: RawTable) -> list[Guess]:
     stems = _stems(table)
     turns = [own for own in stems.values() if set(own) == set("wxyz") and _unit(table, own)]
     places = [own for own in stems.values() if set(own) == set("xyz")]
-    if len(free) != 1 or len(turns) != 1 or len(places) != 1:
+    if len(free) != 1 or len(turns) != 1 or not places:
         return []
-    joint = model.joint(int(free[0])).name
-    columns = [places[0][k] for k in "xyz"] + [turns[0][k] for k in "wxyz"]
+    joint, (turned,) = model.joint(int(free[0])).name, turns
+    place = _placed(places, turned)
+    if place is None:
+        return []
+    columns = [place[k] for k in "xyz"] + [turned[k] for k in "wxyz"]
     return [
         Guess(f"qpos.{joint}.{i}", column, table.units.get(column, ""), _REASON, _CONFIDENCE)
         for i, column in enumerate(columns)
     ]
+
+
+def _placed(
+    places: Sequence[Mapping[str, str]], turned: Mapping[str, str]
+) -> Mapping[str, str] | None:
+    """Return the position of a quaternion: one x, y and z that there is, or that is called so.
+
+    A gyro or an accelerometer has an x, a y and a z as well.
+    """
+    (stem, *_), told = words(turned["x"]), WORDS["position"]
+    called: list[Callable[[tuple[str, ...]], bool]] = [
+        lambda name: True,
+        lambda name: name[0] == stem,
+        lambda name: bool(told & set(name[:-1])),
+        lambda name: name == ("x",),
+    ]
+    for so in called:
+        found = [p for p in places if so(words(p["x"]))]
+        if len(found) == 1:
+            return found[0]
+    return None
 
 
 def _stems(table: RawTable) -> dict[str, dict[str, str]]:
