@@ -26,7 +26,7 @@ def one_member(points, values, lengthscale=0.5):
     plain = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, np.eye(len(y)))
     chol = np.linalg.cholesky(plain.covariance(points, points) + np.diag(noise))
     member = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, chol)
-    return Surrogate(points, y, False, UNIT, noise, LOG, 0.0, 1.0, (member,), np.ones(1))
+    return Surrogate(points, y, UNIT, noise, LOG, 0.0, 1.0, (member,), np.ones(1))
 
 
 def joint(surrogate, x):
@@ -144,13 +144,10 @@ def test_one_candidate_is_certain(surrogate):
     assert argmin_probability(surrogate, np.array([[0.3, 0.3]])).probabilities.tolist() == [1.0]
 
 
-def test_noisy_evaluations_do_not_pin_their_candidates():
+def test_evaluations_pin_their_candidates():
     points = np.array([[0.2, 0.2], [0.8, 0.8]])
-    deviations = np.array([1.0, 1.05])
-    noisy = fit_surrogate(points, deviations, UNIT, variance=np.full(2, 0.05), seed=0)
-    sharp = fit_surrogate(points, deviations, UNIT, seed=0)
-    assert argmin_probability(sharp, points).probabilities.tolist() == [1.0, 0.0]
-    assert 0.2 < argmin_probability(noisy, points).probabilities[1] < 0.5
+    surrogate = fit_surrogate(points, np.array([1.0, 1.05]), UNIT, seed=0)
+    assert argmin_probability(surrogate, points).probabilities.tolist() == [1.0, 0.0]
 
 
 def test_constant_deviations_leave_the_belief_wide():

@@ -79,12 +79,8 @@ def test_posterior_is_the_mixture_of_the_textbook_formula(points):
     np.testing.assert_allclose(found_variance, y.var(ddof=1) * variance, rtol=1e-5)
 
 
-@pytest.mark.parametrize("noisy", [False, True])
-def test_models_are_single_task_gps_with_the_same_posterior(points, noisy):
-    variance = np.full(len(points), 0.02) if noisy else None
-    surrogate = fit_surrogate(
-        points, deviations_at(points), BOUNDS, variance=variance, members=4, seed=0
-    )
+def test_models_are_single_task_gps_with_the_same_posterior(points):
+    surrogate = fit_surrogate(points, deviations_at(points), BOUNDS, members=4, seed=0)
     query = BOUNDS[0] + np.random.default_rng(4).random((6, 2)) * (BOUNDS[1] - BOUNDS[0])
     means, variances = [], []
     for model in surrogate.models:
@@ -187,7 +183,7 @@ def test_warp_is_increasing_and_takes_the_same_volume(power):
     warp = Warp.of(deviations, power)
     step = 1e-6
     slopes = (warp(deviations * (1 + step)) - warp(deviations * (1 - step))) / (2 * step)
-    np.testing.assert_allclose(slopes, warp.slope(deviations), rtol=1e-6)
+    np.testing.assert_allclose(slopes, (deviations / warp.unit) ** power, rtol=1e-6)
     assert np.prod(slopes / (deviations / warp.unit)) == pytest.approx(1.0)
     assert (np.diff(warp(deviations)) > 0).all()
 
@@ -221,8 +217,6 @@ def test_inputs_that_do_not_fit(points):
         fit_surrogate(points, good[:-1], BOUNDS, seed=0)
     with pytest.raises(ValueError, match="lower row below an upper row"):
         fit_surrogate(points, good, BOUNDS[::-1], seed=0)
-    with pytest.raises(ValueError, match="variance must give"):
-        fit_surrogate(points, good, BOUNDS, variance=-good, seed=0)
     points[2, 1] = np.nan
     with pytest.raises(ValueError, match="must be finite"):
         fit_surrogate(points, good, BOUNDS, seed=0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from oscillator import Oscillator
 
 from bo_sysid.deviation import Blocks, Deviation, Whitening, fit_starts
 from bo_sysid.deviation.forecast import fit_error, forecast_error, prediction_error
@@ -12,7 +13,6 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, MujocoSimulator, State, Windows, cut
-from bo_sysid.simulation.analytic import Oscillator
 
 STIFFNESS = Parameter("stiffness", ("joint[x].stiffness",), 1.0, 9.0, 5)
 DAMPING = Parameter("damping", ("joint[x].damping",), 0.0, 0.8, 5)

@@ -166,9 +166,6 @@ def test_a_policy_survives_its_file_and_refuses_another_model(cart, tmp_path):
     ):
         policy.require(17, 6)
     policy.require(2, 1)
-    noisy = policy.sample(np.zeros((20_000, 2)), np.random.default_rng(1))
-    std = np.exp(policy.policy.log_std(policy.theta))
-    assert noisy.std() == pytest.approx(float(std[0]), rel=0.03)
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")

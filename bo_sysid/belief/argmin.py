@@ -49,8 +49,8 @@ def argmin_probability(
     """Return the probability of each candidate to be the arg-min of Δ.
 
     Joint posterior samples of the warped Δ over B are drawn from every member of the ensemble in
-    proportion to its weight, and the arg-mins are counted. Candidates that were evaluated without
-    noise keep the value that was computed. Equal rows share their probability.
+    proportion to its weight, and the arg-mins are counted. Candidates that were evaluated
+    keep the value that was computed. Equal rows share their probability.
 
     Args:
         surrogate: of Δ.
@@ -73,8 +73,6 @@ def evaluated_rows(
     surrogate: Surrogate, candidates: Points
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Return the rows of `candidates` whose Δ is known, and their standardised values."""
-    if surrogate.noisy:
-        return np.zeros(0, dtype=np.intp), np.zeros(0)
     rows = RowIndex.of(candidates).find(surrogate.points)
     rows, place = np.unique(rows, return_index=True)
     keep = rows >= 0

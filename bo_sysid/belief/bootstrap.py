@@ -63,7 +63,7 @@ def bootstrap_argmin(
     deviations = contributions @ drawn.T / drawn.sum(axis=1)
     values = surrogate.standardise(surrogate.warp(deviations))
     x = surrogate.unit(candidates)
-    in_set = np.flatnonzero(rows >= 0) if not surrogate.noisy else np.zeros(0, dtype=int)
+    in_set = np.flatnonzero(rows >= 0)
     counts, lost = np.zeros(len(x)), 0.0
     edges = np.cumsum(np.append(0, allot(surrogate.weights, samples)))
     for member, start, stop in zip(surrogate.members, edges[:-1], edges[1:], strict=True):

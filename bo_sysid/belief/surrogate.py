@@ -43,7 +43,6 @@ class Surrogate:
     Attributes:
         points: `n x d` evaluated parameter vectors.
         values: `n` values of y there.
-        noisy: whether Δ is an estimate; on fixed data it is not.
         bounds: `2 x d` lower and upper bounds of B.
         noise: `n` variances of the standardised values, as the members use them.
         warp: g.
@@ -56,7 +55,6 @@ class Surrogate:
 
     points: Float[np.ndarray, "n d"]
     values: Deviations
-    noisy: bool
     bounds: Float[np.ndarray, "2 d"]
     noise: Deviations
     warp: Warp
@@ -140,7 +138,6 @@ def fit_surrogate(
     deviations: Float[np.ndarray, "..."],
     bounds: Float[np.ndarray, "2 d"],
     *,
-    variance: Float[np.ndarray, "..."] | None = None,
     members: int = MEMBERS,
     powers: Sequence[float] = POWERS,
     categories: Categories | None = None,
@@ -152,7 +149,6 @@ def fit_surrogate(
         points: evaluated parameter vectors, in their own units.
         deviations: their Δ, `n` values that are not negative.
         bounds: lower and upper bounds of B.
-        variance: of log Δ at each point, where Δ is an estimate; None where it is not noisy.
         members: size of the ensemble.
         categories: values of each column of `points` that has no order, by column.
         powers: of Δ, of which the one with the largest evidence is taken; 0 is the logarithm.
@@ -163,9 +159,9 @@ def fit_surrogate(
     """
     points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
     deviations = np.asarray(deviations, dtype=float)
-    _check(points, deviations, bounds, variance)
+    _check(points, deviations, bounds)
     apart = categories or {}
-    fits = [_fit(points, deviations, bounds, variance, members, p, apart, seed) for p in powers]
+    fits = [_fit(points, deviations, bounds, members, p, apart, seed) for p in powers]
     return max(fits, key=lambda fit: fit[1])[0]
 
 
@@ -173,7 +169,6 @@ def _fit(
     points: Float[np.ndarray, "n d"],
     deviations: Deviations,
     bounds: Float[np.ndarray, "2 d"],
-    variance: Deviations | None,
     members: int,
     power: float,
     categories: Categories,
@@ -184,8 +179,7 @@ def _fit(
     y = warp(deviations)
     shift, scale = _standard(y)
     x = encoded(points, bounds, categories)
-    raw = np.zeros_like(y) if variance is None else variance * warp.slope(deviations) ** 2
-    noise = np.maximum(raw, NOISE * max(1.0, scale**2)) / scale**2
+    noise = np.full(len(y), NOISE * max(1.0, scale**2) / scale**2)
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
     evidences = {k: Evidence(k, squared, (y - shift) / scale, noise) for k in KERNELS}
     draws, weights, log_evidence = sample_hyperparameters(
@@ -194,9 +188,8 @@ def _fit(
     rng = np.random.default_rng((seed, 1))
     ensemble = tuple(condition(evidences[draw.kernel], draw.theta, x, rng) for draw in draws)
     surrogate = Surrogate(
-        points, y, variance is not None, bounds, noise, warp, shift, scale, ensemble, weights,
-        categories,
-    )  # fmt: skip
+        points, y, bounds, noise, warp, shift, scale, ensemble, weights, categories
+    )
     return surrogate, log_evidence - len(y) * float(np.log(scale))
 
 
@@ -236,7 +229,6 @@ def _check(
     points: Float[np.ndarray, "n d"],
     deviations: Float[np.ndarray, "..."],
     bounds: Float[np.ndarray, "2 d"],
-    variance: Float[np.ndarray, "..."] | None,
 ) -> None:
     if points.ndim != 2 or not len(points) or np.shape(deviations) != (len(points),):
         raise ValueError(
@@ -253,7 +245,3 @@ def _check(
         raise ValueError("evaluated points must be finite")
     if bounds.shape != (2, points.shape[1]) or not (bounds[1] > bounds[0]).all():
         raise ValueError(f"bounds {bounds.tolist()} must be a lower row below an upper row")
-    if variance is not None and not (
-        np.shape(variance) == (len(points),) and bool((np.asarray(variance) >= 0).all())
-    ):
-        raise ValueError("variance must give one number >= 0 for each point")

@@ -43,7 +43,3 @@ class Warp:
         if self.power == 0:
             return np.asarray(np.log(ratio))
         return np.asarray((ratio**self.power - 1.0) / self.power)
-
-    def slope(self, deviations: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return the derivative of g(Δ) by log Δ."""
-        return np.asarray((np.maximum(deviations, self.floor) / self.unit) ** self.power)

@@ -38,12 +38,6 @@ class LearnedPolicy:
         means = self.policy.network(self.theta, self.normaliser(observations))
         return np.asarray(np.clip(means, -1.0, 1.0))
 
-    def sample(self, observations: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return drawn actions, `n x a`, not clipped."""
-        means = self.policy.network(self.theta, self.normaliser(observations))
-        noise = rng.standard_normal(means.shape, dtype=np.float32)
-        return np.asarray(means + np.exp(self.policy.log_std(self.theta)) * noise)
-
     def require(self, observation_size: int, action_size: int, where: str = "policy") -> None:
         """Refuse a model that this policy was not learned on.
 

@@ -4,20 +4,16 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from bo_sysid.errors import RunError, StudyError, UserError
+from bo_sysid.errors import RunError, StudyError
 from bo_sysid.plants.environment import Environment
 from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
 from bo_sysid.policy.trainer import Iteration, Trainer
 from bo_sysid.runs import atomic
-
-if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
 
 CHECKPOINT, LOG, POLICY = "checkpoint.npz", "iterations.parquet", "policy.npz"
 
@@ -47,7 +43,6 @@ def train(
     folder: Path | None = None,
     every: int = 10,
     about: Mapping[str, Any] | None = None,
-    tensorboard: bool = False,
     watch: Watch | None = None,
 ) -> Training:
     """Learn a policy.
@@ -62,24 +57,19 @@ def train(
             goes on from it and ends as if it had never been interrupted.
         every: iterations between checkpoints.
         about: what the policy is learned on, stored with it.
-        tensorboard: also write TensorBoard events into `folder`.
         watch: called with each iteration's log.
 
     Raises:
         StudyError: a setting is wrong.
         RunError: the checkpoint is damaged or belongs to another training.
-        UserError: TensorBoard is asked for and not installed.
     """
     if steps < 1 or every < 1:
         raise StudyError(f"policy: steps {steps} and every {every} must be at least 1")
     trainer = Trainer(environment, settings, seed=seed, threads=threads)
     log = _resume(trainer, folder) if folder else []
-    writer = _writer(folder, tensorboard)
     while trainer.steps < steps:
         row = trainer.iterate()
         log.append(row)
-        if writer:
-            _write_events(writer, row)
         if watch:
             watch(row)
         if folder and (trainer.iterations % every == 0 or trainer.steps >= steps):
@@ -89,8 +79,6 @@ def train(
     )
     if folder:
         learned.save(folder / POLICY)
-    if writer:
-        writer.close()
     return Training(learned, _frame(log))
 
 
@@ -142,24 +130,3 @@ def _as_json(value: Any) -> Any:
 
 def _frame(log: list[Iteration]) -> pd.DataFrame:
     return pd.DataFrame(log, columns=list(Iteration._fields))
-
-
-def _writer(folder: Path | None, wanted: bool) -> "SummaryWriter | None":
-    if not wanted:
-        return None
-    if folder is None:
-        raise UserError("policy: TensorBoard needs a folder to write to")
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise UserError(
-            "policy: TensorBoard is not installed; pip install tensorboard, or do without: the "
-            f"same figures are in {LOG}"
-        ) from None
-    return SummaryWriter(str(folder))
-
-
-def _write_events(writer: "SummaryWriter", row: Iteration) -> None:
-    for name, value in row._asdict().items():
-        if np.isfinite(value):
-            writer.add_scalar(name, float(value), row.steps)

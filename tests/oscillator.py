@@ -1,4 +1,4 @@
-"""A simulator with a solution on paper, behind the same protocol; for tests and explanations."""
+"""A simulator with a solution on paper, behind the same protocol."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
