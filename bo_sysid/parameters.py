@@ -13,6 +13,8 @@ from bo_sysid.errors import StudyError
 
 Apply = Literal["set", "scale", "add"]
 
+_MOST = 200_000  # points of a grid
+
 COLUMNS = (
     "level", "row", "deviation", "diverged", "entropy", "contributions", "P", "P_boot", "mean",
 )  # fmt: skip
@@ -85,17 +87,17 @@ class CandidateSet:
         object.__setattr__(self, "points", points)
 
     @classmethod
-    def from_grid(cls, parameters: Sequence[Parameter], most: int = 200_000) -> "CandidateSet":
+    def from_grid(cls, parameters: Sequence[Parameter]) -> "CandidateSet":
         """Return the full grid, last parameter fastest.
 
         Raises:
-            StudyError: the grid has more than `most` points.
+            StudyError: the grid has more than 200 000 points.
         """
         size = int(np.prod([float(p.steps) for p in parameters]))
-        if size > most:
+        if size > _MOST:
             raise StudyError(
                 f"a grid over {len(parameters)} parameters has {size} candidates, more than "
-                f"{most}; use candidates: {{sobol: 20000}} or fewer steps"
+                f"{_MOST}; use candidates: {{sobol: 20000}} or fewer steps"
             )
         axes = np.meshgrid(*[p.grid for p in parameters], indexing="ij")
         spacing = np.array([(p.high - p.low) / (p.steps - 1) for p in parameters])

@@ -28,6 +28,7 @@ from bo_sysid.execution import limit_threads
 STUDENT_DOF = 5
 DRAWS = 256  # importance draws over all modes and kernels
 MODE_GAP = 8.0  # modes this far (in log density) below the best are dropped
+_STEP = 1e-3  # of θ, for second derivatives
 
 
 @dataclass(frozen=True)
@@ -90,13 +91,13 @@ def _climb(
 
 
 def _laplace_scale(
-    evidence: Evidence, prior: Prior, theta: Float[np.ndarray, " p"], step: float = 1e-3
+    evidence: Evidence, prior: Prior, theta: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, "p p"]:
     """Return the inverse of the negative Hessian at a mode, no wider than the prior."""
     p = len(theta)
-    offsets = step * np.concatenate([np.eye(p), -np.eye(p)])
+    offsets = _STEP * np.concatenate([np.eye(p), -np.eye(p)])
     _, gradient = _log_posterior(evidence, prior, theta + offsets)
-    hessian = -(gradient[:p] - gradient[p:]) / (2.0 * step)
+    hessian = -(gradient[:p] - gradient[p:]) / (2.0 * _STEP)
     whitened = prior.std[:, None] * (0.5 * (hessian + hessian.T)) * prior.std[None, :]
     eigenvalues, vectors = np.linalg.eigh(whitened)
     # the prior contributes 1 to every curvature; less than that is a plateau of the evidence

@@ -17,6 +17,7 @@ from scipy.stats import binomtest, wilcoxon
 
 DRAWS = 10_000
 LEVEL = 0.95
+_SLACK = 1e-12  # of regret above a level that still counts as reached: rounding
 
 
 def bootstrap(
@@ -46,9 +47,7 @@ def share(right: int, of: int, level: float = LEVEL) -> tuple[float, float, floa
     return right / of, float(interval.low), float(interval.high)
 
 
-def costs(
-    paths: pd.DataFrame, levels: Sequence[float], units: Sequence[str], slack: float = 1e-12
-) -> pd.DataFrame:
+def costs(paths: pd.DataFrame, levels: Sequence[float], units: Sequence[str]) -> pd.DataFrame:
     """Return what each run spent until its regret was at most each level.
 
     Args:
@@ -56,7 +55,6 @@ def costs(
             found until then) and the units, cumulated.
         levels: of regret.
         units: columns of `paths` that count cost; the first one is limited alike for all runs.
-        slack: regret above a level that still counts as reached (rounding).
 
     Returns:
         One row a run and level: problem, arm, seed, level, reached, and each unit. A run that did
@@ -70,7 +68,7 @@ def costs(
         regret = run["regret"].to_numpy(float)
         longer = float(limits.loc[row["problem"]] / run[units[0]].iloc[-1])
         for level in levels:
-            there = np.flatnonzero(regret <= level + slack)
+            there = np.flatnonzero(regret <= level + _SLACK)
             at, factor = (int(there[0]), 1.0) if len(there) else (len(run) - 1, longer)
             spent = {unit: factor * float(run[unit].iloc[at]) for unit in units}
             rows.append({**row, "level": level, "reached": bool(len(there)), **spent})

@@ -13,6 +13,7 @@ from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import unit_at
 
 _RIVALS = 3
+_TOLD = 8  # parameters
 _MANY = 3  # members of a group from which on one sentence says them all
 
 
@@ -38,21 +39,20 @@ def _group_sentence(name: str, members: Sequence[Finding]) -> str:
     return f"{name[0].upper()}{name[1:]}, {beside}: {each}."
 
 
-def parameters_sentence(parameters: pd.DataFrame, most: int = 8) -> str:
+def parameters_sentence(parameters: pd.DataFrame) -> str:
     """Return what the study's parameters were fitted to, in words; empty where it has none.
 
     Args:
         parameters: columns name, unit, model, fitted and at_bound.
-        most: how many are told.
     """
     if parameters.empty:
         return ""
     told = []
-    for p in parameters.head(most).itertuples():
+    for p in parameters.head(_TOLD).itertuples():
         bound = ", at its bound" if p.at_bound else ""
         unit = "" if p.unit in ("", "1") else f" {p.unit}"
         told.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
-    more = f" and {len(parameters) - most} more" if len(parameters) > most else ""
+    more = f" and {len(parameters) - _TOLD} more" if len(parameters) > _TOLD else ""
     return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
 
 

@@ -117,15 +117,12 @@ def _pictures(
     return path, ""
 
 
-def render(
-    model: Model, recording: Recording, count: int = _PICTURES, goal: np.ndarray | None = None
-) -> np.ndarray:
-    """Return `count` pictures of a recording side by side, `height x (count width) x 3`.
+def render(model: Model, recording: Recording, goal: np.ndarray | None = None) -> np.ndarray:
+    """Return eight pictures of a recording side by side, `height x (8 width) x 3`.
 
     Args:
         model: drawn at the recorded positions.
         recording: with every joint's position.
-        count: pictures, evenly over time.
         goal: where the geom named target was, its first coordinates; see `Plant.goal`.
     """
     compiled = model.compile(visuals=True)
@@ -136,7 +133,7 @@ def render(
     start, stop = recording.span
     frames = []
     with mujoco.Renderer(compiled, _HEIGHT, _WIDTH) as renderer:
-        for time in np.linspace(start, stop, count):
+        for time in np.linspace(start, stop, _PICTURES):
             for k, name in enumerate(model.qpos_channels):
                 data.qpos[k] = recording.channels[name].at(np.array([time]))[0]
             mujoco.mj_forward(compiled, data)

@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike
 from bo_sysid.errors import UserError
 from bo_sysid.plants.environment import control_range
 
+_TONES = 8  # sines an actuator
+
 
 def multisine(
     model: mujoco.MjModel,
@@ -15,7 +17,6 @@ def multisine(
     *,
     amplitude: float = 0.8,
     band: tuple[float, float] = (0.2, 3.0),
-    tones: int = 8,
     seed: int = 0,
 ) -> np.ndarray:
     """Return sums of sines with random phases, with other frequencies for every actuator.
@@ -29,7 +30,6 @@ def multisine(
         timestep: between two rows, in [s].
         amplitude: share of the control range, in (0, 1].
         band: lowest and highest frequency in [Hz].
-        tones: sines an actuator.
         seed: of frequencies and phases.
 
     Returns:
@@ -48,9 +48,9 @@ def multisine(
         )
     rng = np.random.default_rng(seed)
     t = np.arange(round(duration / timestep)) * timestep
-    edges = np.geomspace(*band, tones * len(low) + 1)
+    edges = np.geomspace(*band, _TONES * len(low) + 1)
     # interleaved bands: every actuator covers the whole range and shares no frequency
-    frequency = rng.uniform(edges[:-1], edges[1:]).reshape(tones, len(low)).T
+    frequency = rng.uniform(edges[:-1], edges[1:]).reshape(_TONES, len(low)).T
     phase = rng.uniform(0, 2 * np.pi, frequency.shape)
     s = np.sin(2 * np.pi * frequency[:, :, None] * t + phase[:, :, None]).sum(axis=1)
     s /= np.abs(s).max(axis=1, keepdims=True)

@@ -6,7 +6,6 @@ at those that a delay puts between two samples. Gaps, dead zones and limits are 
 shortens its steps by itself.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import mujoco
@@ -45,16 +44,13 @@ class AdaptivePlant:
         self._lags = [a for a, d in enumerate(physics.drives) if d.lag > 0]
         self._u: list[float] = [0.0] * len(physics.drives)  # behind delay and dead zone
 
-    def roll(
-        self, command: Command, steps: int, timestep: float, start: Sequence[float] | None = None
-    ) -> Rolled:
-        """Run the plant from rest.
+    def roll(self, command: Command, steps: int, timestep: float) -> Rolled:
+        """Run the plant from rest at the model's reference positions.
 
         Args:
             command: asked at every row.
             steps: number of rows T.
             timestep: between two rows in [s].
-            start: positions; the model's reference where left out.
 
         Raises:
             PlantDiverged: it went out of every bound.
@@ -62,7 +58,7 @@ class AdaptivePlant:
         n, physics = self._n, self.physics
         size = 2 * n + len(self._lags) + len(physics.bristles) + 2 * bool(physics.transmission)
         y = np.zeros(size)
-        y[:n] = physics.model.qpos0 if start is None else start
+        y[:n] = physics.model.qpos0
         if physics.transmission:
             y[-2] = y[physics.transmission.dof]
         time = np.arange(steps) * timestep

@@ -99,7 +99,6 @@ def _plain(
     start: Callable[[Place], float],
     law: Callable[[int, Concealed], ForceAt],
     signed: bool = False,
-    most: float = _MOST,
     details: Callable[[np.random.Generator, Place], dict[str, float]] = lambda rng, place: {},
 ) -> None:
     """Register a force at any joint that follows from the motion at once."""
@@ -114,7 +113,7 @@ def _plain(
         draft.laws.append(Law(dof, law(dof, c)))
 
     realised(
-        Realised(id, "joint", joints, draw, compose, lambda place: most / _SHARE * start(place))
+        Realised(id, "joint", joints, draw, compose, lambda place: _MOST / _SHARE * start(place))
     )
 
 

@@ -6,7 +6,6 @@ beginning; commands pass delay, dead zone and lag outside MuJoCo. Only gains, bi
 actuators are written into the compiled model.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, floor
 from typing import Literal
@@ -58,15 +57,11 @@ class SteppedPlant:
             physics.laws or physics.bristles or any(d.lag or d.delay for d in physics.drives)
         )
 
-    def roll(
-        self, command: Command, steps: int, timestep: float, start: Sequence[float] | None = None
-    ) -> Rolled:
+    def roll(self, command: Command, steps: int, timestep: float) -> Rolled:
         """Run the plant from rest; see `AdaptivePlant.roll`."""
         model, drives = self.model, self.physics.drives
         model.opt.timestep = timestep / self._stepping.divide
         data = mujoco.MjData(model)
-        if start is not None:
-            data.qpos[:] = start
         bristles = [0.0] * len(self.physics.bristles)
         filtered = [0.0] * len(drives)
         n = int(model.nv)

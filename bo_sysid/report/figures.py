@@ -24,6 +24,7 @@ __all__ = [
 _WIDTH = 7.2  # inches
 _CHANNELS = 6
 _SHOWN = 3_000
+_LEVELS = 41  # of a grid that have a bar each
 _LINES: dict[str, dict[str, Any]] = {
     "nominal": {"color": NOMINAL, "linewidth": 1.8},
     "identified": {"color": IDENTIFIED, "linewidth": 1.1, "linestyle": (0, (3, 3))},
@@ -120,10 +121,10 @@ def _label(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _edges(values: np.ndarray, most: int = 41) -> np.ndarray:
+def _edges(values: np.ndarray) -> np.ndarray:
     """Return bin edges: between the levels of a grid, or even where there are many values."""
     levels = np.unique(values)
-    if 2 <= len(levels) <= most:
+    if 2 <= len(levels) <= _LEVELS:
         between = (levels[:-1] + levels[1:]) / 2
         ends = levels[0] - (between[0] - levels[0]), levels[-1] + (levels[-1] - between[-1])
         return np.concatenate([[ends[0]], between, [ends[1]]])

@@ -10,7 +10,7 @@ from bo_sysid.runs import FORMAT, atomic, read_json
 NAME = "report.html"
 
 
-def write_page(folder: str | Path, *, live: bool = False) -> Path:
+def write_page(folder: str | Path) -> Path:
     """Write the page of a run into its folder.
 
     A run that is unfinished, damaged or from another version shows what can be shown, and says
@@ -18,13 +18,12 @@ def write_page(folder: str | Path, *, live: bool = False) -> Path:
 
     Args:
         folder: the run folder.
-        live: let the page look for news of a run that is going on.
 
     Raises:
         RunError: the folder is no run.
     """
     path = Path(folder) / NAME
-    text = page(folder, live=live)
+    text = page(folder)
     with atomic(path) as beside:
         beside.write_text(text, encoding="utf-8")
     return path
@@ -32,6 +31,10 @@ def write_page(folder: str | Path, *, live: bool = False) -> Path:
 
 def page(folder: str | Path, *, live: bool = False) -> str:
     """Return the page of a run as HTML.
+
+    Args:
+        folder: the run folder.
+        live: let the page look for news of a run that is going on.
 
     Raises:
         RunError: the folder is no run.
