@@ -8,11 +8,11 @@ import numpy as np
 
 from bo_sysid.checks.motion import beyond_range
 from bo_sysid.checks.traces import Traces
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import Recording
 
 _LEAST = 60  # instants that are looked at
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def comparable(
@@ -29,7 +29,7 @@ def comparable(
     """
     positions = [f"qpos.{model.joint(j).name}" for j in range(model.njnt)]
     measured = [n for n in positions if all(n in r.channels for r in recordings)]
-    if not all(int(t) in _SCALAR for t in model.jnt_type) or not measured:
+    if not all(int(t) in SCALAR for t in model.jnt_type) or not measured:
         return "a joint is neither a hinge nor a slide, or none was recorded"
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:

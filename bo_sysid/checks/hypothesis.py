@@ -13,11 +13,11 @@ from jaxtyping import Bool, Float
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
 from bo_sysid.simulation.activations import LAGS
 
 _FLOOR = 1e-3  # what the model may leave unexplained of any balance
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 Laws = Mapping[str, tuple[Law, tuple[str, ...]]]
 """By actuator, the law that computes its control and the channels that it reads."""
@@ -96,7 +96,7 @@ class Evidence:
         self.traces = traces
         self.laws = laws or {}
         self.joints = [model.joint(j).name for j in range(model.njnt)]
-        self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == _HINGE}
+        self.hinges = {j for j in self.joints if int(model.joint(j).type[0]) == HINGE}
         ids = controlled(model)
         self.actuators = [model.actuator(a).name for a in ids]
         self._reference = np.array(model.qpos0)

@@ -9,6 +9,7 @@ from scipy.signal import welch
 
 from bo_sysid.checks.flags import Flag
 from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
 from bo_sysid.recording.alignment import GAP
 
@@ -39,7 +40,7 @@ def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.Dat
             joint = model.joint(j)
             channel = r.channels.get(f"qpos.{joint.name}")
             if channel is not None:
-                slides = int(joint.type[0]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+                slides = int(joint.type[0]) == SLIDE
                 unit = channel.unit or ("m" if slides else "rad")
                 moved = {**_moved(channel), "unit": unit}
                 rows.append({"recording": r.name, "joint": joint.name, **moved})
@@ -146,7 +147,7 @@ def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[
     flags, turned = [], turned_inside(model, recordings)
     for name, (least, most) in beyond_range(model, recordings).items():
         low, high = (float(v) for v in model.joint(name).range)
-        hinge = int(model.joint(name).type[0]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        hinge = int(model.joint(name).type[0]) == HINGE
         sentence = (
             f"{name} moved from {least:.3g} to {most:.3g}, but the model's range is {low:.3g} to "
             f"{high:.3g} {'rad' if hinge else 'm'}: its stops would act on it."

@@ -9,6 +9,7 @@ import pandas as pd
 
 from bo_sysid.arrays import Point
 from bo_sysid.checks.flags import Flag
+from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import MujocoSimulator, Windows
@@ -71,7 +72,7 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
         return []
     data = mujoco.MjData(model)
     names = [model.joint(j).name for j in range(model.njnt)]
-    if any(int(t) < int(mujoco.mjtJoint.mjJNT_SLIDE) for t in model.jnt_type):
+    if any(int(t) < SLIDE for t in model.jnt_type):
         return _floating(model)
     touched: dict[tuple[str, str], int] = {}
     count = 0

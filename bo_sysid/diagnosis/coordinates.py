@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 
 from bo_sysid.effects import Hidden, Machine, Part
 from bo_sysid.effects.bristles import bristle_motors, loaded
+from bo_sysid.mjcf.joints import QVEL_SIZE
 from bo_sysid.simulation import State, Trajectory
 
 _OFF = 0.1  # of the spread of a joint's position and of its speed: prior of an added joint
@@ -246,4 +247,4 @@ def with_loaded_bristles(
 
 
 def _speeds(model: mujoco.MjModel, joint: int) -> int:
-    return {0: 6, 1: 3}.get(int(model.jnt_type[joint]), 1)
+    return QVEL_SIZE[int(model.jnt_type[joint])]

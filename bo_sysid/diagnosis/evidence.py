@@ -117,8 +117,7 @@ def make_evidence(
     given, model = model, _as_it_moved(model, recordings)
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
-    every = CATALOGUE.values() if effects is None else effects
-    wanted = [e for e in every if e.family != "learned"]
+    wanted = tuple(CATALOGUE.values()) if effects is None else effects
     offered = _once(model, candidates(wanted, machine))
     return Evidence(
         model,

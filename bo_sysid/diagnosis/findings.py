@@ -1,7 +1,7 @@
 """Findings: what a fit says in numbers and in words."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -230,13 +230,7 @@ def _value(
     def reported(x: np.ndarray) -> float:
         return float(c.effect.reported(c.full(x), machine, c.site))
 
-    at = reported(x)
-    gradient = np.zeros(c.size)
-    for i in range(c.size):
-        h = max(1e-4 * abs(x[i]), 1e-6 * abs(c.probe[i]))
-        moved = x.copy()
-        moved[i] += h
-        gradient[i] = (reported(moved) - at) / h
+    at, gradient = reported(x), _gradient(reported, c, x, 1e-4, 1e-6)
     unit = unit_at(c.effect.unit, c.site, machine)
     found = _quantity(at, float(gradient @ covariance @ gradient), unit)
     if c.size > 1:
@@ -290,15 +284,27 @@ def _propagated(
 ) -> float:
     """Return the variance of a derived quantity, to first order."""
     assert c.effect.details is not None  # noqa: S101
-    at = c.effect.details(c.full(x), machine, c.site)[name][0]
-    gradient = np.zeros(c.size)
+    details = c.effect.details
+    at = details(c.full(x), machine, c.site)[name]
+
+    def derived(x: np.ndarray) -> float:  # one that is no longer said does not change
+        return details(c.full(x), machine, c.site).get(name, at)[0]
+
+    gradient = _gradient(derived, c, x, 1e-3, 1e-3)
+    return float(gradient @ covariance @ gradient)
+
+
+def _gradient(
+    of: Callable[[np.ndarray], float], c: Candidate, x: np.ndarray, relative: float, least: float
+) -> Float[np.ndarray, " l"]:
+    """Return the slope by each magnitude, from steps of a share of it, or of its probe if more."""
+    at, gradient = of(x), np.zeros(c.size)
     for i in range(c.size):
-        h = max(1e-3 * abs(x[i]), 1e-3 * abs(c.probe[i]))
+        h = max(relative * abs(x[i]), least * abs(c.probe[i]))
         moved = x.copy()
         moved[i] += h
-        derived = c.effect.details(c.full(moved), machine, c.site)
-        gradient[i] = (derived[name][0] - at) / h if name in derived else 0.0
-    return float(gradient @ covariance @ gradient)
+        gradient[i] = (of(moved) - at) / h
+    return gradient
 
 
 def _group_words(label: str | None, candidate: Candidate, fit: Fit) -> str | None:

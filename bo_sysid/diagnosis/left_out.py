@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from bo_sysid.diagnosis.fit import by_block
+
 RIDGES = (1e-5, 1e-3, 3e-2, 0.3, 2.0)
 """On columns of length one at most; what is left out says which."""
 
@@ -30,11 +32,7 @@ class LeftOut:
         block: Int[np.ndarray, " W"],
     ) -> "LeftOut":
         """Return the normal equations of `A x = y`, by the block of each window."""
-        count, k = int(block.max()) + 1, A.shape[-1]
-        G, b = np.zeros((count, k, k)), np.zeros((count, k))
-        for i in range(count):
-            part, z = A[block == i].reshape(-1, k), y[block == i].ravel()
-            G[i], b[i] = part.T @ part, part.T @ z
+        G, b, _ = by_block(A, y, block)
         return cls(G, b)
 
     def gain(

@@ -25,6 +25,7 @@ from bo_sysid.effects.contract import (
     Part,
     Reading,
     Site,
+    at_slide,
     unit_at,
 )
 from bo_sysid.effects.machine import Machine
@@ -54,6 +55,7 @@ __all__ = [
     "Reading",
     "Site",
     "applicable",
+    "at_slide",
     "catalogue",
     "chosen",
     "effect",

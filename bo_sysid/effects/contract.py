@@ -307,6 +307,11 @@ _SLIDE = {
 }
 
 
+def at_slide(unit: str) -> str:
+    """Return a hinge's unit as it reads at a slide: N m becomes N, rad becomes m."""
+    return _SLIDE.get(unit, unit)
+
+
 def unit_at(unit: str, site: Site, machine: Machine) -> str:
     """Return a unit as it reads at a site: N m becomes N where no joint is turned but pushed."""
     if unit == CHANNEL_UNIT:
@@ -316,4 +321,4 @@ def unit_at(unit: str, site: Site, machine: Machine) -> str:
     else:
         joint = machine.joint_of(site.kind, site.name)
         pushed = joint is not None and not joint.hinge
-    return _SLIDE.get(unit, unit) if pushed else unit
+    return at_slide(unit) if pushed else unit

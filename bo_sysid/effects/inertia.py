@@ -9,6 +9,7 @@ from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf import make_explicit, scale_mass
+from bo_sysid.mjcf.joints import SLIDE
 
 _SMALL = 0.02  # [m] size of a body that its frame sits in
 _POINT = 1e-9  # [m²] inertia of a point load, per kg
@@ -118,7 +119,7 @@ def _turns(body: str, model: mujoco.MjModel) -> bool:
     i = model.body(body).id
     while i:
         first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
-        if (model.jnt_type[first : first + count] != int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
+        if (model.jnt_type[first : first + count] != SLIDE).any():
             return True
         i = int(model.body_parentid[i])
     return False

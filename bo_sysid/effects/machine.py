@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.recording import Recording
 
-_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 Signal = Float[np.ndarray, "..."]
@@ -162,7 +162,7 @@ class Machine:
         found: set[str] = set()
         for body in np.flatnonzero(m.body_parentid == 0)[1:]:
             own = [int(j) for j in np.flatnonzero(m.jnt_bodyid == body)]
-            slides = sum(int(m.jnt_type[j]) == _SLIDE for j in own)
+            slides = sum(int(m.jnt_type[j]) == SLIDE for j in own)
             if slides >= 2 and not driven.intersection(own):
                 found.update(m.joint(j).name for j in own)
         return frozenset(found)

@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter
 
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.mjcf.compiling import coordinates
+from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
 from bo_sysid.recording import Recording
 
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
@@ -20,8 +21,6 @@ _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _ALONG = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
@@ -40,9 +39,7 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     scalar = [
         n
         for j, n in enumerate(names)
-        if int(model.jnt_type[j])
-        in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-        and all(f"qpos.{n}" in r.channels for r in recordings)
+        if int(model.jnt_type[j]) in SCALAR and all(f"qpos.{n}" in r.channels for r in recordings)
     ]
     motion = {n: _motion(recordings, n) for n in scalar}
     actuators = {
@@ -146,7 +143,7 @@ def _driven(model: mujoco.MjModel, a: int) -> str | None:
     if int(model.actuator_trntype[a]) not in _ALONG:
         return None
     joint = model.joint(int(model.actuator_trnid[a, 0]))
-    return joint.name if int(joint.type[0]) in (_HINGE, _SLIDE) else None
+    return joint.name if int(joint.type[0]) in SCALAR else None
 
 
 def _pushes(model: mujoco.MjModel, a: int) -> bool:
@@ -155,8 +152,8 @@ def _pushes(model: mujoco.MjModel, a: int) -> bool:
     On a slide, through a crank, along a spatial tendon, at a site, a body or a free joint.
     """
     at, k = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
-    if at in _ALONG and int(model.jnt_type[k]) in (_HINGE, _SLIDE, _BALL):
-        return int(model.jnt_type[k]) == _SLIDE
+    if at in _ALONG and int(model.jnt_type[k]) in (*SCALAR, BALL):
+        return int(model.jnt_type[k]) == SLIDE
     if at == int(mujoco.mjtTrn.mjTRN_TENDON):
         first = model.tendon_adr[k]
         return int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -190,7 +187,7 @@ def _joint(
     return JointScale(
         name=name,
         dof=dof,
-        hinge=int(model.joint(name).type[0]) == _HINGE,
+        hinge=int(model.joint(name).type[0]) == HINGE,
         force=force,
         speed=max(float(np.sqrt(np.mean(motion.v**2))), _FLOOR),
         acceleration=acceleration,

@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.rest import Hold
+from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.parameters import Parameter
 from bo_sysid.simulation import Trajectory
 
 _MISSING = 1e-3  # share of the largest force that is needed
 _SHORTEST = 1.0  # [s], the least length of a plan
-_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def first_exceeded(
         what = "the simulation diverges" if trajectory.diverged[lost] else "parts touch"
         return Exceeded(lost, "", what, np.nan)
     step, machine, joint, kind = min(found)
-    length, force = ("m", "N") if int(model.jnt_type[joint]) == _SLIDE else ("rad", "N m")
+    length, force = ("m", "N") if int(model.jnt_type[joint]) == SLIDE else ("rad", "N m")
     values, bound, unit = {
         "position": (q, f"{low[joint]:.4g} to {high[joint]:.4g}", length),
         "velocity": (v, f"{limits.velocity[joint]:.4g}", f"{length}/s"),

@@ -15,7 +15,6 @@ squares, under a belief that has converged, means that no β will do: physics is
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
@@ -23,10 +22,10 @@ from bo_sysid.arrays import Point
 from bo_sysid.belief.stopping import StopReason
 from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.identify.problem import Problem
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import sensor_noise
 
 ABOVE = 1.15  # times the expected floor; where nothing lacked the ratio was .95 to 1.05
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ def _start_noise(problem: Problem, sigma: dict[str, float]) -> Float[np.ndarray,
     spacing = [np.median(np.diff(c.time)) for r in problem.recordings
                for c in r.of_kind("qpos").values()]  # fmt: skip
     for j in range(compiled.njnt):
-        if int(compiled.jnt_type[j]) not in _SCALAR:
+        if int(compiled.jnt_type[j]) not in SCALAR:
             continue
         name, dof = compiled.joint(j).name, int(compiled.jnt_dofadr[j])
         position = sigma.get(f"qpos.{name}", 0.0)

@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool
 
+from bo_sysid.mjcf.joints import HINGE, SLIDE
+
 
 def controlled(model: mujoco.MjModel) -> list[int]:
     """Return the actuator of each control; friction may be an actuator without one."""
@@ -59,8 +61,8 @@ def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
 def units(model: mujoco.MjModel) -> dict[str, str]:
     """Return the units of channels of hinges and slides, and of controls that have a plain one."""
     found = {}
-    hinges = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
-    slides = model.jnt_type == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    hinges = model.jnt_type == HINGE
+    slides = model.jnt_type == SLIDE
     for j in np.flatnonzero(hinges | slides):
         name, place = model.joint(j).name, "rad" if hinges[j] else "m"
         found[f"qpos.{name}"], found[f"qvel.{name}"] = place, f"{place}/s"

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import ModelError
+from bo_sysid.mjcf.joints import QPOS_SIZE, QVEL_SIZE
 
 
 def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.MjModel:
@@ -91,8 +92,6 @@ def keep_delays(spec: mujoco.MjSpec, before: float) -> None:
 
 
 _KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")
-_QPOS_SIZE = {0: 7, 1: 4, 2: 1, 3: 1}  # free, ball, slide, hinge
-_QVEL_SIZE = {0: 6, 1: 3, 2: 1, 3: 1}
 
 
 def _slices(model: mujoco.MjModel) -> dict[str, dict[str, tuple[int, int]]]:
@@ -109,7 +108,7 @@ def coordinates(model: mujoco.MjModel, field: str) -> list[tuple[str, int, int]]
     Elements without a coordinate in the field are left out; the order is MuJoCo's.
     """
     if field in ("qpos", "qvel"):
-        sizes = _QPOS_SIZE if field == "qpos" else _QVEL_SIZE
+        sizes = QPOS_SIZE if field == "qpos" else QVEL_SIZE
         address = model.jnt_qposadr if field == "qpos" else model.jnt_dofadr
         rows = [
             (model.joint(i).name, int(address[i]), sizes[int(model.jnt_type[i])])

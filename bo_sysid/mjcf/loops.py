@@ -19,13 +19,14 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from bo_sysid.mjcf.joints import SCALAR
+
 _RIGID = 0.02  # [s] time constant up to which an equality is rigid; MuJoCo's own
 _ITERATIONS, _CLOSED = 30, 1e-11  # of Newton's method; [m] or [rad] of its last step
 _LONGEST, _STRIDE = 0.3, 0.1  # [m] or [rad] of a step; of the joints that are followed
 _ASIDE = 0.05  # [m] or [rad] from where the model rests, where its rank is looked at
 _INDEPENDENT = 1e-6  # of the largest column, that the others do not make up
 _DIFFERENCE = 1e-6  # [s] by which a motion goes on to see how the loop turns
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _LOOPS = (
     int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD),
     int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON),
@@ -73,7 +74,7 @@ class Loops:
         names = [bare.joint(j).name for j in range(bare.njnt)]
         scalar = [
             j for j in range(bare.njnt)
-            if int(bare.jnt_type[j]) in _SCALAR and names[j] not in apart
+            if int(bare.jnt_type[j]) in SCALAR and names[j] not in apart
         ]  # fmt: skip
         order = sorted(scalar, key=lambda j: (names[j] not in silent, j in driven, -j))
         found = sorted(_independent(J, bare.jnt_dofadr, order))

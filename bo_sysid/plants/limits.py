@@ -12,11 +12,10 @@ from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import command_bounds, controlled, has_bias
 from bo_sysid.mjcf.edits import RangeEdit
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.study import Study
-
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
@@ -96,7 +95,7 @@ class LimitedTask(VectorTask):
         self._speed = np.full(compiled.nv, np.inf)
         for name, limit in study.limits.items():
             joint = compiled.joint(name)
-            if int(joint.type[0]) not in _SCALAR:
+            if int(joint.type[0]) not in SCALAR:
                 raise study.error(("limits", name), "only hinges and slides have limits")
             if limit.position is not None:
                 q = int(joint.qposadr[0])

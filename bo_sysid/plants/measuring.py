@@ -9,6 +9,7 @@ import numpy as np
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.compiling import coordinates
+from bo_sysid.mjcf.joints import SCALAR, SLIDE
 from bo_sysid.recording.value import Recording
 
 KINDS = ("qpos", "qvel", "act")
@@ -84,10 +85,9 @@ class Measuring:
 def _units(model: mujoco.MjModel) -> dict[str, str]:
     """Return the unit of position and velocity of each slide and hinge."""
     units = {}
-    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
     for joint in range(model.njnt):
         kind, name = int(model.jnt_type[joint]), model.joint(joint).name
-        if kind in (slide, hinge):
-            unit = "m" if kind == slide else "rad"
+        if kind in SCALAR:
+            unit = "m" if kind == SLIDE else "rad"
             units[f"qpos.{name}"], units[f"qvel.{name}"] = unit, f"{unit}/s"
     return units

@@ -27,7 +27,7 @@ def add_mass(model: mujoco.MjModel, body: str, mass: float, at: Float[np.ndarray
     own, centre = float(model.body_mass[b]), model.body_ipos[b].copy()
     total = own + mass
     moved = (own * centre + mass * at) / total
-    turn = _matrix(model.body_iquat[b])
+    turn = rotation(model.body_iquat[b])
     inertia = turn @ np.diag(model.body_inertia[b]) @ turn.T
     inertia += own * _point(centre - moved) + mass * _point(at - moved)
     values, axes = np.linalg.eigh(inertia)
@@ -74,7 +74,8 @@ def _point(d: np.ndarray) -> np.ndarray:
     return np.asarray(d @ d * np.eye(3) - np.outer(d, d))
 
 
-def _matrix(quat: np.ndarray) -> np.ndarray:
+def rotation(quat: np.ndarray) -> np.ndarray:
+    """Return a quaternion as a matrix."""
     flat = np.zeros(9)
     mujoco.mju_quat2Mat(flat, quat)
     return flat.reshape(3, 3)

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.mjcf import parameter_edits
+from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.parameters import Parameter
 from bo_sysid.proof.adaptive import AdaptivePlant
 from bo_sysid.proof.draft import REALISED, Draft, Place, Realised, Scales, drive_force
@@ -294,8 +294,7 @@ class _Attempt:
         m = self._machine.compiled
         told = rounded(rolled.read + self._noise(part)[: len(rolled.time)], self._quantum)
         joints = [self._machine.joint(dof) for dof in range(m.nv)]
-        slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
-        units = {f"qpos.{j}": "m" if int(m.joint(j).type[0]) == slide else "rad" for j in joints}
+        units = {f"qpos.{j}": "m" if int(m.joint(j).type[0]) == SLIDE else "rad" for j in joints}
         return Recording.from_arrays(
             rolled.time,
             name=part,

@@ -8,7 +8,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.effects import at_slide
 from bo_sysid.errors import StudyError, nearest
+from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.proof.bodies import copy_model
 from bo_sysid.proof.machine import ProofMachine
 from bo_sysid.proof.physics import (
@@ -22,17 +24,6 @@ from bo_sysid.proof.physics import (
     nominal_physics,
 )
 from bo_sysid.proof.rolled import Rolled
-
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-_SLIDE = {
-    "N m": "N",
-    "N m s/rad": "N s/m",
-    "N m s²/rad²": "N s²/m²",
-    "N m/rad": "N/m",
-    "kg m²": "kg",
-    "rad": "m",
-    "rad/(N m)": "m/N",
-}
 
 
 @dataclass(frozen=True)
@@ -128,7 +119,7 @@ class Place:
         """Return a hinge's unit as it reads at the joint of a degree of freedom."""
         m = self.machine.compiled
         kind = int(m.jnt_type[m.dof_jntid[self.dof if dof is None else dof]])
-        return unit if kind == _HINGE else _SLIDE.get(unit, unit)
+        return unit if kind == HINGE else at_slide(unit)
 
 
 @dataclass

@@ -19,6 +19,8 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import ModelError
+from bo_sysid.mjcf.joints import HINGE, SLIDE
+from bo_sysid.proof.bodies import rotation
 
 Accelerate: TypeAlias = Callable[[float, float, float, float, float, float], tuple[float, float]]
 """(q0, q1, v0, v1, τ0, τ1) -> (a0, a1), in SI units."""
@@ -155,9 +157,9 @@ def _link(model: mujoco.MjModel, joint: int) -> tuple[float, np.ndarray, np.ndar
     placed = []
     for body in bodies:
         shift = np.zeros(3) if body == own else model.body_pos[body]
-        frame = np.eye(3) if body == own else _matrix(model.body_quat[body])
+        frame = np.eye(3) if body == own else rotation(model.body_quat[body])
         centre = shift + frame @ model.body_ipos[body]
-        turn = frame @ _matrix(model.body_iquat[body])
+        turn = frame @ rotation(model.body_iquat[body])
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
         placed.append((float(model.body_mass[body]), centre, inertia))
     mass = sum(m for m, _, _ in placed)
@@ -169,17 +171,11 @@ def _link(model: mujoco.MjModel, joint: int) -> tuple[float, np.ndarray, np.ndar
     return mass, centre, total
 
 
-def _matrix(quat: np.ndarray) -> np.ndarray:
-    flat = np.zeros(9)
-    mujoco.mju_quat2Mat(flat, quat)
-    return flat.reshape(3, 3)
-
-
 def _require(
     model: mujoco.MjModel, kinds: tuple[str, str], axes: tuple[tuple[int, ...], ...]
 ) -> None:
     """Refuse a model that the equations are not about."""
-    known = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
+    known = {HINGE: "hinge", SLIDE: "slide"}
     found = tuple(known.get(int(t), "other") for t in model.jnt_type)
     chained = model.njnt == 2 and int(model.body_parentid[model.jnt_bodyid[1]]) == int(
         model.jnt_bodyid[0]

@@ -12,6 +12,7 @@ from pydantic import BeforeValidator, ValidationError, model_validator
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Address, Model
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.proof.equations import EQUATIONS
 from bo_sysid.study.base import Count, Name, NotNegative, Positive, Real, Section
 from bo_sysid.study.messages import study_error
@@ -137,8 +138,7 @@ def load_machine(path: Path) -> ProofMachine:
         )
     model = _nominal(file, path)
     compiled = model.compile()
-    kinds = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
-    if set(compiled.jnt_type.tolist()) - kinds:
+    if set(compiled.jnt_type.tolist()) - set(SCALAR):
         raise source.error(("model",), "machines of the proof have hinges and slides only")
     for key, known in (("limits", model.joints), ("move", model.actuators)):
         for name in getattr(file, key):

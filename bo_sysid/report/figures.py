@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, SECOND, since_start
+from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, SECOND, since_start, with_gaps
 
 __all__ = [
     "IDENTIFIED",
@@ -92,8 +92,7 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
     figure = Figure(figsize=(_WIDTH, 2.8 * len(names)), layout="constrained")
     axes = figure.subplots(2 * len(names), 1, squeeze=False, sharex=True)[:, 0]
     for k, name in enumerate(names):
-        part = shown[shown["channel"] == name].sort_values("time").iloc[:_SHOWN]
-        part = _broken(part)
+        part = with_gaps(shown[shown["channel"] == name].sort_values("time").iloc[:_SHOWN])
         axis, below = axes[2 * k], axes[2 * k + 1]
         time = part["time"]
         axis.plot(time, part["recorded"], color=GREY, linewidth=4.0, label="recorded")
@@ -129,15 +128,3 @@ def _edges(values: np.ndarray) -> np.ndarray:
         ends = levels[0] - (between[0] - levels[0]), levels[-1] + (levels[-1] - between[-1])
         return np.concatenate([[ends[0]], between, [ends[1]]])
     return np.linspace(levels[0], levels[-1] + 1e-12, 31)
-
-
-def _broken(part: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with a gap after each window, so that lines do not join two starts."""
-    if part["window"].nunique() == len(part):
-        return part
-    ends = (
-        part.groupby("window", sort=False)
-        .tail(1)
-        .assign(recorded=np.nan, nominal=np.nan, identified=np.nan)
-    )
-    return pd.concat([part, ends]).sort_values(["window", "time"], kind="stable")

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from bo_sysid.mjcf import Loops, Model
+from bo_sysid.mjcf.joints import HINGE
 
 Points = Float[np.ndarray, "P 3"]
 
@@ -73,7 +74,7 @@ class Posed:
     def feet(self) -> list[int]:
         """The joints by which the robot hangs on the world, a floating base's excepted."""
         m = self.model
-        turns = m.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+        turns = m.jnt_type == HINGE
         fixed = m.body_weldid[m.body_parentid[m.jnt_bodyid]] == 0
         single = np.bincount(m.jnt_bodyid, minlength=m.nbody)[m.jnt_bodyid] == 1
         return [int(j) for j in np.flatnonzero(turns & fixed & single)]
@@ -131,7 +132,7 @@ def view(posed: Posed) -> Float[np.ndarray, "2 3"]:
     points = np.concatenate([posed.surface(g) for g in posed.geoms] or [np.zeros((1, 3))])
     spread = points - points.mean(axis=0)
     width = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
-    axes = posed.data.xaxis[posed.model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)]
+    axes = posed.data.xaxis[posed.model.jnt_type == HINGE]
     level = axes[np.abs(axes[:, 2]) < 1 - _ALIGNED] if len(axes) else axes
     upright = len(axes) > 0 and (np.abs(axes @ up) > _ALIGNED).mean() > 0.5
     if upright or np.ptp(points[:, 2]) < _LEVEL * width:

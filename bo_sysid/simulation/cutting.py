@@ -12,6 +12,7 @@ from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Loops, Model
 from bo_sysid.mjcf.commands import deaf_controls
+from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation.activations import activations
@@ -124,7 +125,7 @@ def _require(recording: Recording, missing: list[str], what: str) -> None:
 
 def _require_units(compiled: mujoco.MjModel, recording: Recording) -> None:
     """Refuse an angle on a slide and a length on a hinge, where units are said."""
-    si = {int(mujoco.mjtJoint.mjJNT_HINGE): "rad", int(mujoco.mjtJoint.mjJNT_SLIDE): "m"}
+    si = {HINGE: "rad", SLIDE: "m"}
     for j in range(compiled.njnt):
         name, unit = f"qpos.{compiled.joint(j).name}", si.get(int(compiled.jnt_type[j]))
         channel = recording.channels.get(name)

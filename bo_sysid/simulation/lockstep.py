@@ -14,8 +14,7 @@ from jaxtyping import Float, Int
 
 from bo_sysid.effects.contract import Force, Part
 from bo_sysid.mjcf.commands import controlled
-
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+from bo_sysid.mjcf.joints import SCALAR
 
 Signal = Float[np.ndarray, " W"]
 Rows = slice | Int[np.ndarray, " r"]
@@ -105,7 +104,7 @@ class LockStep:
         self._views = views
         self._force = force
         self._timestep = float(model.opt.timestep)
-        scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
+        scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in SCALAR]
         names = [model.joint(j).name for j in scalar]
         self._dof = {n: int(model.jnt_dofadr[j]) for n, j in zip(names, scalar, strict=True)}
         self._qpos = {

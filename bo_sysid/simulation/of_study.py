@@ -26,6 +26,7 @@ from bo_sysid.simulation.lockstep import (
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.simulator import MujocoSimulator
 from bo_sysid.study import Study
+from bo_sysid.study.check import require_actuators
 from bo_sysid.study.inputs import load_function, load_parts
 
 
@@ -42,10 +43,7 @@ def study_laws(study: Study, model: Model) -> tuple[Controller | ForceLaw, ...]:
     Raises:
         StudyError: the model has no such actuator, or the file no such function.
     """
-    for name in study.actuators:
-        if name not in model.actuators:
-            near = nearest(name, model.actuators)
-            raise study.error(("actuators", name), f"the model has no such actuator; {near}")
+    require_actuators(study, model)
     laws = [Controller(name, study_law(study, name)) for name in study.actuators]
     return (*laws, *force_laws(load_parts(study, model)))
 

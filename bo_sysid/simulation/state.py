@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bo_sysid.arrays import Act, Qpos, Qvel
 from bo_sysid.mjcf import Loops
+from bo_sysid.mjcf.joints import BALL, FREE
 
 
 @dataclass(frozen=True)
@@ -188,9 +189,7 @@ def _coordinates(
     turns: list[tuple[int, int]] = []
     for j in range(model.njnt):
         q, v, kind = (int(a[j]) for a in (model.jnt_qposadr, model.jnt_dofadr, model.jnt_type))
-        count = {int(mujoco.mjtJoint.mjJNT_FREE): 3, int(mujoco.mjtJoint.mjJNT_BALL): 0}.get(
-            kind, 1
-        )
+        count = {FREE: 3, BALL: 0}.get(kind, 1)
         plain += range(q, q + count)
         moves += range(v, v + count)
         if count != 1:

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.joints import BALL, FREE
 from bo_sysid.simulation.state import State, Trajectory
 
 
@@ -157,10 +158,10 @@ class Layout:
         for j in range(compiled.njnt):
             q, v = int(compiled.jnt_qposadr[j]), int(compiled.jnt_dofadr[j])
             kind = int(compiled.jnt_type[j])
-            if kind == int(mujoco.mjtJoint.mjJNT_FREE):
+            if kind == FREE:
                 rate[q : q + 3] = np.arange(v, v + 3)
                 turned |= {q + 3 + i: (q + 3, v + 3, i) for i in range(4)}
-            elif kind == int(mujoco.mjtJoint.mjJNT_BALL):
+            elif kind == BALL:
                 turned |= {q + i: (q, v, i) for i in range(4)}
             else:
                 rate[q] = v

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf.joints import FREE
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.columns import WORDS, words
 from bo_sysid.starter.matching import Guess
@@ -22,7 +23,7 @@ def pose_guesses(model: mujoco.MjModel, table: RawTable) -> list[Guess]:
 
     Columns that are called after one stem and end in x, y, z or in w, x, y, z (qw, quat_x, …).
     """
-    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    free = np.flatnonzero(model.jnt_type == FREE)
     stems = _stems(table)
     turns = [own for own in stems.values() if set(own) == set("wxyz") and _unit(table, own)]
     places = [own for own in stems.values() if set(own) == set("xyz")]

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.proposal import Rule
+from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import RawTable
 from bo_sysid.recording.units import Unit, is_unit, unit
 from bo_sysid.starter.columns import Column
 from bo_sysid.starter.matching import Guess
 
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
 _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _FITS = {
@@ -33,7 +33,7 @@ def told_unit(name: str, where: str) -> Unit:
 
 def fits_joint(compiled: mujoco.MjModel, joint: str, column: Column) -> bool:
     """Whether a column's unit lets it be a joint's position: no length is that of a hinge."""
-    hinge = int(compiled.joint(joint).type[0]) == _HINGE
+    hinge = int(compiled.joint(joint).type[0]) == HINGE
     return told_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
 
 
@@ -65,7 +65,7 @@ def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:
     if not plain or told_unit(stated, actuator).quantity != "current":
         return ""
     gear, joint = float(found.gear[0]), driven(compiled, f"ctrl.{actuator}")
-    slides = bool(joint) and int(compiled.joint(joint).type[0]) != _HINGE
+    slides = bool(joint) and int(compiled.joint(joint).type[0]) != HINGE
     force = "N" if slides and gear == 1 else "N m"
     before = "" if gear == 1 else f" before the gear; the model multiplies by its gear of {gear:g}"
     return f"{actuator} is told in A: scale is the motor's constant in {force}/A{before}"
@@ -108,7 +108,7 @@ def _by_reach(
     whole = bool((values == np.rint(values)).all())
     reach = float(np.abs(values).max())
     place = compiled.joint(joint).id
-    if int(compiled.jnt_type[place]) != _HINGE:
+    if int(compiled.jnt_type[place]) != HINGE:
         return {}, reach
     if whole and reach > 500:
         return _TICK_RULE, reach

@@ -10,6 +10,7 @@ import numpy as np
 from bo_sysid.checks.hypothesis import Evidence
 from bo_sysid.checks.motion import beyond_range, turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS
+from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import Recording
 from bo_sysid.starter.guess import Rules
 from bo_sysid.starter.movers import evidence_of
@@ -18,7 +19,6 @@ _EXPLAINED = 0.3  # share of the forces from which on a joint's balance tells no
 _FLOOR = 1e-3  # what may stay unexplained of any balance
 _DELAYS = tuple(0.008 * np.arange(-4, 8))  # [s]; controls may act apart from each other
 _TURNED = 0.8
-_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 def turned_by_range(model: mujoco.MjModel, recordings: Sequence[Recording], rules: Rules) -> Rules:
@@ -32,7 +32,7 @@ def turned_by_range(model: mujoco.MjModel, recordings: Sequence[Recording], rule
         low, high = (float(v) for v in model.joint(joint).range)
         columns[name] = {**columns[name], "sign": -int(columns[name].get("sign", 1))}
         size, unit = 1.0, "m"
-        if int(model.joint(joint).type[0]) == _HINGE:
+        if int(model.joint(joint).type[0]) == HINGE:
             size, unit = 180 / pi, "deg"
         told = (
             f"turned, since {size * least:.3g} to {size * most:.3g} {unit} lie outside the "

@@ -63,10 +63,7 @@ def check(study: Study, *, strict: bool = False) -> Check:
     for recording in recordings:
         require_known(model, recording)
     require_scales(study, model)
-    for name in study.actuators:
-        if name not in model.actuators:
-            near = nearest(name, model.actuators)
-            raise study.error(("actuators", name), f"the model has no such actuator; {near}")
+    require_actuators(study, model)
     parameters = study.parameter_set(model)
     _require_numbers(study, model)
     unrecorded = dict.fromkeys(_deaf(model), "without effect")
@@ -108,6 +105,18 @@ def require_known(model: Model, recording: Recording) -> None:
                 f"{recording.name}: channel {name!r} is not in the model {model.source}; "
                 f"{nearest(name, known[kind]) or f'it has no {kind} at all'}"
             )
+
+
+def require_actuators(study: Study, model: Model) -> None:
+    """Refuse a law for an actuator that the model does not have.
+
+    Raises:
+        StudyError: there is one.
+    """
+    for name in study.actuators:
+        if name not in model.actuators:
+            near = nearest(name, model.actuators)
+            raise study.error(("actuators", name), f"the model has no such actuator; {near}")
 
 
 def require_scales(study: Study, model: Model) -> None:

@@ -9,6 +9,8 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from bo_sysid.mjcf.joints import HINGE
+
 Shape = Literal["linear", "quadratic", "gaussian", "long_tail"]
 
 
@@ -54,11 +56,10 @@ def random_joints(model: mujoco.MjModel, rng: np.random.Generator) -> np.ndarray
     unlimited slides stay where the model has them.
     """
     qpos = np.array(model.qpos0)
-    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
     for joint in range(model.njnt):
         address = model.jnt_qposadr[joint]
         if model.jnt_limited[joint]:
             qpos[address] = rng.uniform(*model.jnt_range[joint])
-        elif model.jnt_type[joint] == hinge:
+        elif model.jnt_type[joint] == HINGE:
             qpos[address] = rng.uniform(-np.pi, np.pi)
     return qpos
