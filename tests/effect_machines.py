@@ -264,11 +264,3 @@ def _read(
             rate = row.get(name.replace("qpos", "qvel"), 0.0)
             value = (1 + p.scale) * (value - p.delay * rate) + p.offset
     return float(value)
-
-
-def differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
-    """Return whether two compiled models differ in anything."""
-    buffers = [np.zeros(mujoco.mj_sizeModel(m), np.uint8) for m in (one, two)]
-    for model, buffer in zip((one, two), buffers, strict=True):
-        mujoco.mj_saveModel(model, None, buffer)
-    return len(buffers[0]) != len(buffers[1]) or bool((buffers[0] != buffers[1]).any())

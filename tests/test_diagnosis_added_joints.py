@@ -11,9 +11,9 @@ import yaml
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.window_lengths import windows_of
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Hidden, Site, survey
 from bo_sysid.errors import ModelError

@@ -27,12 +27,12 @@ from bo_sysid.diagnosis.hints import (
 )
 from bo_sysid.diagnosis.holdout import Holdout, beyond
 from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.missing_force import explained, missing_force
 from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.sentences import doubts, rivals
 from bo_sysid.diagnosis.shapes import sharpened
-from bo_sysid.diagnosis.tables import explained, missing_force
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller

@@ -10,11 +10,11 @@ from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.forecast import fitted
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.moves import stripped
 from bo_sysid.diagnosis.rules import MARGIN, ROUGH, lost
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.window_lengths import windows_of
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.lengths import telling, windows_of
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.window_lengths import telling, windows_of
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from effect_machines import XML, case, cases, differ, edited, predict
+from effect_machines import XML, case, cases, edited, predict
 
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Force, Hidden, Reading, unit_at
+from bo_sysid.mjcf.compiling import differ
 
 # every id that a study can name and its kind of site
 KINDS = {

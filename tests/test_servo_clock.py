@@ -9,7 +9,7 @@ from bo_sysid.checks.hypothesis import Evidence
 from bo_sysid.checks.traces import Traces
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.tables import missing_force
+from bo_sysid.diagnosis.missing_force import missing_force
 from bo_sysid.diagnosis.timestep import FINER
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording

@@ -16,10 +16,11 @@ from bo_sysid.diagnosis.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.holdout import Holdout, judge
 from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.missing_force import missing_force
 from bo_sysid.diagnosis.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.repaired_study import study_text
 from bo_sysid.diagnosis.sentences import doubts, found_sentences, parameters_sentence, rivals
-from bo_sysid.diagnosis.tables import bent_pose, missing_force, sets
+from bo_sysid.diagnosis.tables import bent_pose, sets
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.channel_noise import channel_noise
 from bo_sysid.diagnosis.driven import driven
 from bo_sysid.diagnosis.hypothesis import (
     Candidate,
@@ -13,7 +14,6 @@ from bo_sysid.diagnosis.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.scales import channel_noise
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve

@@ -6,7 +6,6 @@ import numpy as np
 
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.fit import Fit, Names, set_key
-from bo_sysid.diagnosis.lengths import windows_of
 from bo_sysid.diagnosis.linear import Linear
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
@@ -16,6 +15,7 @@ from bo_sysid.diagnosis.rules import LOOSE, admissible, clean, lost, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.starts import first_starts
+from bo_sysid.diagnosis.window_lengths import windows_of
 from bo_sysid.diagnosis.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import hypot, inf, pi, sqrt
 
 from bo_sysid.diagnosis.fit import Fit
+from bo_sysid.diagnosis.groups import units_of
 from bo_sysid.diagnosis.rules import FLAT, clean
-from bo_sysid.diagnosis.units import units_of
 from bo_sysid.effects import Machine
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is

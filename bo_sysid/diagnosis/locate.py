@@ -7,11 +7,11 @@ from bo_sysid.diagnosis.decide import Decision, decide
 from bo_sysid.diagnosis.evidence import Evidence
 from bo_sysid.diagnosis.final import compare, final_fits
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.lengths import LEAST, stable, telling, tractable, windows_of
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.rules import ROUGH, clean, follows, lost
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import sharpened
+from bo_sysid.diagnosis.window_lengths import LEAST, stable, telling, tractable, windows_of
 from bo_sysid.diagnosis.windowing import Prepared, in_contact, prepare
 from bo_sysid.mjcf.touching import can_touch
 

@@ -7,6 +7,7 @@ from operator import itemgetter
 import numpy as np
 
 from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.groups import subset
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
 from bo_sysid.diagnosis.rounds import round_at, simplify
@@ -24,7 +25,6 @@ from bo_sysid.diagnosis.rules import (
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
-from bo_sysid.diagnosis.units import subset
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 

@@ -147,14 +147,3 @@ def control_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray
         ctrl[..., k] += size
         E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / size
     return E.reshape(W, P // W, *E.shape[1:])
-
-
-def differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
-    """Whether two compiled models differ in anything."""
-    size = mujoco.mj_sizeModel(one)
-    if size != mujoco.mj_sizeModel(two):
-        return True
-    buffers = [np.empty(size, np.uint8) for _ in range(2)]
-    mujoco.mj_saveModel(one, None, buffers[0])
-    mujoco.mj_saveModel(two, None, buffers[1])
-    return bool((buffers[0] != buffers[1]).any())

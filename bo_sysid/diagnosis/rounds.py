@@ -11,13 +11,13 @@ import numpy as np
 
 from bo_sysid.diagnosis import subsets
 from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.groups import alone, subset, units_of, with_group
 from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
 from bo_sysid.diagnosis.refit import FINAL, Effort
 from bo_sysid.diagnosis.rules import CLEAN, MARGIN, ROUGH, SHARE, clean
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import Scored
-from bo_sysid.diagnosis.units import alone, subset, units_of, with_group
 from bo_sysid.mjcf.touching import can_touch
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round

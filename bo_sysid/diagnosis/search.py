@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, set_key
+from bo_sysid.diagnosis.groups import grouped_labels
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise
 from bo_sysid.diagnosis.refit import Effort, refit
@@ -19,7 +20,6 @@ from bo_sysid.diagnosis.rules import ROUGH, Prior, clean, ranked
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.starts import on_the_right_side
 from bo_sysid.diagnosis.subsets import groups
-from bo_sysid.diagnosis.units import grouped_labels
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.simulation import State
 

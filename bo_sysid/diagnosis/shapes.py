@@ -13,13 +13,13 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, by_block, sandwich
+from bo_sysid.diagnosis.groups import subset
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, refit
 from bo_sysid.diagnosis.rounds import enrich, vary
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.units import subset
 from bo_sysid.effects import Machine
 
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum

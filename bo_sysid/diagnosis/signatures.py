@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, project
-from bo_sysid.diagnosis.points import differ
 from bo_sysid.diagnosis.shown import observe
 from bo_sysid.effects import Force
+from bo_sysid.mjcf.compiling import differ
 
 _BATCH = 24  # columns propagated at once
 _FAR = 1e9  # [sigma] a response is cut off here, where the linear model diverges

@@ -126,3 +126,14 @@ def coordinates(model: mujoco.MjModel, field: str) -> list[tuple[str, int, int]]
             (model.actuator(i).name, int(address[i]), int(number[i])) for i in range(len(address))
         ]
     return [row for row in rows if row[2] > 0]
+
+
+def differ(one: mujoco.MjModel, two: mujoco.MjModel) -> bool:
+    """Whether two compiled models differ in anything."""
+    size = mujoco.mj_sizeModel(one)
+    if size != mujoco.mj_sizeModel(two):
+        return True
+    buffers = [np.empty(size, np.uint8) for _ in range(2)]
+    mujoco.mj_saveModel(one, None, buffers[0])
+    mujoco.mj_saveModel(two, None, buffers[1])
+    return bool((buffers[0] != buffers[1]).any())

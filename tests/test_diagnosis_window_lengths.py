@@ -5,7 +5,7 @@ import pytest
 
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.lengths import stable
+from bo_sysid.diagnosis.window_lengths import stable
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
