@@ -30,21 +30,27 @@ _LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far of
 
 @dataclass(frozen=True)
 class Prior:
-    """Probability of a set before the recordings are seen.
+    """Weight of a set before the recordings are seen; not normalised.
 
-    Half for nothing, an eighth for each size, shared by all sets of that size; an eighth for sets
-    with groups.
+    ½ for nothing. A set with g of the G groups and s of the S effects at sites has
+
+        ⅛ Π πᵢ / (C(G, g) C(S, s)),
+
+    an eighth for each pair (g, s), shared by the sets of that pair, with πᵢ the relative prior of
+    each member's effect (`Effect.prior`, 1 for most). s is what `Fit.size` counts beside groups: a
+    refinement counts as two. The nine pairs of up to three names weigh 1⅝ together with nothing,
+    and more if more are allowed; only ratios of weights are used.
 
     Attributes:
-        singles: number of effects at sites.
-        groups: number of groups.
+        singles: number S of effects at sites.
+        groups: number G of groups.
     """
 
     singles: int
     groups: int
 
     def log(self, fit: Fit) -> float:
-        """Return the logarithm of the prior probability of a fit's set."""
+        """Return the logarithm of the weight of a fit's set."""
         if not fit.members:
             return log(0.5)
         grouped = len({g for g in fit.groups if g is not None})
