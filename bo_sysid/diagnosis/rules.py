@@ -99,13 +99,19 @@ def _part(nominal: Fit) -> float:
 def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     """Return the unique size of each member, in sigma.
 
-    Close to the recordings that is the linear one, or what the best fit without the member leaves
-    beyond this one, √(rms₀² - rms²), if that is less: where contact bends the response, a column
-    is large in windows that no magnitude brings any closer. Far from them no linearisation reaches
-    from a set to the same set without a member: there it is what leaving out costs, where that was
-    tried. So it is where the slope of a large member is nothing, since more of it would do no more.
-    What has no magnitude has no size, whatever else a set without it leaves. Nor has what explains
-    a part of less than noise: in contact, where samples weigh little, sets leave less.
+    With u the linear one (`Fit.unique`), rms₀ the least that a fit without the member leaves, and
+    d = √(rms₀² - max(rms², .97)), 0 where that is negative: what is explained below the noise is
+    no size (in contact samples weigh little, and sets leave less than the sensors say).
+
+    - near the recordings: min(u, d), since where contact bends the response a column is large in
+      windows that no magnitude brings any closer
+    - far from them (rms above 1.3): d, since no linearisation reaches from a set to the same set
+      without a member; rms₀ is that of fits with all the rest
+    - saturated, a large magnitude whose slope is nothing since more of it would change nothing: d
+      in the same way
+    - no magnitude: min(u, d) with u then nothing, however far the fit is
+
+    u stands for d where no fit without the member was made.
     """
     others, found = tuple(fits), []
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
@@ -133,10 +139,10 @@ def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
 def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
     """Return the members that are smaller than what stays unexplained, or a part of the nominal's.
 
-    The part may be what leaving out costs, if the slope is less.
-    A group is one hypothesis: its n members are large enough where n of their size together are,
-    u √n. Where at least two of them, and half, are, the others stay as long as the recordings show
-    that they are there: what all joints have is not small by chance.
+    For that part the larger of the size and of what leaving out costs counts.
+    A group is one hypothesis: each of its n members needs 1/√n of both thresholds, and a size of
+    `MARGIN` all the same. Where at least two of them, and half, reach that, the others stay as long
+    as the recordings show that they are there: what all joints have is not small by chance.
     """
     others = tuple(fits)
     found, cost, part = sizes(fit, others), costs(fit, others), _part(nominal)
