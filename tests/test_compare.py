@@ -213,10 +213,10 @@ def test_outer_loops_are_compared_by_real_trajectories(tmp_path: Path) -> None:
     study = Study.from_dict(pendulum(compare=settings), tmp_path)
     found = compare(study)
     assert list(found.paths["arm"].drop_duplicates()) == [
-        "argmin-entropy, argmax, timeout",
+        "max-value-entropy, argmax, timeout",
         "random, sample, seed",
     ]
-    first = found.paths[found.paths["arm"].str.startswith("argmin")]
+    first = found.paths[found.paths["arm"].str.startswith("max-value")]
     assert first["trajectories"].tolist() == [1, 2]
     assert first["steps"].tolist() == [800, 800]  # the same model again: nothing is trained
     assert (found.paths["regret"] >= 0).all()
@@ -242,6 +242,16 @@ def test_steps_are_those_that_were_simulated(
     # one model thrice: its draft is taken over as it is, then gone on from
     assert steps == [400, 400, 1200]
     assert steps[-1] == sum(batches)
+
+
+def test_what_an_arm_leaves_open_is_as_the_study_has_it(tmp_path: Path) -> None:
+    data = small(compare={"arms": [{"name": "own"}, {"name": "other", "stop": "seed"}, "random"]})
+    data["search"] = {**data["search"], "acquisition": "thompson"}
+    data["learn"] = {"choose": "argmax", "stop": "timeout"}
+    own, other, blind = arms_of(Study.from_dict(data, tmp_path))
+    assert (own.acquisition, own.choose, own.stop) == ("thompson", "argmax", "timeout")
+    assert (other.acquisition, other.choose, other.stop) == ("thompson", "argmax", "seed")
+    assert (blind.name, blind.acquisition, blind.choose) == ("random", "random", "argmax")
 
 
 def test_what_is_wrong_is_told(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def _value(parameter: Parameter, share: float) -> float:
 
 
 def arms_of(study: Study) -> tuple[Arm, ...]:
-    """Return the arms that a study compares.
+    """Return the arms that a study compares; what an arm leaves open is as the study has it.
 
     Raises:
         StudyError: there is none, or two have one name.
@@ -99,16 +99,16 @@ def arms_of(study: Study) -> tuple[Arm, ...]:
         )
     found: dict[str, Arm] = {}
     for i, arm in enumerate(settings.arms):
-        made_of = [arm.acquisition]
-        if settings.loop == "outer":
-            made_of += [arm.choose, arm.stop]
+        acquisition = arm.acquisition or study.search.acquisition
+        choose, stop = arm.choose or study.learn.choose, arm.stop or study.learn.stop
+        made_of = [acquisition, choose, stop] if settings.loop == "outer" else [acquisition]
         name = arm.name or ", ".join(made_of)
         if slug(name) in {slug(n) for n in found}:
             raise study.error(
                 ("compare", "arms", i), f"there is another arm {name!r}; name one of them"
             )
         seeds = min(arm.seeds or settings.seeds, settings.seeds)
-        found[name] = Arm(name, arm.acquisition, arm.choose, arm.stop, seeds)
+        found[name] = Arm(name, acquisition, choose, stop, seeds)
     return tuple(found.values())
 
 

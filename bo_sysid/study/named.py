@@ -16,9 +16,13 @@ def names(study: "Study") -> Iterator[tuple[str, KeyPath, str]]:
     yield "stop rule", ("learn", "stop"), study.learn.stop
     for i, arm in enumerate(study.compare.arms):
         at = ("compare", "arms", i)
-        yield "acquisition", (*at, "acquisition"), arm.acquisition
-        yield "choice", (*at, "choose"), arm.choose
-        yield "stop rule", (*at, "stop"), arm.stop
+        for kind, key in (
+            ("acquisition", "acquisition"),
+            ("choice", "choose"),
+            ("stop rule", "stop"),
+        ):
+            if (name := getattr(arm, key)) is not None:
+                yield kind, (*at, key), name
     if study.diagnosis.effects != "all":
         for i, name in enumerate(study.diagnosis.effects):
             yield "effect", ("diagnosis", "effects", i), name

@@ -146,16 +146,16 @@ class Learn(Section):
 
 
 class Arm(Section):
-    """One way of searching, in a comparison."""
+    """One way of searching, in a comparison; what is left out is as the study has it."""
 
     name: Name | None = None
     """Name in tables and figures; what the arm is made of where left out."""
-    acquisition: Name = "argmin-entropy"
-    """Which candidate is tried next."""
-    choose: Name = "sample"
-    """How the model for the policy is chosen from P."""
-    stop: Name = "seed"
-    """Rule that ends the outer loop."""
+    acquisition: Name | None = None
+    """Which candidate is tried next; `search.acquisition` where left out."""
+    choose: Name | None = None
+    """How the model for the policy is chosen from P; `learn.choose` where left out."""
+    stop: Name | None = None
+    """Rule that ends the outer loop; `learn.stop` where left out."""
     seeds: Count | None = None
     """So many of the paired seeds alone, for an arm that takes long; all where left out."""
 
