@@ -25,7 +25,7 @@ from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, search
-from bo_sysid.policy.trainer import Iteration, Trainer
+from bo_sysid.policy.trainer import Trainer, TrainingIteration
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -228,7 +228,7 @@ def test_steps_are_those_that_were_simulated(
 ) -> None:
     batches = []
 
-    def counted(trainer: Trainer) -> Iteration:
+    def counted(trainer: Trainer) -> TrainingIteration:
         batches.append(trainer.settings.batch)
         return iterate(trainer)
 

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.decide import decide
 from bo_sysid.diagnosis.final import _finalists
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.rules import Prior, admissible, lost, required, sizes
+from bo_sysid.diagnosis.rules import SetPrior, admissible, lost, required, sizes
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000
@@ -42,7 +42,7 @@ def fit(members: tuple[Candidate, ...], rms: float, unique: float = 5.0, seed: i
 
 def decided(*fits: Fit):
     nominal = next(f for f in fits if not f.members)
-    return decide(fits, nominal, Prior(40, 3), np.zeros((2, DOF // 2, 0)), DOF)
+    return decide(fits, nominal, SetPrior(40, 3), np.zeros((2, DOF // 2, 0)), DOF)
 
 
 def test_the_set_that_explains_is_answered(machine) -> None:
@@ -262,7 +262,7 @@ def test_a_superset_of_the_answer_is_no_equivalent(machine) -> None:
 
 
 def test_the_prior_halves_for_nothing_and_shares_an_eighth_by_size(machine) -> None:
-    prior = Prior(40, 3)
+    prior = SetPrior(40, 3)
     one = candidate(machine, "dry_friction", "elbow")
     two = candidate(machine, "payload", "forearm")
     assert prior.log(fit((), 1.0)) == pytest.approx(np.log(0.5))

@@ -19,7 +19,7 @@ from bo_sysid.compare.arms import Arm, remade
 from bo_sysid.compare.table import Table, recorded
 from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.measure import Blocks
-from bo_sysid.identify.search import History, Outcome, Rules, believe, search
+from bo_sysid.identify.search import History, Rules, SearchOutcome, believe, search
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.study import Study
 from bo_sysid.study.check import candidate_set
@@ -262,7 +262,7 @@ def _first(history: History, count: int) -> History:
     )
 
 
-def _intervals(scene: _Scene, outcome: Outcome, study: Study, seed: int) -> dict[str, Any]:
+def _intervals(scene: _Scene, outcome: SearchOutcome, study: Study, seed: int) -> dict[str, Any]:
     """Return the plant's parameters, and the 95 % intervals that P_boot gives for them."""
     candidates, blocks = scene.candidates, scene.blocks
     bootstrap = bootstrap_argmin(

@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.linear import project
 from bo_sysid.diagnosis.rules import (
     LOOSE,
     ROUGH,
-    Prior,
+    SetPrior,
     admissible,
     criterion,
     inflation,
@@ -49,7 +49,7 @@ class Decision:
 
 
 def decide(
-    fits: Sequence[Fit], nominal: Fit, prior: Prior, Q: Float[np.ndarray, "W R k"], dof: int
+    fits: Sequence[Fit], nominal: Fit, prior: SetPrior, Q: Float[np.ndarray, "W R k"], dof: int
 ) -> Decision:
     """Return the posterior over sets.
 
@@ -135,7 +135,7 @@ def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]
 
 
 def _scored(
-    held: Sequence[Fit], best: Fit, kappa: float, prior: Prior
+    held: Sequence[Fit], best: Fit, kappa: float, prior: SetPrior
 ) -> tuple[Fit, Float[np.ndarray, " f"]]:
     """Return the leader and the log posterior of each fit against it.
 
@@ -150,7 +150,7 @@ def _scored(
     return best, score
 
 
-def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: Prior) -> float:
+def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: SetPrior) -> float:
     D = fit.cv - best.cv
     spread = float(D.var(ddof=1)) * len(D) if len(D) > 1 else 0.0
     usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
@@ -162,7 +162,7 @@ def _levelled(
     fits: Sequence[Fit],
     score: Float[np.ndarray, " f"],
     best: Fit,
-    prior: Prior,
+    prior: SetPrior,
     Q: Float[np.ndarray, "W R k"],
     dof: int,
 ) -> Float[np.ndarray, " f"]:

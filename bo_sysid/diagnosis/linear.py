@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from bo_sysid.diagnosis.along import Along, smoothed
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.points import (
-    Points,
+    StatePoints,
     control_matrix,
     force_matrix,
     points_along,
@@ -77,7 +77,7 @@ class Linear:
     hold: int
     A: Float[np.ndarray, "W K n n"]
     ctrl: Float[np.ndarray, "W S nu"]
-    points: Points
+    points: StatePoints
     J: Float[np.ndarray, "W R k"]
     Q: Float[np.ndarray, "W R k"]
     start_gain: Float[np.ndarray, "W k R"]

@@ -17,7 +17,7 @@ _FORCE = 1e-2  # of the joint's typical force
 
 
 @dataclass(frozen=True)
-class Points:
+class StatePoints:
     """The states, one each `hold` macro steps, at which the model is stepped for differences.
 
     A state has n = 2 nv + na numbers: positions, speeds and activations of the edited model.
@@ -42,7 +42,7 @@ class Points:
     signals: Mapping[str, Float[np.ndarray, "P macro"]]
     base: Float[np.ndarray, "P n"]
 
-    def rows(self, keep: Bool[np.ndarray, " P"]) -> "Points":
+    def rows(self, keep: Bool[np.ndarray, " P"]) -> "StatePoints":
         """Return some of the points."""
         return replace(
             self,
@@ -84,7 +84,9 @@ class Points:
         return self.state.moved(self.model, tangent)
 
 
-def points_along(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: int) -> Points:
+def points_along(
+    problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, hold: int
+) -> StatePoints:
     """Return the points of a simulation, one each `hold` macro steps of `macro` steps."""
     last = s.whole.qpos.shape[1] - 1
     rows = np.minimum(np.arange(0, ctrl.shape[1] // macro, hold) * macro, last)
@@ -99,7 +101,7 @@ def points_along(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, h
         n: np.pad(v, ((0, 0), (0, spare)), mode="edge")[:, inputs].reshape(-1, macro)
         for n, v in s.windows.signals.items()
     }
-    points = Points(
+    points = StatePoints(
         s.model,
         s.coordinates,
         Engine(problem.engine.threads),
@@ -112,7 +114,7 @@ def points_along(problem: Problem, s: Simulated, ctrl: np.ndarray, macro: int, h
     return replace(points, base=points.stepped())
 
 
-def state_matrix(points: Points, W: int) -> Float[np.ndarray, "W K n n"]:
+def state_matrix(points: StatePoints, W: int) -> Float[np.ndarray, "W K n n"]:
     """Return how a macro step changes with the state, by one-sided differences."""
     P, n = points.base.shape
     A = np.empty((P, n, n))
@@ -122,7 +124,7 @@ def state_matrix(points: Points, W: int) -> Float[np.ndarray, "W K n n"]:
     return A.reshape(W, P // W, n, n)
 
 
-def force_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray, "W K n nv"]:
+def force_matrix(problem: Problem, points: StatePoints, W: int) -> Float[np.ndarray, "W K n nv"]:
     """Return how a macro step changes with a force on each nominal coordinate."""
     c = points.coordinates
     nv, (P, n) = len(c.qvel), points.base.shape
@@ -136,7 +138,7 @@ def force_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray, 
     return B.reshape(W, P // W, n, nv)
 
 
-def control_matrix(problem: Problem, points: Points, W: int) -> Float[np.ndarray, "W K n nu"]:
+def control_matrix(problem: Problem, points: StatePoints, W: int) -> Float[np.ndarray, "W K n nu"]:
     """Return how a macro step changes with each control."""
     P, n = points.base.shape
     E = np.empty((P, n, points.ctrl.shape[-1]))

@@ -29,7 +29,7 @@ _LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far of
 
 
 @dataclass(frozen=True)
-class Prior:
+class SetPrior:
     """Weight of a set before the recordings are seen; not normalised.
 
     ½ for nothing. A set with g of the G groups and s of the S effects at sites has
@@ -70,7 +70,7 @@ def inflation(fits: Iterable[Fit]) -> float:
     return max(1.0, min(f.rms for f in fits) ** 2)
 
 
-def criterion(fit: Fit, kappa: float, prior: Prior) -> float:
+def criterion(fit: Fit, kappa: float, prior: SetPrior) -> float:
     """Return the deviance by which fits are ranked, lower is better."""
     return float(fit.cv.sum()) / kappa - 2 * (prior.log(fit) - log(0.5))
 
@@ -210,7 +210,7 @@ def follows(fit: Fit) -> bool:
     return fit.rms > ROUGH and any(c.effect.hidden for c in fit.members)
 
 
-def ranked(fits: Iterable[Fit], prior: Prior) -> list[Fit]:
+def ranked(fits: Iterable[Fit], prior: SetPrior) -> list[Fit]:
     """Return fits by the criterion, best first."""
     held = list(fits)
     kappa = inflation(held)

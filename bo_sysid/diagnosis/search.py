@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.groups import grouped_labels
 from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.linear import Linear, linearise
 from bo_sysid.diagnosis.refit import Effort, refit
-from bo_sysid.diagnosis.rules import ROUGH, Prior, clean, ranked
+from bo_sysid.diagnosis.rules import ROUGH, SetPrior, clean, ranked
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.starts import on_the_right_side
 from bo_sysid.diagnosis.subsets import groups
@@ -47,7 +47,7 @@ class Search:
     prepared: Prepared
     candidates: list[Candidate]
     most: int
-    prior: Prior
+    prior: SetPrior
     frame: Linear
     fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
     _screen: Screen | None = None
@@ -58,7 +58,7 @@ class Search:
         cls, prepared: Prepared, candidates: list[Candidate], most: int, guess: Hypothesis | None
     ) -> "Search":
         """Begin on prepared windows; `guess` gives first values of the nuisances."""
-        prior = Prior(len({c.key for c in candidates}), len(groups(candidates)))
+        prior = SetPrior(len({c.key for c in candidates}), len(groups(candidates)))
         made = cls(prepared, candidates, most, prior, prepared.linear)
         made.fit((), (), guess=guess)
         return made

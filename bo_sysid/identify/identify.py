@@ -15,7 +15,7 @@ from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import Evaluate, History, Outcome, Rules, believe, search
+from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, believe, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
@@ -116,7 +116,7 @@ def _write_answer(
 
 def _searched(
     problem: Problem, journal: Journal, progress: Report
-) -> tuple[CandidateSet, Points, Outcome]:
+) -> tuple[CandidateSet, Points, SearchOutcome]:
     """Search B and, where the study says so, finer sets around the mass of P.
 
     Returns:
@@ -145,7 +145,7 @@ def _searched(
         return candidates, np.tile(candidates.cell, (len(candidates), 1)), outcome
     whole, cells = joined(levels)
     surrogate, belief = believe(whole.candidates, whole.history, _rules(problem.study, 0, 0))
-    outcome = Outcome(whole.history, surrogate, belief, outcome.reason)
+    outcome = SearchOutcome(whole.history, surrogate, belief, outcome.reason)
     return whole.candidates, cells, outcome
 
 
@@ -181,7 +181,7 @@ class _Teller:
         self.progress(Progress(done, self.most, f"lowest deviation {lowest:.4g}"))
 
 
-def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: Outcome) -> Probabilities:
+def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: SearchOutcome) -> Probabilities:
     blocks, history = problem.deviation.blocks, outcome.history
     return bootstrap_argmin(
         outcome.surrogate,

@@ -81,7 +81,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SearchOutcome:
     """Where a search ended.
 
     Attributes:
@@ -104,7 +104,7 @@ def search(
     history: History,
     on_step: Callable[[History], None] = lambda _: None,
     believing: Believe | None = None,
-) -> Outcome:
+) -> SearchOutcome:
     """Search the candidate with the smallest Δ.
 
     Args:
@@ -129,7 +129,7 @@ def search(
         entropies = history.entropy[np.isfinite(history.entropy)]
         reason = rules.stop(entropies.tolist(), belief, history.rows)
         if reason is not None:
-            return Outcome(history, surrogate, belief, reason)
+            return SearchOutcome(history, surrogate, belief, reason)
         row = ask(candidates, history, surrogate, belief, rules)
         history = history.told(row, evaluate(row))
 

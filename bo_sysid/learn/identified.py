@@ -14,7 +14,7 @@ from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Deviation
 from bo_sysid.execution import threads
 from bo_sysid.identify.problem import make_problem
-from bo_sysid.identify.search import History, Outcome, Rules, search
+from bo_sysid.identify.search import History, Rules, SearchOutcome, search
 from bo_sysid.learn.floor import Floor, floor_of
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import Verdict
@@ -173,11 +173,11 @@ def evaluated_again(deviation: Deviation, points: Points, rows: Int[np.ndarray, 
 
 def _searched(
     scene: Scene, deviation: Deviation, history: History, settled: Settled | None
-) -> tuple[Outcome, Mapping[str, Any]]:
+) -> tuple[SearchOutcome, Mapping[str, Any]]:
     candidates, search_of = scene.candidates, scene.study.search
     budget = len(history) + search_of.budget
 
-    def run(history: History, rule: StopRule) -> Outcome:
+    def run(history: History, rule: StopRule) -> SearchOutcome:
         rules = Rules(search_of.acquisition, rule, scene.seed)
         return search(candidates, lambda row: deviation(candidates.points[[row]]), rules, history)
 

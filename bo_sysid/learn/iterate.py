@@ -25,7 +25,7 @@ from bo_sysid.learn.sources import Source
 from bo_sysid.learn.stops import STOP_RULES, Verdict, distances, near_enough, value_guided
 from bo_sysid.learn.values import Values, values
 from bo_sysid.policy.store import LearnedPolicy
-from bo_sysid.policy.trainer import Iteration as Batch
+from bo_sysid.policy.trainer import TrainingIteration
 from bo_sysid.runs import Run
 
 PHASES = 4  # of an iteration, for its progress
@@ -166,7 +166,7 @@ def _learned(
     point = scene.candidates.points[row]
     probabilities = found.bootstrap if scene.study.learn.models == "bootstrap" else None
 
-    def watch(batch: Batch) -> None:
+    def watch(batch: TrainingIteration) -> None:
         tell(number, 2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
 
     environment = scene.training(point, probabilities, threads())

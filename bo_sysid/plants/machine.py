@@ -32,7 +32,7 @@ class Applied(NamedTuple):
 
 
 @runtime_checkable
-class Machine(Protocol):
+class SteppedMachine(Protocol):
     """One machine that is moved step by step."""
 
     episode_steps: int

@@ -10,7 +10,7 @@ from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.environment import episode_returns, physics_steps
 from bo_sysid.plants.load import Task, compiled, make_environment
-from bo_sysid.plants.machine import Machine, VectorMachine
+from bo_sysid.plants.machine import SteppedMachine, VectorMachine
 from bo_sysid.plants.measuring import KINDS, Measuring
 from bo_sysid.plants.python_task import PythonMachine, PythonTask
 from bo_sysid.plants.tasks.bare import Bare
@@ -258,7 +258,7 @@ class Plant:
 
 def _machine(
     task: Task, model: mujoco.MjModel, seed: int, laws: Sequence[ForceLaw] = ()
-) -> Machine:
+) -> SteppedMachine:
     if isinstance(task, PythonTask):
         make_environment(task, model, 1, laws=laws)  # refuses laws
         return PythonMachine(task, model, seed)

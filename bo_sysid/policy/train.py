@@ -12,12 +12,12 @@ from bo_sysid.errors import RunError, StudyError
 from bo_sysid.plants.environment import Environment
 from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
-from bo_sysid.policy.trainer import Iteration, Trainer
+from bo_sysid.policy.trainer import Trainer, TrainingIteration
 from bo_sysid.runs import atomic
 
 CHECKPOINT, LOG, POLICY = "checkpoint.npz", "iterations.parquet", "policy.npz"
 
-Watch = Callable[[Iteration], None]
+Watch = Callable[[TrainingIteration], None]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Training:
 
     Attributes:
         policy: what was learned.
-        log: one row an iteration, columns as in `Iteration`.
+        log: one row an iteration, columns as in `TrainingIteration`.
     """
 
     policy: LearnedPolicy
@@ -94,15 +94,15 @@ def _identity(trainer: Trainer) -> dict[str, Any]:
     }
 
 
-def _checkpoint(trainer: Trainer, folder: Path, log: list[Iteration]) -> None:
+def _checkpoint(trainer: Trainer, folder: Path, log: list[TrainingIteration]) -> None:
     frame = _frame(log)
     with atomic(folder / LOG) as path:
         frame.to_parquet(path)
-    columns = {f"log.{name}": frame[name].to_numpy() for name in Iteration._fields}
+    columns = {f"log.{name}": frame[name].to_numpy() for name in TrainingIteration._fields}
     write_arrays(folder / CHECKPOINT, {**trainer.get_state(), **columns}, _identity(trainer))
 
 
-def _resume(trainer: Trainer, folder: Path) -> list[Iteration]:
+def _resume(trainer: Trainer, folder: Path) -> list[TrainingIteration]:
     """Put the trainer where its checkpoint is, if there is one; return the log so far."""
     path = folder / CHECKPOINT
     if not path.is_file():
@@ -116,9 +116,9 @@ def _resume(trainer: Trainer, folder: Path) -> list[Iteration]:
             f"{path}: belongs to a training with other {', '.join(different)}; choose another "
             "folder, or remove it"
         )
-    columns = {name: arrays.pop(f"log.{name}").tolist() for name in Iteration._fields}
+    columns = {name: arrays.pop(f"log.{name}").tolist() for name in TrainingIteration._fields}
     trainer.set_state(arrays)
-    return [Iteration(*row) for row in zip(*columns.values(), strict=True)]
+    return [TrainingIteration(*row) for row in zip(*columns.values(), strict=True)]
 
 
 def _as_json(value: Any) -> Any:
@@ -128,5 +128,5 @@ def _as_json(value: Any) -> Any:
     return [_as_json(v) for v in value] if isinstance(value, tuple | list) else value
 
 
-def _frame(log: list[Iteration]) -> pd.DataFrame:
-    return pd.DataFrame(log, columns=list(Iteration._fields))
+def _frame(log: list[TrainingIteration]) -> pd.DataFrame:
+    return pd.DataFrame(log, columns=list(TrainingIteration._fields))

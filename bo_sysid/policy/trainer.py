@@ -18,7 +18,7 @@ from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.trpo import Batch, Update, advantages, normalised, update
 
 
-class Iteration(NamedTuple):
+class TrainingIteration(NamedTuple):
     """What is logged of one iteration.
 
     Attributes:
@@ -108,12 +108,12 @@ class Trainer:
         """Return the observations' statistics as they are now, frozen."""
         return Normaliser.of(self.moments, self.settings.clip)
 
-    def iterate(self) -> Iteration:
+    def iterate(self) -> TrainingIteration:
         """Collect a batch, update policy and critic, and return what is to be logged."""
         with threadpool_limits(1):  # spinning BLAS threads would halve the simulation's speed
             return self._iterate()
 
-    def _iterate(self) -> Iteration:
+    def _iterate(self) -> TrainingIteration:
         number = self.iterations + 1
         acting, shuffling = (np.random.default_rng((self.seed, number, k)) for k in range(2))
         rollout, self._observation = collect(
@@ -132,7 +132,7 @@ class Trainer:
         done, loss = self._learn(rollout, advantage, targets, shuffling)
         self.theta, self.iterations = done.theta.numpy(), number
         episodes = self._episodes(rollout)
-        return Iteration(
+        return TrainingIteration(
             iteration=number,
             steps=self.steps,
             batch_return=float(rollout.rewards.mean()) * self.environment.episode_steps,
