@@ -85,3 +85,8 @@ def test_a_long_step_says_that_it_is_still_at_it(capsys: pytest.CaptureFixture[s
     now[0] = 125.0
     lines.still()
     assert capsys.readouterr().err.splitlines()[-1:] == ["diagnose: at it for 2:05"]
+    lines(Progress(1, 6, "34 sets fitted", passing=True))
+    assert capsys.readouterr().err == ""  # no line of its own
+    now[0] = 190.0
+    lines.still()
+    assert capsys.readouterr().err == "diagnose: at it for 3:10: 34 sets fitted\n"

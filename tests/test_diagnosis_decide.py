@@ -278,11 +278,16 @@ def test_close_to_the_recordings_a_size_is_at_most_what_leaving_out_costs(machin
     assert decided(nothing, payload).best is nothing
 
 
-def test_what_explains_less_than_noise_has_no_size(machine) -> None:
-    alone = fit((candidate(machine, "payload", "forearm"),), 0.97)
-    both = fit((*alone.members, candidate(machine, "viscous_damping", "elbow")), 0.9, unique=0.4)
-    assert sizes(both, [alone, both])[1] == 0.0  # though √(0.97² - 0.9²) is more than any margin
-    assert decided(fit((), 5.0), alone, both).best is alone
+@pytest.mark.parametrize(("alone", "both", "named"), [(0.97, 0.9, False), (1.0, 0.82, True)])
+def test_of_what_is_explained_below_the_noise_a_quarter_counts(
+    machine, alone: float, both: float, named: bool
+) -> None:
+    one = fit((candidate(machine, "payload", "forearm"),), alone)
+    two = fit((*one.members, candidate(machine, "viscous_damping", "elbow")), both, unique=0.6)
+    above = max(alone**2 - 0.97, 0.0)
+    below = min(alone**2, 0.97) - both**2
+    assert sizes(two, [one, two])[1] == pytest.approx(np.sqrt(above + below / 4))
+    assert decided(fit((), 5.0), one, two).best is (two if named else one)
 
 
 def test_far_from_the_recordings_a_size_is_what_leaving_out_costs(machine) -> None:

@@ -51,12 +51,18 @@ class Lines:
         self._title, self._every, self._clock = title, every, clock
         self._began = self._last = self._told = clock()
         self._first: int | None = None
+        self._at = ""
 
     def __call__(self, progress: Progress) -> None:
         """Print where it stands, unless a line was printed a moment ago.
 
         What is said before the first unit is done is printed at once, and is no measure of time.
+        What is said in passing is printed where nothing else was for long.
         """
+        if progress.passing:
+            self._at = progress.message
+            return
+        self._at = ""
         if not progress.step:
             print(f"{self._title}: {progress.message}", file=sys.stderr, flush=True)
             return
@@ -79,7 +85,8 @@ class Lines:
         """Print how long nothing was said, where that is long."""
         since = self._clock() - self._told
         if since >= STILL:
-            print(f"{self._title}: at it for {_duration(since)}", file=sys.stderr, flush=True)
+            at = f": {self._at}" if self._at else ""
+            print(f"{self._title}: at it for {_duration(since)}{at}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

@@ -148,7 +148,7 @@ def diagnose(
     outside = [f.sentence for f in range_flags(evidence.machine.model, evidence.recordings)]
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
-    located = locate(evidence, tell)
+    located = locate(evidence, tell, tell.doing)
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
@@ -242,6 +242,10 @@ class _Teller:
     def __call__(self, text: str) -> None:
         self._done += 1
         self._report(Progress(self._done, max(_STAGES, self._done), text))
+
+    def doing(self, text: str) -> None:
+        """Say how far a stage is."""
+        self._report(Progress(self._done, max(_STAGES, self._done), text, passing=True))
 
 
 def _repair(

@@ -40,7 +40,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
     times = 1 if lost(order[0], search.nominal) else _POLISH
     leader, prepared = _polished(problem, leader, prepared, most=times)
-    final = Search.on(prepared, search.candidates, search.most, leader.hypothesis)
+    final = Search.on(prepared, search.candidates, search.most, leader.hypothesis, search.doing)
     for f in chosen:
         if f.members:
             _fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)

@@ -43,23 +43,34 @@ class Located:
     evidence: Evidence
 
 
-def locate(evidence: Evidence, tell: Callable[[str], None] = lambda text: None) -> Located:
+def locate(
+    evidence: Evidence,
+    tell: Callable[[str], None] = lambda text: None,
+    doing: Callable[[str], None] = lambda text: None,
+) -> Located:
     """Find the set of effects that explains the training recordings.
 
     Far from them no set with a joint that it added is an answer (`follows`): where one leads, it is
     looked for without such joints.
+
+    Args:
+        evidence: what it is found from.
+        tell: told when a stage is done.
+        doing: told after every fit how far a stage is.
     """
-    located = _located(evidence, tell)
+    located = _located(evidence, tell, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
     if follows(leading) or follows(located.decision.best):
         tell(f"without added joints: {_said(leading)}")
-        located = _located(evidence.rigid, tell)
+        located = _located(evidence.rigid, tell, doing)
     return located
 
 
-def _located(evidence: Evidence, tell: Callable[[str], None]) -> Located:
+def _located(
+    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
-    search, horizon, step = _searched(evidence, tell)
+    search, horizon, step = _searched(evidence, tell, doing)
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
@@ -77,7 +88,9 @@ def _located(evidence: Evidence, tell: Callable[[str], None]) -> Located:
     return Located(decision, final.prepared, final, evidence)
 
 
-def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, int, float]:
+def _searched(
+    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+) -> tuple[Search, int, float]:
     """Search in windows that grow; return their full length in instants and the time step."""
     full = max(round(evidence.window / evidence.machine.sampling), LEAST)
     step = evidence.machine.model.opt.timestep
@@ -85,7 +98,7 @@ def _searched(evidence: Evidence, tell: Callable[[str], None]) -> tuple[Search, 
     prepared, length = tractable(evidence, horizon, step)
     if length == horizon or in_contact(prepared.problem):
         prepared, step = _short_enough(evidence, prepared, length, step)
-    search = Search.on(prepared, list(evidence.candidates), evidence.most, None)
+    search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     search, step = _explored(evidence, search, length, step)
     while True:

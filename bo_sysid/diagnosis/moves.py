@@ -125,7 +125,8 @@ def _joints_beside(search: Search, base: Fit) -> list[list[_Point]]:
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
     """Begin on other windows with the best sets found so far."""
-    new = Search.on(prepared, search.candidates, search.most, search.best.hypothesis)
+    guess = search.best.hypothesis
+    new = Search.on(prepared, search.candidates, search.most, guess, search.doing)
     for f in ranked(search.fits.values(), search.prior)[:count]:
         if f.members:
             new.fit(f.members, f.x, guess=f.hypothesis, across=True)

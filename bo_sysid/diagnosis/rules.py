@@ -25,6 +25,7 @@ ROUGH = 3.0  # [sigma] of a fit that is far from the recordings
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 _NOISE = 0.97  # rms² of a set that leaves no more than noise
+_BELOW = 0.25  # of what is explained below it, that counts
 _LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far off, is no explanation
 
 
@@ -100,8 +101,8 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     """Return the unique size of each member, in sigma.
 
     With u the linear one (`Fit.unique`), rms₀ the least that a fit without the member leaves, and
-    d = √(rms₀² - max(rms², .97)), 0 where that is negative: what is explained below the noise is
-    no size (in contact samples weigh little, and sets leave less than the sensors say).
+    d = √(rms₀² - rms²), where of what lies below the noise, rms² < .97, a quarter counts: in
+    contact samples weigh little, and sets leave less than the sensors say.
 
     - near the recordings: min(u, d), since where contact bends the response a column is large in
       windows that no magnitude brings any closer
@@ -120,10 +121,15 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
         full = felt <= FLAT and bool((np.abs(x) > probe).any())
         far = there and (fit.rms > LOOSE or full)
         left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
-        least = max(fit.rms**2, _NOISE)
-        lost = unique if left is None else sqrt(max(left**2 - least, 0.0))
+        lost = unique if left is None else sqrt(_gained(left**2, fit.rms**2))
         found.append(lost if far else min(unique, lost))
     return tuple(found)
+
+
+def _gained(left: float, now: float) -> float:
+    """Return what of rms² is explained, less where that is below the noise already."""
+    below = max(min(left, _NOISE) - now, 0.0)
+    return max(left - max(now, _NOISE), 0.0) + _BELOW * below
 
 
 def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:

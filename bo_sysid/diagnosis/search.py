@@ -5,7 +5,7 @@ changes. Where the nominal model is far off, short windows come first and the be
 to longer ones (`moves`, `locate`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -42,6 +42,7 @@ class Search:
         prior: of sets.
         frame: the linear model at the present leader.
         fits: by identity of their set.
+        doing: told after every fit how far the search is.
     """
 
     prepared: Prepared
@@ -50,16 +51,22 @@ class Search:
     prior: SetPrior
     frame: Linear
     fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
+    doing: Callable[[str], None] = lambda text: None
     _screen: Screen | None = None
     _framed: float = np.inf  # rms of the fit at which the frame was taken
 
     @classmethod
     def on(
-        cls, prepared: Prepared, candidates: list[Candidate], most: int, guess: Hypothesis | None
+        cls,
+        prepared: Prepared,
+        candidates: list[Candidate],
+        most: int,
+        guess: Hypothesis | None,
+        doing: Callable[[str], None] = lambda text: None,
     ) -> "Search":
         """Begin on prepared windows; `guess` gives first values of the nuisances."""
         prior = SetPrior(len({c.key for c in candidates}), len(groups(candidates)))
-        made = cls(prepared, candidates, most, prior, prepared.linear)
+        made = cls(prepared, candidates, most, prior, prepared.linear, doing=doing)
         made.fit((), (), guess=guess)
         return made
 
@@ -127,6 +134,7 @@ class Search:
                 found = made
         assert found is not None  # noqa: S101 - there is always a first start
         self.fits[key] = self._not_worse(found, labels, effort)
+        self.doing(f"{len(self.fits)} sets fitted, the nearest leaves {self.least:.3f} sigma")
         return self.fits[key]
 
     def _not_worse(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:

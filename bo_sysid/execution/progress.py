@@ -12,11 +12,13 @@ class Progress:
         step: units done.
         of: units in all.
         message: what is being done or was found, one short sentence.
+        passing: whether it is said while a unit is at it, which is worth no line of its own.
     """
 
     step: int
     of: int
     message: str = ""
+    passing: bool = False
 
 
 Report = Callable[[Progress], None]

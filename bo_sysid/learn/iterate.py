@@ -127,9 +127,12 @@ def _repaired(
         return None
     ratio = found.floor.ratio
     tell(number, 2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
-    repair = repaired(
-        scene, run, source.training, number, lambda p: tell(number, 2, f"diagnosis: {p.message}")
-    )
+
+    def diagnosing(progress: Progress) -> None:
+        if not progress.passing:
+            tell(number, 2, f"diagnosis: {progress.message}")
+
+    repair = repaired(scene, run, source.training, number, diagnosing)
     run.write_json(
         f"{folder}/repair.json", {"study": repair.study, "sentences": list(repair.sentences)}
     )
