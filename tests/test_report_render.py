@@ -119,3 +119,14 @@ def test_an_outline_is_as_long_as_the_link() -> None:
     radius, half = posed.model.geom_size[geom, :2]
     flat = outline(posed.surface(geom), view(posed))
     np.testing.assert_allclose(np.ptp(flat, axis=0), [2 * radius, 2 * (half + radius)], rtol=0.02)
+
+
+def test_a_propeller_is_shown_where_it_acts(tmp_path: Path) -> None:
+    path = tmp_path / "quad.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="frame" pos="0 0 1"><freejoint name="base"/>'
+        '<geom size=".1"/><site name="rotor" pos=".2 .1 0"/></body></worldbody>'
+        '<actuator><motor name="m1" site="rotor" gear="0 0 1 0 0 0"/></actuator></mujoco>'
+    )
+    posed = Posed.of(Model.from_file(path), {})
+    np.testing.assert_allclose(find_site(posed, "actuator", "m1").point, [0.2, 0.1, 1.0])

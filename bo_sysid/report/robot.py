@@ -111,6 +111,8 @@ def find_site(posed: Posed, kind: str, name: str) -> Site:
     joint = _joint_of(model, kind, name)
     if joint is not None:
         return Site(f"{kind} {name}", posed.joint_place(joint))
+    if kind == "actuator" and _has(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
+        return Site(f"{kind} {name}", _acts_at(posed, model.actuator(name).id))
     if kind == "body" and _has(model, mujoco.mjtObj.mjOBJ_BODY, name):
         body = model.body(name).id
         own = tuple(int(g) for g in np.flatnonzero(model.geom_bodyid == body))
@@ -210,6 +212,17 @@ def _joint_of(model: mujoco.MjModel, kind: str, name: str) -> str | None:
         kind, name = "joint", parts[1] if len(parts) > 1 else ""
     joint = kind == "joint" and _has(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     return name if joint else None
+
+
+def _acts_at(posed: Posed, actuator: int) -> Float[np.ndarray, " 3"] | None:
+    """Return where an actuator that drives no joint acts: its site or body; None for a tendon."""
+    model, data = posed.model, posed.data
+    at, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    places = {
+        int(mujoco.mjtTrn.mjTRN_SITE): data.site_xpos,
+        int(mujoco.mjtTrn.mjTRN_BODY): data.xipos,
+    }
+    return np.array(places[at][target]) if at in places else None
 
 
 def _has(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
