@@ -173,7 +173,7 @@ def _left_over(
         reason, chosen = "the order alone", numbered(left, len(without))
     return [
         Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
-        for a, c in zip(without, chosen, strict=bool(chosen))
+        for a, c in zip(without, chosen, strict=False)  # or there are none
     ]
 
 
