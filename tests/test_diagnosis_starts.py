@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from bo_sysid.diagnosis import fitted_starts
 from bo_sysid.diagnosis.coordinates import Coordinates
-from bo_sysid.diagnosis.fitted_starts import FittedStarts, prior
+from bo_sysid.diagnosis.fitted_starts import FittedStarts, prior, start_noise
 from bo_sysid.diagnosis.forecast import forecast
 from bo_sysid.diagnosis.hypothesis import Hypothesis
 from bo_sysid.diagnosis.linear import linearise
@@ -122,13 +122,14 @@ def test_the_beginning_of_windows_is_simulated_as_in_the_whole(windows):
     np.testing.assert_array_equal(part.residual(Hypothesis(), start), whole[:, : part.count])
 
 
-def test_in_contact_windows_that_are_left_behind_catch_up():
-    """A hopper that lands: the start decides when, and no step for all windows leads there."""
-    model, sigma = Model.from_dm_control("hopper", "hop"), 3e-4
-    compiled = model.compile(timestep=0.0025)
-    data, rng = mujoco.MjData(compiled), np.random.default_rng(0)
-    time = np.arange(0, 4, 0.0025)
-    ctrl = np.clip(rng.normal(0, 0.5, (len(time) // 40, compiled.nu)).repeat(40, axis=0), -1, 1)
+def landing(step, duration, sigma, seed=0):
+    """Return windows of a tenth of a second of a hopper that lands."""
+    model = Model.from_dm_control("hopper", "hop")
+    compiled, held = model.compile(timestep=step), round(0.1 / step)
+    data, rng = mujoco.MjData(compiled), np.random.default_rng(seed)
+    time = np.arange(0, duration, step)
+    goals = rng.normal(0, 0.5, (len(time) // held, compiled.nu))
+    ctrl = np.clip(goals.repeat(held, axis=0), -1, 1)
     qpos = np.empty((len(time), compiled.nq))
     for k, u in enumerate(ctrl):
         qpos[k], data.ctrl[:] = data.qpos, u
@@ -141,10 +142,15 @@ def test_in_contact_windows_that_are_left_behind_catch_up():
         qpos=dict(zip(names, qpos.T, strict=True)),
         ctrl=dict(zip(actuators, ctrl.T, strict=True)),
     )
-    problem = pose(
+    return pose(
         model, survey(model.compile(), [recording]), [recording],
-        {f"qpos.{n}": sigma for n in names}, (), horizon=40, timestep=0.0025, engine=Engine(1),
+        {f"qpos.{n}": sigma for n in names}, (), horizon=held, timestep=step, engine=Engine(1),
     )  # fmt: skip
+
+
+def test_in_contact_windows_that_are_left_behind_catch_up():
+    """A hopper that lands: the start decides when, and no step for all windows leads there."""
+    problem = landing(0.0025, 4, 3e-4)
     h, start = Hypothesis(), problem.windows.start
     start, r = settle(problem, linearise(problem, h, start), h, start, 3, (1.0, 0.3, 0.1))
     later, left = caught_up(problem, h, start)
@@ -157,6 +163,37 @@ def test_in_contact_windows_that_are_left_behind_catch_up():
     np.testing.assert_array_equal(left[before < 1.2], r[before < 1.2])
     found = problem.residual(h, estimated(problem, h, 1))
     assert np.mean((found**2).mean(axis=1) ** 0.5 < 1.2) > 0.6
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_in_contact_drawn_starts_lead_where_growing_does_not(seed):
+    problem = landing(0.005, 8, 7e-4, seed)
+    found = FittedStarts(problem, Hypothesis(), problem.windows.start, 1)
+    found.fit()
+    found.grown()
+    before, behind = found.cost.copy(), found.left_behind()
+    found.scattered()
+    # the plant is the model: what its own starts leave is noise
+    beyond = np.array([cost.sum() / problem.count - len(cost) for cost in (before, found.cost)])
+    assert beyond[1] < 0.8 * beyond[0]
+    assert (found.cost <= before).all()
+    np.testing.assert_array_equal(np.delete(found.cost, behind), np.delete(before, behind))
+    np.testing.assert_allclose(problem.residual(Hypothesis(), found.start), found.residual)
+
+
+def test_a_smoothers_rate_is_as_unsure_as_said(windows):
+    problem, machine = windows
+    rng, n = np.random.default_rng(0), 400
+    time = np.arange(5 * n) * machine.sampling
+    noise = SIGMA * rng.normal(size=(len(time), 2))
+    middles = np.arange(n) * 5 + 2
+    slopes = [
+        np.polynomial.polynomial.polyfit(time[:5] - time[2], noise[m - 2 : m + 3], 3)[1]
+        for m in middles
+    ]
+    unsure = start_noise(problem)
+    np.testing.assert_allclose(unsure[:2], SIGMA)
+    np.testing.assert_allclose(np.std(slopes), np.sqrt(130) / 12 * unsure[2], rtol=0.1)
 
 
 def test_only_the_past_is_used(windows):

@@ -25,6 +25,8 @@ _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, one after the other
+_DRAWS, _DRAWN = 32, 2  # starts that are drawn for a window in contact; how many of them are fitted
+_HOPEFUL = 20.0  # times what a window leaves, up to which one is
 _LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
@@ -57,6 +59,23 @@ def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]
     most = np.array([s.most for s in coordinates.second])
     places = np.minimum(_ADDED * spread[own], np.maximum(most, _LEAST))
     return np.concatenate([position, speed, places, speed[own]])
+
+
+def start_noise(problem: Problem) -> Float[np.ndarray, " n"]:
+    """Return how unsure a smoother's start is at most: sigma of a position, and of its rate.
+
+    A rate from five samples is as unsure as sigma over the sampling interval (the slope of a cubic
+    at their middle has √130 / 12 of it). Coordinates that are not recorded are held.
+    """
+    nv, channels = problem.machine.model.nv, problem.windows.channels
+    noise, layout = np.zeros(2 * nv), problem.layout
+    weight = problem.weight.reshape(-1, len(channels)).max(axis=0)
+    for name, most in zip(channels, weight, strict=True):
+        if name in layout.qpos and most > 0:
+            dof = int(layout.velocity[layout.qpos[name]])
+            if dof >= 0:
+                noise[[dof, nv + dof]] = 1 / most, 1 / (most * problem.machine.sampling)
+    return noise
 
 
 class FittedStarts:
@@ -135,6 +154,27 @@ class FittedStarts:
             other.fit()
             start = other.start
         self._adopt(rows, other)
+
+    def scattered(self) -> None:
+        """Fit windows that leave more than noise from starts drawn about the smoother's.
+
+        Which foot lands first may hang on a milliradian. The slopes at a start lead no further than
+        to where that changes, and a window whose true start lies beside the smoother's ends far
+        from both. Draws are as wide as `start_noise`, the same for all windows.
+        """
+        rows = self.left_behind()
+        if not rows.size:
+            return
+        unsure, at = start_noise(self._problem), np.arange(len(rows))
+        move = np.random.default_rng(0).normal(size=(_DRAWS, len(unsure))) * unsure
+        problem = self._problem.rows(np.tile(rows, _DRAWS))
+        drawn = problem.moved(problem.windows.start, np.repeat(move, len(rows), axis=0))
+        left = (problem.residual(self._hypothesis, drawn, self._finer) ** 2).sum(axis=1)
+        left = left.reshape(_DRAWS, len(rows))
+        for best in np.argsort(left, axis=0)[:_DRAWN]:
+            near = left[best, at] < _HOPEFUL * self.cost[rows]
+            if near.any():
+                self.tried(rows[near], drawn.rows((best * len(rows) + at)[near]))
 
     def _adopt(self, rows: Int[np.ndarray, " L"], other: "FittedStarts") -> None:
         """Take other starts of some windows where they cost less."""

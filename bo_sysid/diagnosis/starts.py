@@ -1,7 +1,7 @@
 """The start of every window, estimated from what was recorded of it and a wide prior.
 
 Where no small step leads to the start, fits begin from several: on either side of a gap, at rest
-where friction may hold a joint, and from a window's first part on in contact.
+where friction may hold a joint, in contact from a window's first part on and from draws.
 """
 
 import numpy as np
@@ -38,6 +38,7 @@ def estimated(
         found.tried(np.arange(len(first)), start)
     if can_touch(problem.machine.model):
         found.grown()
+        found.scattered()
     if resting:
         found.rested()
     return found.start
@@ -50,9 +51,9 @@ def caught_up(
 
     In contact a start decides when something is touched, and no small step leads from one order of
     impacts to another; what is left there asks for names that are not there. Each such window
-    begins anew at the smoother's start and is fitted to its first part, then to more of it. Slow
-    joints that friction may hold are tried at rest, far from the recordings in half of the windows:
-    all of them leave more than noise there.
+    begins anew at the smoother's start and is fitted to its first part, then to more of it, and
+    from starts drawn about the smoother's. Slow joints that friction may hold are tried at rest,
+    far from the recordings in half of the windows: all of them leave more than noise there.
 
     Args:
         problem: the windows.
@@ -62,6 +63,7 @@ def caught_up(
     found = FittedStarts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
         found.grown()
+        found.scattered()
     far = _far(found, problem)
     found.rested(half=far)
     if far and not _far(found, problem):  # only the starts were
