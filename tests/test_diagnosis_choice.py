@@ -23,6 +23,7 @@ from bo_sysid.diagnosis.hints import (
     holding,
     leaves_much,
     left_sentence,
+    meshing,
     unrepeated,
 )
 from bo_sysid.diagnosis.holdout import Holdout, beyond
@@ -208,6 +209,30 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
     assert doubtful(beside("elbow"), machine)
     (said,) = hints(beside("elbow"), machine)
     assert "The compliance at elbow may be the friction there" in said
+
+
+@pytest.mark.parametrize(
+    ("beside", "sizes", "gap"),
+    [
+        (("link_inertia", "upper"), (5.5, 0.4), ["shoulder"]),
+        (("actuator_gain", "shoulder"), (5.5, 0.4), ["shoulder"]),
+        (("dry_friction", "shoulder"), (5.5, 2.0), []),
+        (("dry_friction", "elbow"), (5.5, 0.4), []),
+    ],
+)
+def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
+    friction, beside, sizes, gap
+) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    members = [candidate(machine, "actuator_lag", "shoulder"), candidate(machine, *beside)]
+    x = tuple(c.point[: c.size] for c in members)
+    p = sum(c.size for c in members)
+    fit = replace(
+        best, hypothesis=replace(best.hypothesis, members=tuple(members), x=x), groups=(None, None),
+        jacobian=np.ones((*best.residual.shape, p)), covariance=np.eye(p), unique=sizes,
+    )  # fmt: skip
+    assert list(meshing(fit, machine)) == gap
+    assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
 
 
 @pytest.mark.parametrize("swept", [0.9, 1.1])

@@ -6,10 +6,11 @@ from math import hypot, inf, pi, sqrt
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.groups import units_of
 from bo_sysid.diagnosis.rules import FLAT, clean
-from bo_sysid.effects import Machine
+from bo_sysid.effects import Machine, Site
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
+_SMALL = 0.15  # of a motor's lag, of another effect at its joint: together they may be a gap
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
@@ -27,6 +28,8 @@ def hints(best: Fit, machine: Machine) -> tuple[str, ...]:
         said.append(_holding_sentence(held))
     if unseen := unrepeated(best, machine):
         said.append(_unrepeated_sentence(unseen, machine))
+    if late := meshing(best, machine):
+        said.append(_meshing_sentence(late))
     return tuple(said)
 
 
@@ -103,6 +106,45 @@ def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
         f"That the cogging at {which} repeats was not seen: less than a period was swept, and a "
         f"magnet or a spring may look the same. Motion of {which} over more than {reach} would "
         "tell."
+    )
+
+
+def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:
+    """Return the joints whose motor is late beside another effect there that is small.
+
+    A gap in the gear is crossed at every reversal, which makes a joint late; what it does beside
+    that is little, and looks like one more effect.
+    """
+    sizes: dict[str, list[tuple[bool, float]]] = {}
+    for c, size in zip(best.members, best.unique, strict=True):
+        late = c.effect.id in ("actuator_lag", "actuator_delay")
+        for name in _joints_at(c.site, machine):
+            sizes.setdefault(name, []).append((late, size))
+    found = []
+    for name, there in sizes.items():
+        lags = [size for late, size in there if late]
+        others = [size for late, size in there if not late]
+        if lags and others and max(others) < _SMALL * max(lags):
+            found.append(name)
+    return tuple(found)
+
+
+def _joints_at(site: Site, machine: Machine) -> list[str]:
+    """Return the joint on which a site acts, or those by which a body moves."""
+    if site.kind == "body":
+        model, body = machine.model, machine.model.body(site.name)
+        own = range(int(body.jntadr[0]), int(body.jntadr[0] + body.jntnum[0]))
+        return [model.joint(j).name for j in own]
+    joint = machine.joint_of(site.kind, site.name)
+    return [] if joint is None else [joint.name]
+
+
+def _meshing_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a late motor may be a gap, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"That the motor of {which} is late, and the small effect beside it, may both be a gap in "
+        f"the gear: slow reversals of {which} under little torque would tell."
     )
 
 
