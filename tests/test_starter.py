@@ -725,7 +725,7 @@ def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_pat
     time = 0.01 * np.arange(300)
     log = {"time": time, **{f"mocap_{k}": 0.1 * np.sin(time) for k in "xyz"}}
     log |= {"mocap_qw": np.ones(300), **{f"mocap_q{k}": np.zeros(300) for k in "xyz"}}
-    log |= {"motor2": 20 + np.cos(3 * time), "motor1": 20 + np.sin(7 * time)}  # no rate of the other
+    log |= {"motor2": 20 + np.cos(3 * time), "motor1": 20 + np.sin(7 * time)}  # no rates
     log |= {"battery": 16 - time}
     pd.DataFrame(log).to_csv(tmp_path / "log.csv", index=False)
     started = init(tmp_path / "quad.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
