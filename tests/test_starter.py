@@ -250,6 +250,22 @@ def test_rates_are_told_from_positions_by_behaviour() -> None:
     }  # fmt: skip
 
 
+def test_axes_of_one_place_are_no_rates_of_each_other() -> None:
+    """On a circle y is the rate of x but for its scale; the speed beside them is told."""
+    time = np.arange(0.0, 6.0, 0.01)
+    columns = {
+        "time": time,
+        "mocap_x": np.cos(2 * time),
+        "mocap_y": np.sin(2 * time),
+        "a": np.sin(3.1 * time),
+        "b": 3.1 * np.cos(3.1 * time),
+    }
+    kinds = {c.name: c.kind for c in describe(RawTable("log", columns))}
+    assert kinds == {
+        "time": "time", "mocap_x": "other", "mocap_y": "other", "a": "position", "b": "velocity",
+    }  # fmt: skip
+
+
 HAND = """
 <mujoco><worldbody><body><joint name="yaw"/><geom size=".1"/><body><joint name="shoulder"/>
   <geom size=".1"/><body><joint name="elbow"/><geom size=".1"/><body>

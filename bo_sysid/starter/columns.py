@@ -217,7 +217,7 @@ def derivatives(table: RawTable, names: Sequence[str]) -> Mapping[str, str]:
     for source, q in values.items():
         rate = _smooth(np.gradient(_smooth(q)))
         for name, v in values.items():
-            if name == source or len(v) != len(q):
+            if name == source or len(v) != len(q) or _axes_of_one(name, source):
                 continue
             faster = _rough(v) / max(_rough(q), 1e-300)
             later = list(values).index(name) > list(values).index(source)
@@ -229,6 +229,13 @@ def derivatives(table: RawTable, names: Sequence[str]) -> Mapping[str, str]:
         if likeness > _ALIKE and free and source not in rates.values():
             rates[name] = source
     return rates
+
+
+def _axes_of_one(name: str, other: str) -> bool:
+    """Whether names differ in an axis alone: on a circle y goes like the rate of x."""
+    axes = frozenset("xyzXYZ")
+    unlike = [(a, b) for a, b in zip(name, other, strict=False) if a != b]
+    return len(name) == len(other) and len(unlike) == 1 and axes.issuperset(unlike[0])
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
