@@ -4,6 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.window_lengths import windows_of
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, MujocoSimulator
@@ -57,6 +60,33 @@ def test_windows_repeat_the_motion_from_the_middle_of_a_recording(horizon: int, 
     without = np.nanmax(np.abs(windows.residual(wrong.values)))
     assert without > 1e-3 * moved
     assert without > 3 * off[1:].max()
+
+
+ONE = """<mujoco><option timestep="0.004" gravity="0 0 0"/><worldbody><body><joint name="a"
+damping=".1"/><geom size=".05" pos=".3 0 0" mass="1"/></body></worldbody><actuator>
+<motor name="late" joint="a"{late}/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("more", "finer"), [(0.0, 1), (0.0, 4), (0.008, 1), (0.008, 4)])
+def test_a_hypothesis_knows_what_was_commanded_before_its_windows(more: float, finer: int) -> None:
+    """At the model's step and at a finer one, also with a further delay, as plain MuJoCo."""
+    plant = mujoco.MjModel.from_xml_string(ONE.format(late=""))  # it is told late instead
+    plant.opt.timestep = 0.004 / finer
+    data, time = mujoco.MjData(plant), np.arange(0, 3, 0.004)
+    u = np.repeat(np.random.default_rng(0).normal(size=len(time) // 5), 5)
+    q, v = np.zeros((2, len(time)))
+    delayed = np.concatenate([np.zeros(round((0.032 + more) / 0.004)), u])[: len(time)]
+    for k in range(len(time)):
+        q[k], v[k], data.ctrl[0] = data.qpos[0], data.qvel[0], delayed[k]
+        mujoco.mj_step(plant, data, finer)
+    recording = Recording.from_arrays(time, qpos={"a": q}, qvel={"a": v}, ctrl={"late": u})
+    late = Model.from_xml(ONE.format(late=' delay=".032" nsample="9"'))
+    evidence = make_evidence(late, [recording], noise={"qpos": 1e-6}, threads=1)
+    problem = windows_of(evidence, 20, 0.004)
+    c = next(c for c in evidence.candidates if c.effect.id == "actuator_delay")
+    hypothesis = Hypothesis((c,), (np.array([more]),)) if more else Hypothesis()
+    left = problem.residual(hypothesis, problem.windows.start, finer)
+    assert np.abs(left[1:]).max() < 1e-3  # sigma
 
 
 def test_buffers_hold_the_commands_of_the_last_steps() -> None:

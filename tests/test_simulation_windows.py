@@ -305,8 +305,12 @@ ACTING = """
 """
 
 
-def test_activations_are_what_the_controls_before_led_to() -> None:
-    model = Model.from_xml(ACTING)
+@pytest.mark.parametrize(
+    "before", ["", '<dcmotor joint="a" input="none" motorconst="1e-9" resistance="1"/>']
+)
+def test_activations_are_what_the_controls_before_led_to(before: str) -> None:
+    """Also behind an actuator without a control."""
+    model = Model.from_xml(ACTING.replace("<actuator>", f"<actuator>{before}"))
     plant = model.compile()
     data, rows = mujoco.MjData(plant), []
     data.qpos[1] = data.act[1] = 0.3

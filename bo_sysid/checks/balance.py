@@ -22,6 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from bo_sysid.mjcf import Loops
+from bo_sysid.mjcf.commands import ALONG_JOINT
 
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
@@ -83,12 +84,7 @@ class Dynamics:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         model.actuator_forcelimited[:] = 0
         self._data = mujoco.MjData(model)
-        self._fixed = bool(
-            np.isin(
-                model.actuator_trntype,
-                (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)),
-            ).all()
-        )
+        self._fixed = bool(np.isin(model.actuator_trntype, ALONG_JOINT).all())
 
     def terms(
         self,

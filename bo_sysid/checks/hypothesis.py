@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
 from bo_sysid.simulation.activations import LAGS
@@ -113,7 +113,8 @@ class Evidence:
             if int(model.actuator_dyntype[a]) in LAGS
         }
         self._driven = {
-            self._input(n): _joint_of(model, a) for a, n in zip(ids, self.actuators, strict=True)
+            self._input(n): driven_joint(model, a) or ""
+            for a, n in zip(ids, self.actuators, strict=True)
         }
         self._servo = {
             self._input(n): bool(model.actuator_biasprm[a, 1]) or n in self.laws
@@ -274,13 +275,3 @@ class Evidence:
 def _follows(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator's force follows from its control, at once or as a first-order lag."""
     return int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
-
-
-def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
-    """Return the joint that an actuator drives; empty where it is not a single joint."""
-    if int(model.actuator_trntype[actuator]) not in (
-        int(mujoco.mjtTrn.mjTRN_JOINT),
-        int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-    ):
-        return ""
-    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)

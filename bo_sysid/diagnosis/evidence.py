@@ -17,14 +17,14 @@ from bo_sysid.diagnosis.hypothesis import (
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
-from bo_sysid.mjcf.touching import can_touch, touching
+from bo_sysid.mjcf.touching import can_touch, ever_touching
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
-_POSES = 1000  # of each recording in which geoms may touch
+_APART = 2e-3  # [s] between recorded poses in which geoms may touch
 _CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
 
 
@@ -118,13 +118,14 @@ def make_evidence(
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
     wanted = tuple(CATALOGUE.values()) if effects is None else effects
-    offered = _once(model, candidates(wanted, machine))
+    sigma = channel_noise(recordings, machine, noise or {})
+    offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
     return Evidence(
         model,
         given,
         machine,
         tuple(recordings),
-        channel_noise(recordings, machine, noise or {}),
+        sigma,
         parameter_candidates(model, parameters),
         _possible(model, machine, _felt(model, machine, offered, laws), known),
         most,
@@ -146,9 +147,10 @@ def _as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
     for r in recordings:
         if not all(n in r.channels for n in model.qpos_channels):
             return model
-        time = np.linspace(*r.span, _POSES)
+        stamps = np.concatenate([r.channels[n].time for n in model.qpos_channels])
+        time = stamps[np.unique(np.floor(stamps / _APART), return_index=True)[1]]
         poses = np.stack([r.channels[n].at(time) for n in model.qpos_channels], axis=1)
-        if touching(compiled, poses):
+        if ever_touching(compiled, poses):
             return model
     return model.without_contact()
 
@@ -164,6 +166,16 @@ def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
         c for c in all_of
         if not (c.effect.family == "physics" and c.site.kind == "joint")
         or c.site.name not in mirrored
+    )  # fmt: skip
+
+
+def _observed(
+    all_of: Sequence[Candidate], machine: Machine, sigma: Mapping[str, float]
+) -> tuple[Candidate, ...]:
+    """Return the candidates without channels swapped with one that never moves."""
+    return tuple(
+        c for c in all_of
+        if c.effect.id != "channel_swap" or machine.channels[round(float(c.shapes[0]))] in sigma
     )  # fmt: skip
 
 

@@ -168,7 +168,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
         made, traced = _forecasts(evidence, outcome, recordings, models, LONGER)
         rows += made
     except RecordingError as error:
-        return Holdout(_table([]), {}, traced, f"The hold-out is too short to judge: {error}.")
+        return Holdout(_table([]), {}, traced, f"The hold-out cannot be judged: {error}")
     if length > PAST + free:
         made, free_runs, longer = _free_runs(evidence, outcome, recordings, models, free)
         rows, traced = rows + made, traced if longer.empty else longer

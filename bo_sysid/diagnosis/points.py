@@ -21,6 +21,7 @@ class StatePoints:
     """The states, one each `hold` macro steps, at which the model is stepped for differences.
 
     A state has n = 2 nv + na numbers: positions, speeds and activations of the edited model.
+    Controls before it are not among them: actuators that MJCF delays act at once.
 
     Attributes:
         model: of the hypothesis.

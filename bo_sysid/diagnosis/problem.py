@@ -132,10 +132,28 @@ class Problem:
 
     def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
         """Return the windows' controls after the filters among `parts`."""
+        return self._filtered(parts, windows, windows.ctrl, windows.time)
+
+    def _after(self, parts: Sequence[Part], windows: Windows, start: State) -> State:
+        """Return starts that remember the controls before them at the windows' time step."""
+        past = windows.start.past
+        if past is None:
+            return start
+        before = windows.time - past.shape[1] * windows.timestep
+        return replace(start, past=self._filtered(parts, windows, past, before))
+
+    def _filtered(
+        self,
+        parts: Sequence[Part],
+        windows: Windows,
+        recorded: Float[np.ndarray, "W S nu"],
+        start: Float[np.ndarray, " W"],
+    ) -> Float[np.ndarray, "W S nu"]:
+        """Return controls of S steps from `start` on after the filters among `parts`."""
         filters = [p for p in parts if isinstance(p, Filter)]
         if not filters:
-            return windows.ctrl
-        ctrl = windows.ctrl.copy()
+            return recorded
+        ctrl = recorded.copy()
         for actuator in dict.fromkeys(f.actuator for f in filters):
             column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
             for i, recording in enumerate(self.recordings):
@@ -145,7 +163,7 @@ class Problem:
                     if f.actuator == actuator:
                         channel = f.change(channel, windows.timestep)
                 ctrl[own, :, column] = control_steps(
-                    channel, windows.time[own], windows.steps, windows.timestep
+                    channel, start[own], ctrl.shape[1], windows.timestep
                 )
         return ctrl
 
@@ -153,7 +171,7 @@ class Problem:
         """Simulate all windows; `finer` divides the time step."""
         windows = self.windows if finer == 1 else refined(self.windows, finer)
         model, parts = self.compiled(hypothesis, windows.timestep)
-        ctrl = self.controls(parts, windows)
+        ctrl, start = self.controls(parts, windows), self._after(parts, windows, start)
         coordinates = Coordinates.between(self.machine.model, model, parts)
         torque = self._transmitted(hypothesis, start, ctrl, coordinates)
         whole = self.engine.rollout(

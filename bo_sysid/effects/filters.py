@@ -14,6 +14,8 @@ from scipy.signal import lfilter
 from bo_sysid.recording import Channel
 
 _FASTEST = 1e-5  # [s] a lag below acts as none
+_LONGEST = 60.0  # [s] that a filter is followed after the last command
+_SETTLED = 12.0  # time constants after which exp(-12) = 6e-6 of a change is left
 
 
 def lagged(channel: Channel, lag: float, dt: float) -> Channel:
@@ -24,7 +26,7 @@ def lagged(channel: Channel, lag: float, dt: float) -> Channel:
     """
     if lag <= _FASTEST:
         return channel
-    time, u = _gridded(channel, dt)
+    time, u = _gridded(channel, dt, _SETTLED * lag)
     gain = -np.expm1(-dt / lag)
     end = lfilter([gain], [1.0, gain - 1.0], u, zi=(1.0 - gain) * u[:1])[0]
     begin = np.concatenate([u[:1], end[:-1]])
@@ -52,7 +54,7 @@ def limited(channel: Channel, rate: float, dt: float) -> Channel:
     A step that begins at y and reaches its input u after the time t ≤ h has the mean
     u + (y - u)·t/(2h); one that does not reach it, y ± rate·h/2.
     """
-    time, u = _gridded(channel, dt)
+    time, u = _gridded(channel, dt, float(np.ptp(channel.values)) / rate)
     return replace(channel, time=time, values=_ramped(u, rate * dt))
 
 
@@ -72,7 +74,9 @@ def _ramped(u: Float[np.ndarray, " S"], most: float) -> Float[np.ndarray, " S"]:
 
 
 def _gridded(
-    channel: Channel, dt: float
+    channel: Channel, dt: float, settles: float
 ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"]]:
-    time = np.arange(channel.time[0], channel.time[-1] + 0.5 * dt, dt)
+    """Return a channel on a grid that goes on after its last stamp for `settles` in [s]."""
+    end = channel.time[-1] + min(settles, _LONGEST)
+    time = np.arange(channel.time[0], end + 1.5 * dt, dt)
     return time, channel.at(time + 1e-6 * dt)

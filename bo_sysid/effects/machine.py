@@ -7,10 +7,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.mjcf.commands import ALONG_JOINT
 from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.recording import Recording
-
-_OF_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 Signal = Float[np.ndarray, "..."]
 
@@ -158,7 +157,7 @@ class Machine:
         drives there, as MJCF writes planar walkers.
         """
         m = self.model
-        driven = set(m.actuator_trnid[:, 0][np.isin(m.actuator_trntype, _OF_JOINTS)].tolist())
+        driven = set(m.actuator_trnid[:, 0][np.isin(m.actuator_trntype, ALONG_JOINT)].tolist())
         found: set[str] = set()
         for body in np.flatnonzero(m.body_parentid == 0)[1:]:
             own = [int(j) for j in np.flatnonzero(m.jnt_bodyid == body)]

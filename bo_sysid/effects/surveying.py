@@ -10,6 +10,8 @@ from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
 from bo_sysid.recording import Recording
@@ -17,11 +19,11 @@ from bo_sysid.recording import Recording
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
 _LEAST = 0.03  # of the largest torque: less is no saturation
+_FEWEST = 5  # samples that the shortest filter needs
 _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
-_ALONG = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
@@ -86,6 +88,11 @@ def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
         c = r.channels[f"qpos.{joint}"]
         dt = float(np.median(np.diff(c.time)))
         grid = np.arange(c.time[0], c.time[-1], dt)
+        if len(grid) < _FEWEST:
+            raise RecordingError(
+                f"{r.name}: {len(c.time)} samples of qpos.{joint} tell nothing of how it moves; at "
+                f"least {_FEWEST + 1} are needed; leave the recording out"
+            )
         x = np.interp(grid, c.time, c.values)
         half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
         grids.append(grid)
@@ -140,10 +147,8 @@ def _actuator(
 
 def _driven(model: mujoco.MjModel, a: int) -> str | None:
     """Return the hinge or slide joint that an actuator drives, None where there is none."""
-    if int(model.actuator_trntype[a]) not in _ALONG:
-        return None
-    joint = model.joint(int(model.actuator_trnid[a, 0]))
-    return joint.name if int(joint.type[0]) in SCALAR else None
+    joint = driven_joint(model, a)
+    return joint if joint and int(model.joint(joint).type[0]) in SCALAR else None
 
 
 def _pushes(model: mujoco.MjModel, a: int) -> bool:
@@ -152,7 +157,7 @@ def _pushes(model: mujoco.MjModel, a: int) -> bool:
     On a slide, through a crank, along a spatial tendon, at a site, a body or a free joint.
     """
     at, k = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
-    if at in _ALONG and int(model.jnt_type[k]) in (*SCALAR, BALL):
+    if at in ALONG_JOINT and int(model.jnt_type[k]) in (*SCALAR, BALL):
         return int(model.jnt_type[k]) == SLIDE
     if at == int(mujoco.mjtTrn.mjTRN_TENDON):
         first = model.tendon_adr[k]

@@ -9,14 +9,13 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import command_bounds, controlled
+from bo_sysid.mjcf.commands import ALONG_JOINT, command_bounds, controlled
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
 
 _TOUCH = 0.01  # [s] between two poses at which contacts are looked for
 _COLLISION = 2.0  # violation that touching counts as
-_OF_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Limits:
             if limit is not None:
                 velocity[j] = limit.velocity or np.inf
                 effort[j] = limit.effort or np.inf
-        if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, _OF_JOINT).all():
+        if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, ALONG_JOINT).all():
             raise StudyError("limits: effort is known only for actuators that drive one joint each")
         return cls(position, velocity, effort, model.joints, can_touch(compiled))
 
@@ -81,7 +80,7 @@ class Limits:
             model.actuator_ctrlrange, [-np.inf, np.inf],
         )  # fmt: skip
         for k, a in enumerate(controlled(model)):
-            if int(model.actuator_trntype[a]) in _OF_JOINT:
+            if int(model.actuator_trntype[a]) in ALONG_JOINT:
                 j = int(model.actuator_trnid[a, 0])
                 low, high = self.position[j]
                 ends[k] = command_bounds(model, a, (low, high), float(self.effort[j]))

@@ -6,10 +6,20 @@ from jaxtyping import Bool
 
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 
+ALONG_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+"""Transmissions by which an actuator acts on one joint alone."""
+
 
 def controlled(model: mujoco.MjModel) -> list[int]:
     """Return the actuator of each control; friction may be an actuator without one."""
     return [a for a, n in enumerate(model.actuator_ctrlnum.tolist()) for _ in range(n)]
+
+
+def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
+    """Return the joint that an actuator drives; None where it acts on a tendon, site or body."""
+    if int(model.actuator_trntype[actuator]) not in ALONG_JOINT:
+        return None
+    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
 
 
 def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
@@ -68,7 +78,7 @@ def units(model: mujoco.MjModel) -> dict[str, str]:
         found[f"qpos.{name}"], found[f"qvel.{name}"] = place, f"{place}/s"
     for a in controlled(model):
         j, gear = model.actuator_trnid[a, 0], model.actuator_gear[a, 0]
-        if model.actuator_trntype[a] != int(mujoco.mjtTrn.mjTRN_JOINT) or gear != 1:
+        if model.actuator_trntype[a] not in ALONG_JOINT or gear != 1:
             continue
         gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
         if gain and gain == -bias[1]:

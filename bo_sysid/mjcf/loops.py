@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from bo_sysid.mjcf.commands import ALONG_JOINT
 from bo_sysid.mjcf.joints import SCALAR
 
 _RIGID = 0.02  # [s] time constant up to which an equality is rigid; MuJoCo's own
@@ -69,7 +70,7 @@ class Loops:
         J = _slopes(bare, _somewhere(bare))
         driven = {
             int(i) for i, t in zip(bare.actuator_trnid[:, 0], bare.actuator_trntype, strict=True)
-            if int(t) in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+            if int(t) in ALONG_JOINT
         }  # fmt: skip
         names = [bare.joint(j).name for j in range(bare.njnt)]
         scalar = [

@@ -10,6 +10,7 @@ from unittest import mock
 import mujoco
 
 from bo_sysid.errors import ModelError, nearest
+from bo_sysid.mjcf.commands import ALONG_JOINT
 from bo_sysid.mjcf.compiling import compile_spec, mujoco_message, refit_keyframes
 from bo_sysid.mjcf.loops import tied_by
 
@@ -174,9 +175,8 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
                 f"{source}: hold: {tie} moves {name} with other joints, so that it cannot be held; "
                 f"unrecorded: {{{name}: null}} lets it move unmeasured"
             )
-        joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
         for actuator in list(spec.actuators):
-            if actuator.trntype in joint and actuator.target == name:
+            if int(actuator.trntype) in ALONG_JOINT and actuator.target == name:
                 spec.delete(actuator)
         for sensor in list(spec.sensors):
             if sensor.objtype == mujoco.mjtObj.mjOBJ_JOINT and sensor.objname == name:

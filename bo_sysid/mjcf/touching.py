@@ -1,5 +1,7 @@
 """Which parts of a model can come into contact, and how MuJoCo mixes what two of them ask for."""
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,14 +18,22 @@ def _off(model: mujoco.MjModel) -> bool:
 
 def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
     """Return the share of poses in which geoms of the model touch."""
+    return sum(_touches(model, poses)) / len(poses)
+
+
+def ever_touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> bool:
+    """Return whether geoms of the model touch in any pose."""
+    return any(_touches(model, poses))
+
+
+def _touches(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> Iterator[bool]:
     if not can_touch(model):
-        return 0.0
-    data, count = mujoco.MjData(model), 0
+        return
+    data = mujoco.MjData(model)
     for pose in poses:
         data.qpos[:] = pose
         mujoco.mj_fwdPosition(model, data)
-        count += data.ncon > 0
-    return count / len(poses)
+        yield data.ncon > 0
 
 
 def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.mjcf.commands import command_bounds, controlled, has_bias
+from bo_sysid.mjcf.commands import command_bounds, controlled, driven_joint, has_bias
 from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.plants.simulations import Simulations
@@ -31,16 +31,17 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     if not study.limits:
         return ()
     compiled = model.compile()
-    for joint in study.limits:
-        if joint not in model.joints:
-            raise study.error(("limits", joint), f"no such joint; {nearest(joint, model.joints)}")
+    for name in study.limits:
+        if name not in model.joints:
+            raise study.error(("limits", name), f"no such joint; {nearest(name, model.joints)}")
     bounds: dict[str, tuple[float, float]] = {}
     forces: dict[str, tuple[float, float]] = {}
     for a, name in zip(controlled(compiled), model.controlled, strict=True):
-        limit = study.limits.get(_joint_of(compiled, a))
-        if limit is None:
+        joint = driven_joint(compiled, a)
+        limit = study.limits.get(joint) if joint else None
+        if joint is None or limit is None:
             continue
-        where = ("limits", _joint_of(compiled, a))
+        where = ("limits", joint)
         if limit.effort is not None and has_bias(compiled, a):
             forces[name] = _forces(compiled, a, limit.effort)
             if not forces[name][0] < forces[name][1]:
@@ -61,13 +62,6 @@ def _forces(model: mujoco.MjModel, actuator: int, effort: float) -> tuple[float,
         own_low, own_high = model.actuator_forcerange[actuator].tolist()
         low, high = max(low, own_low), min(high, own_high)
     return low, high
-
-
-def _joint_of(model: mujoco.MjModel, actuator: int) -> str:
-    joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    if int(model.actuator_trntype[actuator]) not in joint:
-        return ""
-    return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
 
 
 class LimitedTask(VectorTask):

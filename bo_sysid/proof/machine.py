@@ -233,8 +233,9 @@ def _effort(machine: ProofMachine, a: int) -> float:
     limit = machine.file.limits.get(machine.joint(int(m.jnt_dofadr[m.actuator_trnid[a, 0]])))
     scale = abs(float(m.actuator_gear[a, 0] * m.actuator_gainprm[a, 0]))
     most = float("inf") if limit is None or limit.effort is None else limit.effort / scale
-    if m.actuator_ctrllimited[a]:
-        most = min(most, float(np.abs(m.actuator_ctrlrange[a]).min()))
+    control = int(m.actuator_ctrladr[a])
+    if m.actuator_ctrllimited[control]:
+        most = min(most, float(np.abs(m.actuator_ctrlrange[control]).min()))
     return most
 
 

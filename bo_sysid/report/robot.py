@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from bo_sysid.mjcf import Loops, Model
+from bo_sysid.mjcf.commands import driven_joint
 from bo_sysid.mjcf.joints import HINGE
 
 Points = Float[np.ndarray, "P 3"]
@@ -202,11 +203,7 @@ def ball() -> Points:
 def _joint_of(model: mujoco.MjModel, kind: str, name: str) -> str | None:
     """Return the joint at which a site is, None where it is at none."""
     if kind == "actuator" and _has(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name):
-        actuator = model.actuator(name).id
-        driven = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        if model.actuator_trntype[actuator] in driven:
-            return str(model.joint(model.actuator_trnid[actuator, 0]).name)
-        return None
+        return driven_joint(model, model.actuator(name).id)
     if kind == "channel":
         parts = name.split(".")
         kind, name = "joint", parts[1] if len(parts) > 1 else ""

@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.recording import Channel, Recording
 
 LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
@@ -53,18 +53,18 @@ def activations(
                 act[:, own] = np.clip(act[:, own], *compiled.actuator_actrange[a])
         elif count == 1 and kind in LAGS:
             lag = float(compiled.actuator_dynprm[a, 0])
-            act[:, address] = _lagging(_clipped(compiled, recording, control, a), lag, start)
+            act[:, address] = _lagging(_clipped(compiled, recording, control, k), lag, start)
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
     return act
 
 
-def _clipped(compiled: mujoco.MjModel, recording: Recording, control: str, a: int) -> Channel:
-    """Return a control within the actuator's range, which it is clamped to before it acts."""
+def _clipped(compiled: mujoco.MjModel, recording: Recording, control: str, k: int) -> Channel:
+    """Return the k-th control within the range to which it is clamped before it acts."""
     channel = recording.channels[control]
-    if not compiled.actuator_ctrllimited[a]:
+    if not compiled.actuator_ctrllimited[k]:
         return channel
-    values = np.clip(channel.values, *compiled.actuator_ctrlrange[a])
+    values = np.clip(channel.values, *compiled.actuator_ctrlrange[k])
     return Channel(channel.time, values, channel.unit, channel.source, channel.hold)
 
 
@@ -93,10 +93,10 @@ def _integral(channel: Channel, at: Float[np.ndarray, " W"]) -> Float[np.ndarray
 
 def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> float:
     """Return the activation at which an actuator that holds its joint's position makes no force."""
-    joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    if int(compiled.actuator_trntype[a]) not in joint or not compiled.actuator_biasprm[a, 1]:
+    joint = driven_joint(compiled, a)
+    if joint is None or not compiled.actuator_biasprm[a, 1]:
         return 0.0
-    name = f"qpos.{compiled.joint(int(compiled.actuator_trnid[a, 0])).name}"
+    name = f"qpos.{joint}"
     if name not in recording.channels:
         return 0.0
     length = compiled.actuator_gear[a, 0] * recording.channels[name].values[0]

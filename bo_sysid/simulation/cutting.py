@@ -314,17 +314,8 @@ def _widened(windows: Windows, channels: list[str], steps: int) -> Windows:
 
 
 def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> Windows:
-    warm = [p.start.warmstart for p in pieces if p.start.warmstart is not None]
-    past = [p.start.past for p in pieces if p.start.past is not None]
-    start = State(
-        np.concatenate([p.start.qpos for p in pieces]),
-        np.concatenate([p.start.qvel for p in pieces]),
-        np.concatenate([p.start.act for p in pieces]),
-        np.concatenate(warm) if len(warm) == len(pieces) else None,
-        past=np.concatenate(past) if len(past) == len(pieces) else None,
-    )
     return Windows(
-        start=start,
+        start=State.concatenated([p.start for p in pieces]),
         ctrl=np.concatenate([p.ctrl for p in pieces]),
         signals={n: np.concatenate([p.signals[n] for p in pieces]) for n in pieces[0].signals},
         channels=channels,

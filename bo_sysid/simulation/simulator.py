@@ -146,7 +146,7 @@ class MujocoSimulator:
     ) -> list[Prediction]:
         """Simulate `len(models)` candidates at once and take their predictions apart."""
         count, times = len(windows), len(models)
-        start = windows.start.repeat(times) if starts is None else _stacked(starts)
+        start = windows.start.repeat(times) if starts is None else State.concatenated(starts)
         run = models[0] if times == 1 else [m for m in models for _ in range(count)]
         if self._one_shot(windows, layout):
             return self._final(layout, run, start, windows, times)
@@ -196,15 +196,3 @@ class MujocoSimulator:
         values = states[:, columns].reshape(times, len(windows), 1, len(columns))
         flags = diverged.reshape(times, len(windows))
         return [Prediction(v, f) for v, f in zip(values, flags, strict=True)]
-
-
-def _stacked(starts: Sequence[State]) -> State:
-    warm = [s.warmstart for s in starts if s.warmstart is not None]
-    past = [s.past for s in starts if s.past is not None]
-    return State(
-        np.concatenate([s.qpos for s in starts]),
-        np.concatenate([s.qvel for s in starts]),
-        np.concatenate([s.act for s in starts]),
-        np.concatenate(warm) if len(warm) == len(starts) else None,
-        past=np.concatenate(past) if len(past) == len(starts) else None,
-    )

@@ -1,5 +1,6 @@
 """Values that enter and leave a simulation: starts of windows and trajectories."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -44,6 +45,23 @@ class State:
 
     def __len__(self) -> int:
         return len(self.qpos)
+
+    @classmethod
+    def concatenated(cls, states: Sequence["State"]) -> "State":
+        """Return several sets of states as one; what one of them does not know none does."""
+
+        def joined(name: str) -> np.ndarray | None:
+            known = [value for s in states if (value := getattr(s, name)) is not None]
+            return np.concatenate(known) if len(known) == len(states) else None
+
+        return cls(
+            np.concatenate([s.qpos for s in states]),
+            np.concatenate([s.qvel for s in states]),
+            np.concatenate([s.act for s in states]),
+            joined("warmstart"),
+            joined("added"),
+            joined("past"),
+        )
 
     def repeat(self, times: int) -> "State":
         """Return the whole set of states `times` times over, `times * W` rows."""

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.proposal import Rule
+from bo_sysid.mjcf.commands import driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import RawTable
 from bo_sysid.recording.units import Unit, is_unit, unit
@@ -51,10 +52,7 @@ def driven(compiled: mujoco.MjModel, channel: str) -> str:
         return element
     if kind != "ctrl":
         return ""
-    actuator = compiled.actuator(element)
-    if int(actuator.trntype[0]) != int(mujoco.mjtTrn.mjTRN_JOINT):
-        return ""
-    return str(compiled.joint(int(actuator.trnid[0])).name)
+    return driven_joint(compiled, compiled.actuator(element).id) or ""
 
 
 def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:

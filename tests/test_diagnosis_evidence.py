@@ -1,0 +1,50 @@
+"""What recordings are taken to show before anything is looked for."""
+
+import numpy as np
+import pytest
+
+from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.effects import CATALOGUE
+from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+
+TWO = """<mujoco><worldbody>
+<geom name="wall" type="box" pos=".31 0 0" size=".02 .2 .1"/>
+<body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02"/></body>
+<body pos="-1 0 0"><joint name="b" axis="0 1 0"/><geom size=".05" pos="0 0 -.3"/></body>
+</worldbody><actuator><motor name="m" joint="a"/></actuator></mujoco>"""
+TIME = np.arange(0, 60, 0.002)
+SWING = 0.3 * np.sin(2 * TIME)
+NOISE = 1e-4 * np.random.default_rng(0).normal(size=(2, len(TIME)))
+
+
+def evidence_of(a: np.ndarray, b: np.ndarray, *more: Recording) -> Evidence:
+    recording = Recording.from_arrays(TIME, qpos={"a": a, "b": b}, ctrl={"m": np.cos(TIME)})
+    effects = [CATALOGUE[i] for i in ("channel_swap", "sensor_offset")]
+    return make_evidence(Model.from_xml(TWO), [recording, *more], effects=effects, threads=1)
+
+
+def test_a_joint_that_never_moves_is_swapped_with_none() -> None:
+    a, b = SWING + NOISE[0], 0.5 * np.cos(3 * TIME) + NOISE[1]
+    swaps = [c for c in evidence_of(a, b).candidates if c.effect.id == "channel_swap"]
+    assert [c.site.name for c in swaps] == ["qpos.a"]
+    still = evidence_of(a, np.zeros_like(b))
+    assert [c.effect.id for c in still.candidates if c.effect.id == "channel_swap"] == []
+
+
+@pytest.mark.parametrize("touched", [True, False])
+def test_one_short_touch_keeps_contact(touched: bool) -> None:
+    a = SWING + NOISE[0]
+    tap = (TIME > 30.0) & (TIME < 30.01)
+    evidence = evidence_of(np.where(tap & touched, -1.5, a), NOISE[1])
+    assert (evidence.model is evidence.given) is touched
+
+
+@pytest.mark.parametrize("samples", [2, 5])
+def test_a_recording_that_ended_at_once_is_named(samples: int) -> None:
+    time = 0.01 * np.arange(samples)
+    motion = {"qpos": {"a": np.sin(time), "b": time}, "ctrl": {"m": time}}
+    aborted = Recording.from_arrays(time, name="run_7", **motion)
+    with pytest.raises(RecordingError, match=rf"run_7: {samples} samples .* leave the recording"):
+        evidence_of(SWING + NOISE[0], NOISE[1], aborted)

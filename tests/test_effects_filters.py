@@ -1,0 +1,23 @@
+"""Filters over whole commands, against their closed forms."""
+
+import numpy as np
+import pytest
+
+from bo_sysid.effects.filters import lagged, limited
+from bo_sysid.recording import Channel
+
+SENT = np.array([0.0, 1.0, 3.0])  # commands are sent when they change
+
+
+@pytest.mark.parametrize("later", [0.05, 0.5, 1.2, 60.0])
+def test_a_filter_goes_on_after_the_last_command(later: float) -> None:
+    step = Channel(SENT, np.array([0.0, 0.0, 1.0]), hold="zero")
+    at, dt = np.array([3.0 + later]), 1e-3
+    np.testing.assert_allclose(lagged(step, 0.1, dt).at(at), 1 - np.exp(-later / 0.1), atol=0.006)
+    np.testing.assert_allclose(limited(step, 0.8, dt).at(at), min(0.8 * later, 1.0), atol=1e-3)
+
+
+def test_commands_of_a_wide_range_and_a_slow_rate_stay_within_reason() -> None:
+    """A rate at which the command is never reached asks for no endless grid."""
+    step = Channel(SENT, np.array([0.0, 0.0, 1e6]), hold="zero")
+    assert len(limited(step, 1e-3, 1e-3).time) < 1e5
