@@ -12,8 +12,8 @@ from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
 from bo_sysid.recording.alignment import GAP
+from bo_sysid.recording.noise import MOVES
 
-_TOLD = 10.0  # a joint must move by so many standard deviations of its noise
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
@@ -90,7 +90,7 @@ def excitation_flags(table: pd.DataFrame) -> list[Flag]:
     for joint, part in table.groupby("joint", sort=False):
         k = int(np.argmax(part["range"].to_numpy()))
         moved, noise = (float(part[c].to_numpy()[k]) for c in ("range", "noise"))
-        if moved < max(_TOLD * noise, 1e-9):
+        if moved < max(MOVES * noise, 1e-9):
             unit = "mm" if part["unit"].to_numpy()[k] == "m" else "mrad"
             flags.append(
                 Flag(

@@ -7,10 +7,9 @@ import numpy as np
 from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
-from bo_sysid.recording.noise import noise_sigma
+from bo_sysid.recording.noise import MOVES, noise_sigma
 
 _LEAST = 1e-9
-_MOVES = 15.0  # [sigma] range below which a joint shows noise only
 
 
 def channel_noise(
@@ -40,10 +39,10 @@ def channel_noise(
             f"{recorded}: no position of the model's joints that moves is recorded; a diagnosis "
             "needs a channel qpos.<joint> (bo-sysid check says what was read)"
         )
-    if most[0] <= _MOVES:
+    if most[0] <= MOVES:
         raise RecordingError(
             f"{recorded}: no joint moves by more than its noise; {most[1]} moves most, by "
-            f"{most[0]:.3g} sigma, and {_MOVES:g} are needed; record motion of every joint "
+            f"{most[0]:.3g} sigma, and {MOVES:g} are needed; record motion of every joint "
             "(bo-sysid excite)"
         )
     return found

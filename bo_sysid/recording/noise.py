@@ -18,6 +18,8 @@ from jaxtyping import Float
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.value import Recording
 
+MOVES = 15.0
+"""Standard deviations of its noise that a channel's range exceeds where it shows motion."""
 _REPEATED = 0.1  # share of samples that equal the one before, from which on a channel is coarse
 _CUT = 1.5  # deviations beyond which a value counts no further
 _BETA = 0.7785  # E min(u², _CUT²) of a standard Gaussian u
