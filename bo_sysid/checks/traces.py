@@ -75,7 +75,6 @@ class Traces:
         recordings: what was recorded.
         measured: channels that say where there are samples at all; they also set the filter.
         most: most instants.
-        rows: which of the instants to use, where not all.
     """
 
     def __init__(

@@ -4,6 +4,7 @@ The prior lies about what a fit begins from: a smoother's estimate, or starts fi
 window is a least-squares problem of its own, and is simulated only as long as it has not settled.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -45,16 +46,11 @@ def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]
     """
     nv = problem.machine.model.nv
     position, speed = np.full(nv, 1e3), np.full(nv, 1e3)
-    layout, windows = problem.layout, problem.windows
     spread = np.zeros(nv)
     for joint in problem.machine.joints.values():
         speed[joint.dof], spread[joint.dof] = _SPEED * joint.speed, joint.spread
-    scale = 1 / np.maximum(problem.weight.reshape(-1, len(windows.channels)).max(axis=0), 1e-300)
-    for k, name in enumerate(windows.channels):
-        if name in layout.qpos:
-            dof = int(layout.velocity[layout.qpos[name]])
-            if dof >= 0:
-                position[dof] = _POSITION * scale[k] + _ASIDE * spread[dof]
+    for dof, sigma in _recorded(problem):
+        position[dof] = _POSITION * sigma + _ASIDE * spread[dof]
     own = [s.qvel for s in coordinates.second]
     most = np.array([s.most for s in coordinates.second])
     places = np.minimum(_ADDED * spread[own], np.maximum(most, _LEAST))
@@ -67,15 +63,22 @@ def start_noise(problem: Problem) -> Float[np.ndarray, " n"]:
     A rate from five samples is as unsure as sigma over the sampling interval (the slope of a cubic
     at their middle has √130 / 12 of it). Coordinates that are not recorded are held.
     """
-    nv, channels = problem.machine.model.nv, problem.windows.channels
-    noise, layout = np.zeros(2 * nv), problem.layout
+    nv = problem.machine.model.nv
+    noise = np.zeros(2 * nv)
+    for dof, sigma in _recorded(problem):
+        noise[[dof, nv + dof]] = sigma, sigma / problem.machine.sampling
+    return noise
+
+
+def _recorded(problem: Problem) -> Iterator[tuple[int, float]]:
+    """Yield the degree of freedom and the sigma of each recorded position of a joint."""
+    channels, layout = problem.windows.channels, problem.layout
     weight = problem.weight.reshape(-1, len(channels)).max(axis=0)
     for name, most in zip(channels, weight, strict=True):
         if name in layout.qpos and most > 0:
             dof = int(layout.velocity[layout.qpos[name]])
             if dof >= 0:
-                noise[[dof, nv + dof]] = 1 / most, 1 / (most * problem.machine.sampling)
-    return noise
+                yield dof, float(1 / most)
 
 
 class FittedStarts:

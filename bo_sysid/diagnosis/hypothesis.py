@@ -28,6 +28,9 @@ class Candidate:
         extent: its bounds and probe there.
         point: the full magnitudes at which its signature is taken; the shapes are held here.
         secant: whether the signature is simulated there, because linearity does not reach so far.
+        low: least values of the magnitudes that are fitted.
+        high: their largest values.
+        probe: magnitudes that move the predictions measurably.
     """
 
     effect: Effect

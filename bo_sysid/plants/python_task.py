@@ -30,6 +30,7 @@ class PythonTask:
         physics: the physics class that it needs.
         control_timestep: time between two actions in [s].
         time_limit: length of an episode in [s]; infinite where it has no end.
+        rewarded: whether there is a reward to learn from.
     """
 
     name: str
