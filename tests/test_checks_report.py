@@ -20,6 +20,7 @@ from bo_sysid.checks.motion import (
     range_flags,
     sampling_flags,
 )
+from bo_sysid.checks.numerics import far_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import Information, in_words, information
@@ -354,3 +355,12 @@ def test_checks_do_not_import_torch() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "False"
+
+
+def test_a_model_that_is_far_off_is_said_to_be() -> None:
+    table = pd.DataFrame({"channel": ["qpos.a", "qpos.b"], "change": 0.0, "left": [1e-3, 0.3]})
+    noise = {"qpos.a": 1e-3, "qpos.b": 1e-3}
+    (flag,) = far_flags(table, noise)
+    assert flag.channels == ("qpos.b",)
+    assert "300 standard deviations" in flag.sentence
+    assert far_flags(table[:1], noise) == []

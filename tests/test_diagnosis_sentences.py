@@ -97,6 +97,10 @@ def test_what_no_effect_explains_is_said_with_where_it_acts() -> None:
     )
     (said_of_all,) = Unexplained(0.5, "world", "world").sentences
     assert said_of_all.startswith("Something acts on the machine that no known effect explains. ")
+    assert "noise in recorded commands" in said_of_all
+    (said_of_much,) = Unexplained(1.0, "world", "world", much=True).sentences
+    assert "diagnosis: {most: …}" in said_of_much
+    assert said_of_much.endswith("Nothing stands for it in the repaired model.")
     assert Unexplained(0.5).sentences == ()
 
 

@@ -151,6 +151,39 @@ def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
     assert needed_beside(problem, named, AT_ELBOW) == (True,)
 
 
+def test_chance_is_the_gain_of_what_has_no_sign() -> None:
+    """A law that acts stands out from all draws; what turns its sign from window to window not."""
+    rng = np.random.default_rng(2)
+    A, block = rng.normal(size=(60, 5, 3)), np.repeat(np.arange(12), 5)
+    force = A @ np.array([0.5, -0.3, 0.2])
+    turned = force * rng.choice([-1.0, 1.0], (60, 1))
+    acts, none = (
+        LeftOut.of(A, y + rng.normal(size=y.shape), block, draws=39) for y in (force, turned)
+    )
+    assert acts.chance([0, 1], [2]).shape == (39,)
+    assert acts.gain([0, 1], [2])[0] > 2 * acts.chance([0, 1], [2]).max()
+    assert none.gain([0, 1], [2])[0] < none.chance([0, 1], [2]).max()
+
+
+def test_noise_in_the_recorded_commands_is_no_law() -> None:
+    """The machine was told something else than the log says; much is left, and nothing predicts it.
+
+    What is left is said all the same.
+    """
+    recorded, rng = record(duration=12.0), np.random.default_rng(0)
+    channels = {
+        n: replace(c, values=c.values + 0.2 * c.values.std() * rng.normal(size=len(c.values)))
+        if n.startswith("ctrl.") else c
+        for n, c in recorded.channels.items()
+    }  # fmt: skip
+    problem, _ = posed(replace(recorded, channels=channels), horizon=150)
+    ready = prepare(problem)
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
+    unknown = examine(ready.problem, settled(nominal))
+    assert nominal.rms > 1.1
+    assert unknown.law is None
+
+
 def test_noise_alone_is_not_flagged() -> None:
     problem, _ = posed(record(duration=6.0), horizon=150)
     ready = prepare(problem)

@@ -15,7 +15,7 @@ from bo_sysid.checks.motion import (
     range_flags,
     sampling_flags,
 )
-from bo_sysid.checks.numerics import contact_flags, step_effect, step_flags
+from bo_sysid.checks.numerics import contact_flags, far_flags, step_effect, step_flags
 from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import in_words, information
@@ -50,7 +50,7 @@ class Checked:
         clocks: rules to be put under ``recordings: clocks:``.
         motion: one row a recording and joint: how it moved.
         parameters: one row a parameter: what these recordings can say about it at best.
-        step: one row a channel: change of predictions with half the step.
+        step: one row a channel: change of predictions with half the step, and what they leave.
         recordings: as they should be read, for pictures.
         dataset: name of the public data set that the study reads; its rules are its own.
     """
@@ -105,7 +105,8 @@ def check(study: Study, *, strict: bool = False, progress: Report = silent) -> C
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
     flags = [*wrap_flags(wraps), *wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
-    flags += [*step_flags(step, noise, windows.timestep), *contact_flags(compiled, right)]
+    flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
+    flags += contact_flags(compiled, right)
     flags += _beside_flags(simulator)
     written = study.resolved()["recordings"]
     return Checked(

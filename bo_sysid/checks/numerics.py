@@ -15,13 +15,14 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import MujocoSimulator, Windows
 
 _WORTH = 1.0  # standard deviations that a step may cost
+_FAR = 100.0  # standard deviations
 _INSTANTS = 400
 
 
 def step_effect(
     simulator: MujocoSimulator, point: Point, coarse: Windows, fine: Windows
 ) -> pd.DataFrame:
-    """Return how much predictions change with half the step.
+    """Return how much predictions change with half the step, and how far off they are.
 
     Args:
         simulator: at the model's step.
@@ -30,29 +31,27 @@ def step_effect(
         fine: the same windows cut for half of it.
 
     Returns:
-        One row a channel: channel, change (root mean square, in the channel's unit).
+        One row a channel: channel, change and left (root mean squares, in the channel's unit).
     """
     half = replace(simulator, timestep=fine.timestep)
     a = next(iter(simulator.predictions(point[None], coarse)))
     b = next(iter(half.predictions(point[None], fine)))
     good = ~(a.diverged | b.diverged)
-    change = np.where(np.isfinite(coarse.observed), a.values - b.values, np.nan)[good]
-    rms = (
-        np.sqrt(np.nanmean(change**2, axis=(0, 1)))
-        if good.any()
-        else np.full(len(coarse.channels), np.nan)
-    )
-    return pd.DataFrame({"channel": coarse.channels, "change": rms})
+
+    def rms(difference: np.ndarray) -> np.ndarray:
+        if not good.any():
+            return np.full(len(coarse.channels), np.nan)
+        seen = np.where(np.isfinite(coarse.observed), difference, np.nan)[good]
+        return np.asarray(np.sqrt(np.nanmean(seen**2, axis=(0, 1))))
+
+    change, left = rms(a.values - b.values), rms(coarse.residual(a.values))
+    return pd.DataFrame({"channel": coarse.channels, "change": change, "left": left})
 
 
 def step_flags(table: pd.DataFrame, noise: dict[str, float], timestep: float) -> list[Flag]:
     """Return a flag where half the step changes predictions by more than the noise."""
-    ratio = {
-        n: c / noise[n] for n, c in zip(table["channel"], table["change"], strict=True)
-        if n.startswith("qpos.") and noise.get(n) and np.isfinite(c)
-    }  # fmt: skip
-    worst = max(ratio, key=ratio.__getitem__, default="")
-    if not worst or ratio[worst] < _WORTH:
+    worst, ratio = _worst(table, "change", noise)
+    if ratio < _WORTH:
         return []
     return [
         Flag(
@@ -60,10 +59,34 @@ def step_flags(table: pd.DataFrame, noise: dict[str, float], timestep: float) ->
             "step",
             (worst,),
             f"Half the model's step of {1e3 * timestep:g} ms changes the prediction of {worst} by "
-            f"{ratio[worst]:.2g} times what can be told apart: too coarse for small effects.",
-            {"ratio": ratio[worst]},
+            f"{ratio:.2g} times what can be told apart: too coarse for small effects. A smaller "
+            "timestep in the model's <option> is what helps; diagnose takes one by itself.",
+            {"ratio": ratio},
         )
     ]
+
+
+def far_flags(table: pd.DataFrame, noise: dict[str, float]) -> list[Flag]:
+    """Return a flag where the model is so far off that its sensitivities are another machine's."""
+    worst, ratio = _worst(table, "left", noise)
+    if ratio < _FAR:
+        return []
+    sentence = (
+        f"The model as it is misses {worst} by {ratio:,.0f} standard deviations of its noise "
+        "within 0.3 s: what is said here of parameters and of the time step is of that model, and "
+        "changes with it. Check the study of the identified model again."
+    )
+    return [Flag("look", "far", (worst,), sentence, {"ratio": ratio})]
+
+
+def _worst(table: pd.DataFrame, column: str, noise: dict[str, float]) -> tuple[str, float]:
+    """Return the position in which a column of `step_effect` is largest, over its noise."""
+    ratio = {
+        n: float(c / noise[n]) for n, c in zip(table["channel"], table[column], strict=True)
+        if n.startswith("qpos.") and noise.get(n) and np.isfinite(c)
+    }  # fmt: skip
+    worst = max(ratio, key=ratio.__getitem__, default="")
+    return worst, ratio.get(worst, 0.0)
 
 
 def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:

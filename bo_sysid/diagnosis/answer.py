@@ -109,7 +109,8 @@ def make_answer(
     where `hints` says why.
 
     Names that a learned law replaces, or that recordings disagree on, are no findings. Where others
-    of their set stay, these have its probability; where none does, it is among the alternatives.
+    of their set stay, these have its probability; where none does, it is among the alternatives,
+    and something unknown is more probable.
 
     Args:
         decision: between sets.
@@ -122,6 +123,8 @@ def make_answer(
     """
     best, kept = decision.best, outcome.fit
     none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
+    if outcome.unexplained.flagged and best.members and not kept.members:
+        none_of_these = 1.0 - _BESIDE_UNKNOWN
     posterior = (1.0 - none_of_these) * decision.probability
     answered = {best.key, kept.key} if kept.members else {kept.key}
     shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))

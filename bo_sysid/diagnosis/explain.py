@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.law import learn, terms_of
 from bo_sysid.diagnosis.locate import Located
 from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rules import LOOSE
+from bo_sysid.diagnosis.rules import LOOSE, ROUGH
 from bo_sysid.diagnosis.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.timestep import coarsened
@@ -24,6 +24,7 @@ from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 
 _BETTER = 0.95  # of a forecast error: what is less is better
+_MOST_LEFT = 0.25  # of the squares that names leave, above which a law far off explains nothing
 _ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
 _WORDS = {
     "position": "where the joint is",
@@ -45,6 +46,7 @@ class Unexplained:
         site: name of the site.
         depends_on: what it depends on: position, speed, control, load, time, other_joint.
         learned: whether a learned law stands for it, if it is known what it depends on.
+        much: whether far more is left than a law at one joint explains.
     """
 
     share: float = 0.0
@@ -52,6 +54,7 @@ class Unexplained:
     site: str | None = None
     depends_on: tuple[str, ...] = ()
     learned: bool = True
+    much: bool = False
 
     @property
     def flagged(self) -> bool:
@@ -67,6 +70,16 @@ class Unexplained:
         text = f"Something acts on {where} that no known effect explains"
         if self.depends_on:
             text += f"; it depends on {' and '.join(_WORDS[d] for d in self.depends_on)}"
+        elif self.much:
+            text += (
+                ". No force law at one joint explains most of it: more effects may be missing at "
+                "once than were looked for (diagnosis: {most: …})"
+            )
+        else:
+            text += (
+                ". No force law of position, speed, command, load or time predicts it, as is so of "
+                "disturbances and of noise in recorded commands"
+            )
         stands = "A learned force law" if self.depends_on and self.learned else "Nothing"
         return (f"{text}. {stands} stands for it in the repaired model.",)
 
@@ -115,6 +128,8 @@ def explain(located: Located) -> Outcome:
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
             unexplained = replace(unexplained, depends_on=clue.depends_on)
+        if law is None:
+            unexplained = Unexplained(unexplained.share, "world", "world", (), much=True)
         if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
@@ -212,8 +227,12 @@ def _law_alone(
 
 def _learned(
     located: Located, fit: Fit, clues: Sequence[Clue], error: PredictionError | None
-) -> tuple[Hypothesis, Clue]:
-    """Return a fit's hypothesis with the law beside it that leaves least, at its time step."""
+) -> tuple[Hypothesis | None, Clue]:
+    """Return a fit's hypothesis with the law beside it that leaves least, at its time step.
+
+    None where that law leaves much, and most of what there was: where many things are missing, what
+    follows from all of them looks like a force of something at some joint.
+    """
     problem = located.prepared.problem
     tried = []
     for clue in clues:
@@ -223,6 +242,8 @@ def _learned(
         if rms**2 - 1.0 < _ENOUGH * fit.excess:
             break
     rms, law, clue = min(tried, key=itemgetter(0))
+    if rms > ROUGH and rms**2 - 1.0 > _MOST_LEFT * fit.excess and not in_contact(problem):
+        return None, clue
     return _stepped(located, law, rms, error), clue
 
 

@@ -200,12 +200,14 @@ def _negated(quantity: Quantity) -> Quantity:
 
 
 def spoken(site: Site) -> str:
-    """Return a site as it is said: "the elbow", "joint x"."""
+    """Return a site as it is said: "the elbow", "joint x", "joint7"."""
     name = site.name.replace("_", " ")
     if site.kind == "world":
         return "the machine"
     plain = len(name) > _SHORT and name.replace(" ", "").isalpha()
-    return f"the {name}" if plain else f"{site.kind} {site.name}"
+    if plain:
+        return f"the {name}"
+    return name if name.startswith(site.kind) else f"{site.kind} {site.name}"
 
 
 def amount(quantity: Quantity) -> str:

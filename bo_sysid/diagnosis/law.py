@@ -128,7 +128,8 @@ def _step(
     of_law, of_named = range(len(terms)), range(len(terms), A.shape[-1])
     penalty = np.full(A.shape[-1], _RIDGE)
     penalty[: len(terms)] = held.gain(of_law, of_named, _RIDGE)[1]
-    found = np.linalg.solve(held.G.sum(axis=0) + np.diag(penalty), held.b.sum(axis=0)) / scale
+    G, b = held.G.sum(axis=0), held.b[..., 0].sum(axis=0)
+    found = np.linalg.solve(G + np.diag(penalty), b) / scale
     steps = found[len(terms) :]
     x = [
         np.clip(z + steps[own], c.low, c.high)

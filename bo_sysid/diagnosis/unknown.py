@@ -34,6 +34,7 @@ _ALSO = 0.2  # of what a law leaves, that it must predict more to depend on some
 _AT_LEAST = 0.02  # the same, of what there was to predict
 _MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
 _WINDOWS = 40
+_DRAWS = 39  # of signs: chance exceeds the largest gain of them once in forty
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
         return Unknown(False, share)
     problem, best = _some(problem, best)
     linear = linearise(problem, best.hypothesis, best.start)
-    clues = sorted(_clues(linear, best), key=lambda c: -c.gain)
+    found, chance = _clues(linear, best)
+    clues = sorted(found, key=lambda c: -c.gain)
     most = clues[0].gain if clues else 0.0
     need = max(_GAIN, _RELATIVE * nominal.excess)
     if in_contact(problem):  # impacts leave something whatever the model
@@ -90,8 +92,8 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
         need = max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)
     else:
         loose = np.sqrt(best.excess) > _LOOSE and share > _LOOSE_SHARE
-    laws = _laws(linear, best, clues) if most > _GAIN else ()
-    return Unknown(bool(loose or most > need), share, laws)
+    laws = _laws(linear, best, clues) if most > max(_GAIN, chance) else ()
+    return Unknown(bool(loose or most > max(need, chance)), share, laws)
 
 
 def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
@@ -121,15 +123,20 @@ def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
     return tuple(kept)
 
 
-def _clues(linear: Linear, best: Fit) -> list[Clue]:
-    """Return what laws of one dependence each predict."""
-    found = []
+def _clues(linear: Linear, best: Fit) -> tuple[list[Clue], float]:
+    """Return what laws of one dependence each predict, and the most that one does by chance.
+
+    Noise in recorded commands and random disturbances leave much that no law predicts, and of many
+    laws one seems to.
+    """
+    found, by_chance, dof = [], np.zeros(_DRAWS), linear.problem.dof
     for joint in linear.problem.machine.names("joint"):
-        held, own, named = _regression(linear, best, joint)
+        held, own, named = _regression(linear, best, joint, _DRAWS)
         for dependence, columns in own.items():
             gain = held.gain(columns, named)[0]
-            found.append(Clue(joint, (dependence,), gain / linear.problem.dof))
-    return found
+            found.append(Clue(joint, (dependence,), gain / dof))
+            by_chance = np.maximum(by_chance, held.chance(columns, named) / dof)
+    return found, float(by_chance.max())
 
 
 def _laws(linear: Linear, best: Fit, clues: Sequence[Clue]) -> tuple[Clue, ...]:
@@ -161,7 +168,7 @@ def _widened(linear: Linear, best: Fit, clue: Clue) -> Clue:
 
 
 def _regression(
-    linear: Linear, best: Fit, joint: str
+    linear: Linear, best: Fit, joint: str, draws: int = 0
 ) -> tuple[LeftOut, dict[str, list[int]], list[int]]:
     """Return the regression on all laws at a joint, and the columns of each and of the names."""
     terms = features(joint, linear.problem.machine)
@@ -169,7 +176,7 @@ def _regression(
     own: dict[str, list[int]] = {}
     for k, t in enumerate(terms):
         own.setdefault(t.depends_on, []).append(k)
-    held = LeftOut.of(A, project(linear.Q, best.residual), linear.problem.block)
+    held = LeftOut.of(A, project(linear.Q, best.residual), linear.problem.block, draws)
     return held, own, list(range(len(terms), A.shape[-1]))
 
 

@@ -29,7 +29,7 @@ def checked_text(found: Checked) -> str:
         shown = found.parameters.rename(
             columns={"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
         )
-        parts += ["", "What these recordings can say at best:", table(shown)]
+        parts += ["", "What these recordings can say at best, of the model as it is:", table(shown)]
     for level in ("note", "look", "wrong"):
         flags = [f for f in found.flags if f.level == level]
         if flags:
