@@ -140,6 +140,8 @@ def _rivals(decision: Decision) -> tuple[Fit, ...]:
 def _about_unknown(unexplained: Unexplained) -> Experiment:
     where = "the machine" if unexplained.kind == "world" else f"the {unexplained.site}"
     ways = [_VARY[d] for d in unexplained.depends_on] or ["vary one thing at a time"]
+    if unexplained.much:
+        ways = ["move one joint at a time, slowly and fast", "do so with a known weight added"]
     text = f"To learn what acts on {where}: {'; '.join(ways)}."
     return Experiment(text, (), 0.0, None)
 
