@@ -80,8 +80,10 @@ class Unexplained:
                 ". No force law of position, speed, command, load or time predicts it, as is so of "
                 "disturbances and of noise in recorded commands"
             )
-        stands = "A learned force law" if self.depends_on and self.learned else "Nothing"
-        return (f"{text}. {stands} stands for it in the repaired model.",)
+        stands = "Nothing stands for it"
+        if self.learned and (self.depends_on or self.much):
+            stands = f"A learned force law stands for {'a part of ' if self.much else ''}it"
+        return (f"{text}. {stands} in the repaired model.",)
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,7 @@ def explain(located: Located) -> Outcome:
         law = alone
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
-            unexplained = replace(unexplained, depends_on=clue.depends_on)
-        if law is None:
-            unexplained = Unexplained(unexplained.share, "world", "world", (), much=True)
+            unexplained = _said(replace(unknown, clues=(clue,)))
         if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
@@ -227,11 +227,11 @@ def _law_alone(
 
 def _learned(
     located: Located, fit: Fit, clues: Sequence[Clue], error: PredictionError | None
-) -> tuple[Hypothesis | None, Clue]:
+) -> tuple[Hypothesis, Clue]:
     """Return a fit's hypothesis with the law beside it that leaves least, at its time step.
 
-    None where that law leaves much, and most of what there was: where many things are missing, what
-    follows from all of them looks like a force of something at some joint.
+    A law that leaves much, and not only a little of what there was, tells nothing: where many
+    things are missing, what follows from all of them looks like a force of something at some joint.
     """
     problem = located.prepared.problem
     tried = []
@@ -242,8 +242,9 @@ def _learned(
         if rms**2 - 1.0 < _ENOUGH * fit.excess:
             break
     rms, law, clue = min(tried, key=itemgetter(0))
-    if rms > ROUGH and rms**2 - 1.0 > _MOST_LEFT * fit.excess and not in_contact(problem):
-        return None, clue
+    much = rms > ROUGH and rms**2 - 1.0 > _MOST_LEFT * fit.excess
+    if much and len(problem.machine.joints) > 1 and not in_contact(problem):
+        clue = replace(clue, tells=False)
     return _stepped(located, law, rms, error), clue
 
 
@@ -296,6 +297,8 @@ def _said(unknown: Unknown) -> Unexplained:
         return Unexplained(unknown.share)
     if unknown.law is None:
         return Unexplained(unknown.share, "world", "world", ())
+    if not unknown.law.tells:
+        return Unexplained(unknown.share, "world", "world", (), much=True)
     return Unexplained(unknown.share, "joint", unknown.law.joint, unknown.law.depends_on)
 
 

@@ -45,11 +45,13 @@ class Clue:
         joint: name of the joint.
         depends_on: what the law depends on.
         gain: cross-validated gain of squared residual per degree of freedom.
+        tells: whether it explains enough to say where something acts, and on what that depends.
     """
 
     joint: str
     depends_on: tuple[str, ...]
     gain: float
+    tells: bool = True
 
 
 @dataclass(frozen=True)
