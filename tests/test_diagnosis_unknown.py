@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
+from bo_sysid.diagnosis import explain as explaining
 from bo_sysid.diagnosis.along import smoothed
 from bo_sysid.diagnosis.decide import Decision
 from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.explain import Unexplained, _better, _placed, _refuted
+from bo_sysid.diagnosis.explain import Unexplained, _better, _learned, _placed, _refuted, _said
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.law import law_candidate, learn, terms_of
 from bo_sysid.diagnosis.left_out import RIDGES, LeftOut
@@ -21,7 +22,7 @@ from bo_sysid.diagnosis.prediction_error import PredictionError
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.signatures import response_to_forces
-from bo_sysid.diagnosis.unknown import Clue, examine, needed_beside
+from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects.learned import learned_force
 from bo_sysid.mjcf.touching import touching
@@ -289,3 +290,18 @@ def test_what_no_law_predicts_sits_where_everything_else_was_found(magnet, site,
     found = _placed(located, Unexplained(0.5, "world", "world"))
     assert found.site == where
     assert "Nothing stands for it" in found.sentences[0]
+
+
+@pytest.mark.parametrize(("left", "tells"), [(2.9, True), (4.0, True), (6.0, False)])
+def test_a_law_that_leaves_most_tells_no_joint(magnet, monkeypatch, left, tells) -> None:
+    """Of 10 sigma; what leaves a quarter of the squares, or little, is told."""
+    ready, nominal = magnet
+    far = replace(left_over(nominal, 10.0), hypothesis=nominal.hypothesis)
+    monkeypatch.setattr(explaining, "learn", lambda *_: (nominal.hypothesis, None, left))
+    made = make_evidence(arm(), ready.problem.recordings, effects=[], threads=1)
+    located = Located(settled(far), ready, Search.on(ready, [], 1, None), made)
+    _, clue = _learned(located, far, (AT_ELBOW,), None)
+    assert clue.tells is tells
+    said = _said(Unknown(True, 1.0, (clue,)))
+    assert (said.site, said.depends_on) == (("elbow", ("position",)) if tells else ("world", ()))
+    assert said.much is not tells
