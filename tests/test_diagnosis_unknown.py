@@ -161,9 +161,12 @@ def test_chance_is_the_gain_of_what_has_no_sign() -> None:
     acts, none = (
         LeftOut.of(A, y + rng.normal(size=y.shape), block, draws=39) for y in (force, turned)
     )
-    assert acts.chance([0, 1], [2]).shape == (39,)
-    assert acts.gain([0, 1], [2])[0] > 2 * acts.chance([0, 1], [2]).max()
-    assert none.gain([0, 1], [2])[0] < none.chance([0, 1], [2]).max()
+    gain, by_chance = acts.against_chance([0, 1], [2])
+    assert by_chance.shape == (39,)
+    assert gain == pytest.approx(acts.gain([0, 1], [2])[0])
+    assert gain > 2 * by_chance.max()
+    gain, by_chance = none.against_chance([0, 1], [2])
+    assert gain < by_chance.max()
 
 
 def test_noise_in_the_recorded_commands_is_no_law() -> None:

@@ -65,13 +65,16 @@ class LeftOut:
         best = int(gains.argmax())
         return float(gains[best]), RIDGES[best]
 
-    def chance(self, law: Sequence[int], named: Sequence[int]) -> Float[np.ndarray, " draws"]:
-        """Return the same gain for each draw of signs: what a law gains where there is none.
+    def against_chance(
+        self, law: Sequence[int], named: Sequence[int]
+    ) -> tuple[float, Float[np.ndarray, " draws"]]:
+        """Return the same gain, and that of each draw of signs: what a law gains by chance.
 
         A force that follows a law pushes alike wherever the law says so; disturbances, and noise in
         recorded commands, do not know the sign of a window.
         """
-        return np.asarray(self._gains(law, named, np.inf)[:, 1:].max(axis=0))
+        gains = self._gains(law, named, np.inf).max(axis=0)
+        return float(gains[0]), gains[1:]
 
     def _gains(
         self, law: Sequence[int], named: Sequence[int], ridge_of_named: float

@@ -135,9 +135,9 @@ def _clues(linear: Linear, best: Fit) -> tuple[list[Clue], float]:
     for joint in linear.problem.machine.names("joint"):
         held, own, named = _regression(linear, best, joint, _DRAWS)
         for dependence, columns in own.items():
-            gain = held.gain(columns, named)[0]
+            gain, of_draws = held.against_chance(columns, named)
             found.append(Clue(joint, (dependence,), gain / dof))
-            by_chance = np.maximum(by_chance, held.chance(columns, named) / dof)
+            by_chance = np.maximum(by_chance, of_draws / dof)
     return found, float(by_chance.max())
 
 
