@@ -6,14 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 import yaml
-from diagnosis_helpers import ARM, NAMES, SIGMA, arm, posed, record
+from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.evidence import make_evidence
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hints import holding
-from bo_sysid.diagnosis.hypothesis import candidates
+from bo_sysid.diagnosis.hypothesis import beside, candidates, parameter_candidates
 from bo_sysid.diagnosis.locate import locate
 from bo_sysid.diagnosis.moves import explore
 from bo_sysid.diagnosis.rules import clean
@@ -21,6 +21,7 @@ from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, sharpened, with_shapes_unsure
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
+from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
@@ -201,3 +202,45 @@ def test_the_repaired_study_goes_on_with_friction_that_bends(tmp_path: Path) -> 
     assert parameter.low < 0.1 < parameter.high
     assert set(parameter.address) == {f"actuator[shoulder_friction].biasprm[{k}]" for k in (3, 4)}
     assert check(repaired).parameters.nominal.iloc[0] == pytest.approx(0.1, rel=0.02)
+
+
+def fitted_beside(parameters: list[Parameter], missing: list[float], finer: int = 16) -> Fit:
+    """The best set on recordings of an arm whose shoulder rubs, beside parameters of a study."""
+    recording = record([("dry_friction", "joint", "shoulder", missing)], duration=5.0, finer=finer)
+    chosen = [CATALOGUE[n] for n in NAMES]
+    made = make_evidence(
+        arm(), [recording], effects=chosen, parameters=parameters, noise={"qpos": SIGMA}, threads=1
+    )
+    return locate(made).decision.best
+
+
+def frictions(*joints: str) -> list[Parameter]:
+    return [Parameter(j, (f"joint[{j}].frictionloss",), 0.0, 1.0) for j in joints]
+
+
+def test_friction_that_bends_is_found_where_the_study_fits_friction_that_does_not() -> None:
+    best = fitted_beside(frictions("shoulder", "elbow"), [0.1, 1.0, 8e-4])
+    assert [c.key for c in best.members] == [("dry_friction", "shoulder")]
+    assert clean(best)
+    assert best.x[0][0] == pytest.approx(0.1, rel=0.02)
+    assert best.members[0].shapes[-1] == pytest.approx(8e-4, rel=0.3)
+    (elbow,) = best.hypothesis.nuisances  # the shoulder's friction is all in the member
+    assert elbow.site.name == "elbow"
+
+
+def test_friction_that_does_not_bend_stays_a_parameter() -> None:
+    best = fitted_beside(frictions("shoulder"), [0.1, 0.0, 0.0], finer=4)
+    assert not best.members
+    assert best.hypothesis.nuisance_x[0][0] == pytest.approx(0.1, rel=0.02)
+
+
+def test_a_parameter_of_other_joints_too_stays_beside_friction() -> None:
+    tied = Parameter("both", ("joint[*].frictionloss",), 0.0, 1.0)
+    damping = Parameter("damping", ("joint[elbow].damping",), 0.0, 1.0)
+    held = parameter_candidates(arm(), [tied, damping, *frictions("elbow")])
+    machine = survey(arm().compile(), [record([], duration=1.0)])
+    shoulder, elbow = (candidate(machine, "dry_friction", site) for site in ("shoulder", "elbow"))
+    assert beside(held, []) == held
+    assert beside(held, [shoulder]) == held
+    assert beside(held, [elbow]) == held[:2]
+    assert beside(held, [shoulder, elbow]) == held[1:2]

@@ -12,6 +12,7 @@ from diagnosis_helpers import ARM, arm, record
 from bo_sysid.diagnosis.findings import Finding, Quantity
 from bo_sysid.diagnosis.repaired import MODEL, Written
 from bo_sysid.diagnosis.repaired_study import study_text
+from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.mjcf import Address, parameter_edits
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
@@ -219,3 +220,30 @@ def test_what_was_written_says_that_it_steps_finer() -> None:
     assert Written((), {}, (0.001, 0.001)).notes == ()
     (note,) = Written((), {"arm_play": "arm"}, (0.001, 0.001)).notes
     assert note.startswith("arm_play is a joint of model_repaired.xml that nothing measures")
+
+
+def test_a_parameter_gives_way_to_bristles_that_stand_for_its_friction(tmp_path: Path) -> None:
+    level, both = (0.1, 1.0, 8e-4), ["joint[shoulder].frictionloss", "joint[elbow].frictionloss"]
+    found = Finding(
+        "dry_friction", "joint", "elbow", Quantity(0.1, "N m", (0.09, 0.11)), 0.0, 0.1,
+        {}, None, 0.98, (), "", level,
+    )  # fmt: skip
+    recorded = record(duration=1.0)
+    write_recording(recorded, tmp_path / "train.parquet")
+    content = {
+        "version": 1, "name": "arm", "model": str(ARM), "recordings": {"train": ["train.parquet"]},
+        "parameters": [
+            {"address": both, "low": 0.0, "high": 1.0},
+            {"address": "joint[elbow].damping", "low": 0.0, "high": 1.0},
+        ],
+    }  # fmt: skip
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(content))
+    machine = survey(arm().compile(), [recorded])
+    bend = CATALOGUE["dry_friction"].apply
+    edits = [lambda spec: bend(spec, Site("joint", "elbow"), np.array(level), machine)]
+    arm().export(tmp_path / MODEL, edits)
+    study, written = Study.load(tmp_path / "study.yaml"), Written((), {})
+    (tmp_path / "repaired.yaml").write_text(study_text(study, [found], tmp_path, written))
+    named = [p.address for p in Study.load(tmp_path / "repaired.yaml").parameters]
+    bristles = tuple(f"actuator[elbow_friction].biasprm[{k}]" for k in (3, 4))
+    assert named == [("joint[shoulder].frictionloss",), ("joint[elbow].damping",), bristles]

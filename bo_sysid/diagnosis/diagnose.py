@@ -19,7 +19,13 @@ from bo_sysid.diagnosis.locate import Located, locate
 from bo_sysid.diagnosis.missing_force import missing_force
 from bo_sysid.diagnosis.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.repaired_study import study_text
-from bo_sysid.diagnosis.sentences import doubts, found_sentences, parameters_sentence, rivals
+from bo_sysid.diagnosis.sentences import (
+    doubts,
+    found_sentences,
+    parameters_sentence,
+    rivals,
+    stood_in_sentence,
+)
 from bo_sysid.diagnosis.tables import bent_pose, sets
 from bo_sysid.diagnosis.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
@@ -105,7 +111,8 @@ class Diagnosis:
             once = ", once its parameters are fitted" if fitted else ""
             said = [f"Nothing that these recordings could show is missing from the model{once}."]
         said += rivals(self.located.decision, self.evidence.machine)
-        said += [fitted] if fitted else []
+        instead = stood_in_sentence(self.evidence.nuisances, self.outcome.fit)
+        said += [words for words in (fitted, instead) if words]
         said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
             said.append("The machine is in contact, where names are hints and not yet findings.")

@@ -191,6 +191,8 @@ def sentence(
             size = size.removeprefix("+")
         more = {name: amount(q) for name, q in details.items()}
         text = text.format_map({**more, "site": site, "value": size, "interval": ""})
+    if candidate.bent and (bend := details.get(candidate.effect.components[-1].name)):
+        text += f" It gives way by {amount(bend)} before it slips."
     return text[0].upper() + text[1:]
 
 

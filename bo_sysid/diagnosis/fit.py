@@ -68,10 +68,7 @@ class Fit:
     @property
     def size(self) -> int:
         """Number of effects, a group counted as one and a refinement as two."""
-        units = {
-            (g or i): c for i, (c, g) in enumerate(zip(self.members, self.groups, strict=True))
-        }
-        return sum(c.effect.weight for c in units.values())
+        return size_of(self.members, self.groups)
 
     @property
     def key(self) -> frozenset[tuple[object, ...]]:
@@ -101,6 +98,12 @@ class Fit:
     def rss(self) -> float:
         """Sum of the squared projected residuals."""
         return float(self.cost.sum())
+
+
+def size_of(members: Sequence[Candidate], groups: Sequence[str | None]) -> int:
+    """Return as how many effects a set counts: a group as one and a refinement as two."""
+    units = {(g or i): c for i, (c, g) in enumerate(zip(members, groups, strict=True))}
+    return sum(c.effect.weight for c in units.values())
 
 
 def set_key(members: Sequence[Candidate]) -> frozenset[tuple[object, ...]]:

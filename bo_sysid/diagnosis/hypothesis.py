@@ -11,10 +11,12 @@ from jaxtyping import Float
 from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable, extent_at
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.mjcf import Edit, Model, address_edit, nominal
+from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
 
 _AT_BOUND = 1e-6  # of a parameter's range, within which it is at its end
 _EXACT = 1e-6  # how far the magnitude of a discrete effect may lie from 1
+_DRY = "dry_friction"
 PARAMETER = "parameter"  # id of the pseudo-effects that stand for the study's parameters
 
 
@@ -28,6 +30,7 @@ class Candidate:
         extent: its bounds and probe there.
         point: the full magnitudes at which its signature is taken; the shapes are held here.
         secant: whether the signature is simulated there, because linearity does not reach so far.
+        rubs: joints whose dry friction it is, where it stands for a parameter of the study.
         low: least values of the magnitudes that are fitted.
         high: their largest values.
         probe: magnitudes that move the predictions measurably.
@@ -38,6 +41,7 @@ class Candidate:
     extent: Extent
     point: Float[np.ndarray, " k"]
     secant: bool = False
+    rubs: tuple[str, ...] = ()
     low: Float[np.ndarray, " l"] = field(init=False)
     high: Float[np.ndarray, " l"] = field(init=False)
     probe: Float[np.ndarray, " l"] = field(init=False)
@@ -83,6 +87,11 @@ class Candidate:
     def straight(self) -> "Candidate":
         """The same friction, which does not bend."""
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
+
+    @property
+    def rubbing(self) -> bool:
+        """Whether it is all dry friction of its joint, or holds that."""
+        return _DRY in (self.effect.id, self.effect.nested)
 
     @property
     def points(self) -> list[Float[np.ndarray, " l"]]:
@@ -186,8 +195,20 @@ def parameter_candidates(model: Model, parameters: Sequence[Parameter]) -> tuple
     return tuple(_parameter(model, p) for p in parameters)
 
 
+def beside(parameters: Sequence[Candidate], members: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Return the parameters that are fitted beside some members.
+
+    Friction that is a member is all there is at its joint: a parameter that is no more than the
+    friction of such joints stays as in the model.
+    """
+    rubbing = {c.site.name for c in members if c.rubbing}
+    return tuple(p for p in parameters if not (p.rubs and rubbing.issuperset(p.rubs)))
+
+
 def _parameter(model: Model, p: Parameter) -> Candidate:
-    own = nominal(model, p)
+    own, targets = nominal(model, p), [t for a in p.addresses for t in resolve(model, a)]
+    dry = all((t.kind, t.name) == ("joint", "frictionloss") for t in targets)
+    rubs = tuple(t.element for t in targets) if dry else ()
 
     def apply(
         spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
@@ -202,7 +223,7 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
         extent=lambda s, m: extent, noun=p.name, sentence="", evidence="", separation="",
         nominal=lambda s, m: own,
     )  # fmt: skip
-    return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe))
+    return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe), rubs=rubs)
 
 
 def _made(

@@ -158,7 +158,11 @@ def stripped(search: Search) -> None:
 
 def rubbing(fit: Fit, *, bent: bool = False) -> bool:
     """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
-    return any(c.bent if bent else c.bendable for c in fit.members)
+    if bent:
+        return any(c.bent for c in fit.members)
+    h = fit.hypothesis
+    fitted = zip(h.nuisances, h.nuisance_x, strict=True)
+    return any(c.bendable for c in fit.members) or any(p.rubs and x[0] > 0 for p, x in fitted)
 
 
 def eliminate(search: Search) -> None:

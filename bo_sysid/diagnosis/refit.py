@@ -6,14 +6,14 @@ response to the start, accepted window by window.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, assess
 from bo_sysid.diagnosis.fitted_starts import held_joints
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, slices_of
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, beside, slices_of
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.rules import ROUGH
@@ -66,18 +66,20 @@ class _Space:
 
     @classmethod
     def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
-        held = (*members, *problem.nuisances)
+        nuisances = beside(problem.nuisances, members)
+        held = (*members, *nuisances)
         numerics = problem.correction is not None
         extra = ([SHARE_BOUNDS[0]], [SHARE_BOUNDS[1]], [1.0]) if numerics else ([], [], [])
         low, high, probe = (
             np.concatenate([*(getattr(c, name) for c in held), np.array(tail, float)])
             for name, tail in zip(("low", "high", "probe"), extra, strict=True)
         )
-        return cls(tuple(members), problem.nuisances, numerics, low, high, probe)
+        return cls(tuple(members), nuisances, numerics, low, high, probe)
 
     def vector(self, x: Sequence[np.ndarray], guess: Hypothesis) -> Float[np.ndarray, " p"]:
         tail = np.array([guess.numerics] if self.numerics else [], float)
-        nuisance = guess.nuisance_x or tuple(np.zeros(c.size) for c in self.nuisances)
+        known = dict(zip(guess.nuisances, guess.nuisance_x, strict=True))
+        nuisance = (known.get(c, np.zeros(c.size)) for c in self.nuisances)
         return np.asarray(np.clip(np.concatenate([*x, *nuisance, tail]), self.low, self.high))
 
     def hypothesis(self, theta: Float[np.ndarray, " p"]) -> Hypothesis:
@@ -112,8 +114,8 @@ def refit(
         effort: how hard to fit.
     """
     problem, effort = frame.problem, effort or Effort()
-    space = _Space.of(problem, members)
-    theta = space.vector(x, guess or frame.hypothesis)
+    space, guess = _Space.of(problem, members), guess or frame.hypothesis
+    theta = space.vector(_with_parameters(problem, space, x, guess), guess)
     first, r = first_start(problem, space.hypothesis(theta), start or frame.start)
     begin, r = settle(problem, frame, space.hypothesis(theta), first, 2, r=r)
     point = _Point(theta, begin, r, project(frame.Q, r))
@@ -127,6 +129,23 @@ def refit(
     labels = groups if groups is not None else (None,) * len(members)
     hypothesis = space.hypothesis(point.theta)
     return assess(problem, frame.Q, hypothesis, labels, point.start, point.r, S)
+
+
+def _with_parameters(
+    problem: Problem, space: _Space, x: Sequence[Float[np.ndarray, " _"]], guess: Hypothesis
+) -> list[Float[np.ndarray, " _"]]:
+    """Return first magnitudes in which members have the friction of parameters that give way."""
+    out = [p for p in guess.nuisances if p not in space.nuisances]
+    if not out:
+        return list(x)
+    model, _ = problem.compiled(replace(guess, members=(), x=()))
+    begun, held = [v.copy() for v in x], {joint for p in out for joint in p.rubs}
+    for c, v in zip(space.members, begun, strict=True):
+        if c.rubbing and c.site.name in held:
+            own = problem.machine.model.joint(c.site.name).frictionloss[0]
+            # an effect that contains a simpler one has its magnitudes last
+            v[1 if c.effect.nested else 0] += model.joint(c.site.name).frictionloss[0] - own
+    return begun
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def study_text(
     What was written beside the model is named, after what stood beside the model before, and the
     joints that were added, which nothing measures. Where the study has a parameter at a finding's
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
-    finding's leaves it.
+    finding's leaves it. One that was the friction of a joint goes, where bristles stand for that.
     """
     data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
@@ -68,12 +68,34 @@ def study_text(
         data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
     model = Model.from_file(folder / MODEL)
     absent = []
+    _release(model, data, [f"joint[{f.site}].frictionloss" for f in found if _bristles(f)])
     for f in found:
         for made in (parameters := _parameters(model, f)):
             if not _taken(model, data.get("parameters", ()), made):
                 data.setdefault("parameters", []).append(made)
         absent += [] if parameters else [_absent(f)]
     return "".join(absent) + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def _bristles(finding: Finding) -> bool:
+    """Whether a finding is friction that bristles stand for, in the place of `frictionloss`."""
+    bent = finding.effect == "dry_friction" and any(finding.x[BEND:])
+    return bent or finding.effect == "stribeck_friction"
+
+
+def _release(model: Model, data: dict[str, Any], addresses: Sequence[str]) -> None:
+    """Take addresses out of a study's parameters, and parameters that are of no others."""
+    kept, out = [], set(_named(model, addresses))
+    for p in data.get("parameters", ()):
+        named = _named(model, _list(p["address"]))
+        others = [a for a in named if a not in out]
+        if others and len(others) < len(named):
+            p["address"] = others[0] if len(others) == 1 else others
+        kept += [p] if others else []
+    if kept:
+        data["parameters"] = kept
+    else:
+        data.pop("parameters", None)
 
 
 def _absent(finding: Finding) -> str:
@@ -84,7 +106,7 @@ def _absent(finding: Finding) -> str:
 
 def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
     """Return what a finding is in the repaired model; nothing where it is no number of it."""
-    if finding.effect == "dry_friction" and any(finding.x[BEND:]):
+    if finding.effect == "dry_friction" and _bristles(finding):
         own = _named(model, [a.format(site=finding.site) for a in _BRISTLES])
         return [_parameter(finding, "", own)]
     places = _ADDRESSES.get(finding.effect, {})

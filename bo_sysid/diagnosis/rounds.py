@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.refit import FINAL, Effort
 from bo_sysid.diagnosis.rules import CLEAN, MARGIN, ROUGH, SHARE, clean
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.stand_ins import stand_in
 from bo_sysid.diagnosis.subsets import Scored
 from bo_sysid.mjcf.touching import can_touch
 
@@ -37,6 +38,7 @@ def round_at(search: Search, base: Fit) -> None:
     if not clean(base):
         vary(search, base)
         enrich(search, base)
+        stand_in(search, base)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -60,6 +62,7 @@ def _first(search: Search, screen: Screen) -> None:
     if not clean(search.best):
         vary(search, search.best)
         enrich(search, search.best)
+        stand_in(search, search.best)
     for size in (1, 2, 3):
         if search.least**2 - 1 <= CLEAN:
             return

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate
+from bo_sysid.diagnosis.hypothesis import Candidate, beside
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.signatures import signatures
@@ -27,6 +27,8 @@ class Screen:
         owner: number of the candidate of each column, negative for nuisances.
         G: inner products of the columns.
         b: inner products with the fit's residual.
+        parameters: of the study.
+        nuisances: those of them that the fit has.
     """
 
     candidates: tuple[Candidate, ...]
@@ -34,6 +36,8 @@ class Screen:
     owner: Int[np.ndarray, " a"]
     G: Float[np.ndarray, "a a"]
     b: Float[np.ndarray, " a"]
+    parameters: tuple[Candidate, ...]
+    nuisances: tuple[Candidate, ...]
 
     @classmethod
     def at(cls, fit: Fit, frame: Linear, candidates: Sequence[Candidate]) -> "Screen":
@@ -43,8 +47,8 @@ class Screen:
         takes nothing over. Joints that are not in the fit are not added to one that leaves
         nothing: each has to be simulated.
         """
-        problem = frame.problem
-        held = [*candidates, *problem.nuisances]
+        problem, nuisances = frame.problem, fit.hypothesis.nuisances
+        held = [*candidates, *nuisances]
         owner = np.repeat(np.arange(len(held)), [c.size for c in held])
         joints = [c for c in candidates if c.effect.hidden and c not in fit.members]
         corrected = problem.correction is not None
@@ -58,7 +62,7 @@ class Screen:
         A = S.reshape(-1, S.shape[-1])
         y = project(frame.Q, fit.residual).astype(np.float32)
         G, b = (A.T @ A).astype(float), (A.T @ y.ravel()).astype(float)
-        return cls(tuple(candidates), S, owner, G, b)
+        return cls(tuple(candidates), S, owner, G, b, problem.nuisances, nuisances)
 
     def gram(self, fixed: Sequence[int], now: dict[int, np.ndarray]) -> Gram:
         """Return the table that sets are scored from; see `subsets.gram`."""
@@ -74,9 +78,11 @@ class Screen:
         return replace(self, b=b)
 
     def jacobian(self, members: Sequence[Candidate]) -> Float[np.ndarray, "W R p"] | None:
-        """Return the columns of members and nuisances, None where a member is not among them."""
+        """Return the columns of members and nuisances, None where one is not among them."""
         known = {id(c) for c in self.candidates}
         if any(id(c) not in known for c in members):
+            return None
+        if beside(self.parameters, members) != self.nuisances:
             return None
         own = [self._columns(c) for c in members]
         if any(

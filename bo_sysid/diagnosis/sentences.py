@@ -56,6 +56,15 @@ def parameters_sentence(parameters: pd.DataFrame) -> str:
     return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
 
 
+def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
+    """Return which of the study's parameters a fit does without, in words; empty if none."""
+    out = [p.site.name for p in parameters if p not in fit.hypothesis.nuisances]
+    if not out:
+        return ""
+    verb = "was" if len(out) == 1 else "were"
+    return f"{', '.join(out)} {verb} not fitted: the friction that was found stands there instead."
+
+
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
     best, said = decision.best, dict[str, list[str]]()
