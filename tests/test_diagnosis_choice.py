@@ -34,7 +34,7 @@ from bo_sysid.diagnosis.moves import fit_some
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.sentences import doubts, rivals
-from bo_sysid.diagnosis.shapes import sharpened
+from bo_sysid.diagnosis.sharpen import sharpened
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.rules import ROUGH, clean, follows, lost
 from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.shapes import sharpened
+from bo_sysid.diagnosis.sharpen import sharpened
 from bo_sysid.diagnosis.window_lengths import LEAST, stable, telling, tractable, windows_of
 from bo_sysid.diagnosis.windowing import Prepared, in_contact, prepare
 from bo_sysid.mjcf.touching import can_touch
@@ -143,14 +143,28 @@ def _short_enough(
 def _explored(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Search, float]:
-    """Explore; once more with a finer step where friction leaves what may be its bend."""
+    """Explore, with a finer step where friction leaves what may be its bend.
+
+    At once where it is a set from shorter windows that does, else once more.
+    """
+    if search.best.members:
+        search, step = _finer(evidence, search, search.best, length, step)
     leader = explore(search, rounds)
+    made, finer = _finer(evidence, search, leader, length, step)
+    if made is not search:
+        explore(made, rounds)
+    return made, finer
+
+
+def _finer(
+    evidence: Evidence, search: Search, leader: Fit, length: int, step: float
+) -> tuple[Search, float]:
+    """Carry the best sets to a finer step where that tells how friction bends."""
     finer = _step_for(search, leader, step)
-    if finer < step and _bends(leader) and not clean(leader):
-        prepared = prepare(windows_of(evidence, length, finer), leader.hypothesis)
-        search, step = carried(search, prepared, _CARRIED), finer
-        explore(search, rounds)
-    return search, step
+    if finer == step or not _bends(leader) or clean(leader):
+        return search, step
+    prepared = prepare(windows_of(evidence, length, finer), leader.hypothesis)
+    return carried(search, prepared, _CARRIED), finer
 
 
 def _step_for(search: Search, leader: Fit, step: float) -> float:

@@ -63,8 +63,8 @@ def write_model(
     """
     edits, parts = edits_and_parts(hypothesis, machine, written=True)
     share = timestep / finer_step(hypothesis.numerics) / machine.model.opt.timestep
-    if share != 1:
-        edits.append(lambda spec: _scale_step(spec, share))
+    if share != 1:  # first, since effects ask what a step resolves
+        edits.insert(0, lambda spec: _scale_step(spec, share))
     model.export(folder / MODEL, edits)
     mujoco.MjModel.from_xml_path(str(folder / MODEL))
     beside = _beside(model, machine, hypothesis)

@@ -13,10 +13,12 @@ from bo_sysid.diagnosis import subsets
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.groups import alone, subset, units_of, with_group
 from bo_sysid.diagnosis.hypothesis import Candidate, slices_of
-from bo_sysid.diagnosis.refit import FINAL, Effort
+from bo_sysid.diagnosis.linear import linearise
+from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.rules import CLEAN, MARGIN, ROUGH, SHARE, clean
 from bo_sysid.diagnosis.screen import Screen
 from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.shapes import reshaped
 from bo_sysid.diagnosis.stand_ins import stand_in
 from bo_sysid.diagnosis.subsets import Scored
 from bo_sysid.mjcf.touching import can_touch
@@ -29,6 +31,7 @@ _ROUGHLY = 0.01  # the same where the fit is far from the recordings
 _FEWER = 0.9  # of a member's gain, from which one with fewer magnitudes is tried for it
 _SUBSTITUTES, _GROUP_SUBSTITUTES = 5, 2  # fitted in the place of one effect, of a large group
 _PAIR = 2  # members of a group up to which each is exchanged by itself
+_PROMISING = 1.5  # times the least that is left, up to which a bend is fitted
 _NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
 
 
@@ -36,9 +39,7 @@ def round_at(search: Search, base: Fit) -> None:
     """Linearise at a fit and try what could be added to it, exchanged or left out."""
     simplify(search, base)
     if not clean(base):
-        vary(search, base)
-        enrich(search, base)
-        stand_in(search, base)
+        _reshape(search, base)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -60,9 +61,7 @@ def _first(search: Search, screen: Screen) -> None:
     found = subsets.search(screen.gram((), {}), search.most, subsets.groups(search.candidates))
     _run(search, alone(found.get(1, [])), _TOP[1], None)
     if not clean(search.best):
-        vary(search, search.best)
-        enrich(search, search.best)
-        stand_in(search, search.best)
+        _reshape(search, search.best)
     for size in (1, 2, 3):
         if search.least**2 - 1 <= CLEAN:
             return
@@ -201,6 +200,38 @@ def _run(
             again=again,
             effort=effort,
         )
+
+
+def _reshape(search: Search, base: Fit) -> None:
+    """Fit a set with other shapes of its friction; the nearest that bends between grid points.
+
+    A grid is coarse: what a bend leaves that is half as large again looks like a compliance, and
+    every joint has a bend of its own.
+    """
+    vary(search, base)
+    enrich(search, base)
+    stand_in(search, base)
+    for f in _bent(search):
+        if clean(search.best):
+            return
+        effort, there = (
+            Effort(rival=search.least),
+            linearise(search.prepared.problem, f.hypothesis, f.start),
+        )
+        begun = refit(
+            there, f.members, f.x, groups=f.groups, start=f.start, guess=f.hypothesis,
+            effort=effort,
+        )  # fmt: skip
+        search.listed(reshaped(there, begun, effort, friction_alone=True))
+
+
+def _bent(search: Search) -> list[Fit]:
+    """Return the nearest set with friction that bends, after the nearest with fewer magnitudes."""
+    bent = [f for f in search.fits.values() if any(c.bent for c in f.members)]
+    near = sorted((f for f in bent if f.rms < _PROMISING * search.least), key=lambda f: f.rms)
+    count = [sum(c.size for c in f.members) for f in near]
+    fewer = [f for f, n in zip(near, count, strict=True) if n < count[0]]
+    return [*fewer[:1], *near[:1]]
 
 
 def vary(search: Search, base: Fit) -> None:

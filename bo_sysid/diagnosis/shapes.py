@@ -10,59 +10,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit, by_block, sandwich
-from bo_sysid.diagnosis.groups import subset
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.linear import Linear, project
 from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.refit import FINAL, refit
-from bo_sysid.diagnosis.rounds import enrich, vary
-from bo_sysid.diagnosis.search import Search
+from bo_sysid.diagnosis.refit import FINAL, Effort, refit
 from bo_sysid.effects import Machine
 
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
 _BENT = 1.8  # times a bend of bristles that is fitted
 _SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
-_SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of that range that is told apart
-_SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
-_UNIFORM = 12.0  # the square of a range over the variance of what is uniform in it
+UNIFORM = 12.0
+"""The square of a range over the variance of what is uniform in it."""
+
 _PROBE = 0.03  # of the range of a shape, for its column
 _RESHAPINGS, _WORTH = 3, 1e-3  # steps on the shapes; share of the squares one must gain
 _HOPED = 0.1  # times that, which a step must promise
 _HALVINGS = 2
-_UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
 
 Place = tuple[int, int]
 """A member of a fit, and one of its shapes."""
-
-
-def sharpened(search: Search) -> None:
-    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
-
-    Of the leading set, and of that set without each of its other members: beside a period that is
-    a little off a second effect looks needed.
-    """
-    if not any(search.best.groups):
-        vary(search, search.best)  # what is left may be little and decide a forecast all the same
-    enrich(search, search.best)
-    done: set[tuple[str, str]] = set()
-    while left := [c for c in search.best.members if c.key not in done]:
-        done.add(left[0].key)
-        _sharpened_at(search, search.best, left[0].key)
-
-
-def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
-    """Fit the shapes of one member of a set, and of the set without each of its others."""
-    count, machine = len(leader.members), search.prepared.problem.machine
-    alone = [i for i in range(count) if leader.members[i].key != key and leader.groups[i] is None]
-    for out in (None, *alone):
-        members, x = subset(leader, [i for i in range(count) if i != out])
-        fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
-        at = next(i for i, c in enumerate(fit.members) if c.key == key)
-        for shape, bounds in ranges(fit.members[at], machine).items():
-            fit = _sharpen(search, fit, (at, shape), bounds)
 
 
 def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
@@ -84,48 +52,27 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
     return {0: (max(first - reach, low), min(first + reach, high))}
 
 
-def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
-    """Minimise the residual over one shape of a member; the best fit is kept.
-
-    A shape that the recordings do not tell (the speed of friction that does not fall) stays.
-    """
-    told = _profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
-    if told.covariance[0, 0] > _UNTOLD * (bounds[1] - bounds[0]) ** 2 / _UNIFORM:
-        return fit
-    best, sharp = fit, _SMOOTH if fit.members[at[0]].bendable else _SHARP
-
-    def rss(value: float) -> float:
-        nonlocal best
-        members = _reshaped_members(best, {at: value})
-        made = search.fit(members, best.x, start=best.start, guess=best.hypothesis, again=True)
-        del search.fits[made.key]
-        best = min(best, made, key=lambda f: f.rss)
-        return made.rss
-
-    minimize_scalar(
-        rss, bounds=bounds, method="bounded",
-        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * sharp * (bounds[1] - bounds[0])},
-    )  # fmt: skip
-    if best is not fit:
-        search.listed(best)
-    return best
-
-
-def reshaped(linear: Linear, fit: Fit) -> Fit:
+def reshaped(
+    linear: Linear, fit: Fit, effort: Effort = FINAL, *, friction_alone: bool = False
+) -> Fit:
     """Fit the shapes of a set together, by Gauss-Newton steps beside which magnitudes follow.
 
     Args:
         linear: the model linearised at the fit.
         fit: the set.
+        effort: how hard to fit the magnitudes.
+        friction_alone: leave the shapes of other members, which may be none.
     """
     for _ in range(_RESHAPINGS):
         bounds = _places(fit, linear.problem.machine)
+        if friction_alone:
+            bounds = {at: b for at, b in bounds.items() if fit.members[at[0]].bendable}
         if not bounds:
             break
-        told = _profile(linear.problem, linear.Q, fit, bounds)
+        told = profile(linear.problem, linear.Q, fit, bounds)
         if told.gain < _HOPED * _WORTH * fit.rss:
             break
-        before, fit = fit, _stepped(linear, fit, bounds, told.step)
+        before, fit = fit, _stepped(linear, fit, bounds, told.step, effort)
         if fit.rss > (1 - _WORTH) * before.rss:
             break
     return fit
@@ -136,6 +83,7 @@ def _stepped(
     fit: Fit,
     bounds: Mapping[Place, tuple[float, float]],
     step: Float[np.ndarray, " s"],
+    effort: Effort,
 ) -> Fit:
     """Return the fit after a step on its shapes, the fit itself where none leaves less."""
     for halving in range(_HALVINGS):
@@ -144,8 +92,8 @@ def _stepped(
             for at, d in zip(bounds, step, strict=True)
         }
         made = refit(
-            linear, _reshaped_members(fit, values), fit.x, groups=fit.groups, start=fit.start,
-            guess=fit.hypothesis, effort=FINAL,
+            linear, reshaped_members(fit, values), fit.x, groups=fit.groups, start=fit.start,
+            guess=fit.hypothesis, effort=effort,
         )  # fmt: skip
         if made.rss < fit.rss:
             return made
@@ -162,7 +110,7 @@ def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
     bounds = _places(fit, problem.machine)
     if not bounds:
         return fit
-    told = _profile(problem, Q, fit, bounds)
+    told = profile(problem, Q, fit, bounds)
     V, K = told.covariance, told.following
     deviations = dict(zip(bounds, np.sqrt(np.diag(V)), strict=True))
     spread = tuple(
@@ -189,7 +137,7 @@ class _Profile:
     following: Float[np.ndarray, "p s"]
 
 
-def _profile(
+def profile(
     problem: Problem,
     Q: Float[np.ndarray, "W R k"],
     fit: Fit,
@@ -207,7 +155,7 @@ def _profile(
     blocks, g, _ = by_block(C - S @ K, project(Q, fit.residual), problem.block)
     G, gradient = blocks.sum(axis=0), g.sum(axis=0)
     variance = max(fit.rms, 1.0) ** 2
-    prior = _UNIFORM * variance
+    prior = UNIFORM * variance
     V = sandwich(G, g, variance, prior) * np.outer(width, width)
     step = np.linalg.solve(G + prior * np.eye(len(width)), gradient)
     gain = float(step @ (2.0 * gradient - G @ step))
@@ -221,7 +169,7 @@ def _columns(
     columns = []
     for at, (low, high) in bounds.items():
         h = _PROBE * (high - low)
-        members = _reshaped_members(fit, {at: _shape(fit, at) + h})
+        members = reshaped_members(fit, {at: _shape(fit, at) + h})
         moved = problem.residual(replace(fit.hypothesis, members=members), fit.start)
         columns.append((fit.residual - moved) / h)
     return np.stack(columns, axis=-1)
@@ -240,7 +188,7 @@ def _shape(fit: Fit, at: Place) -> float:
     return float(fit.members[at[0]].shapes[at[1]])
 
 
-def _reshaped_members(fit: Fit, values: Mapping[Place, float]) -> tuple[Candidate, ...]:
+def reshaped_members(fit: Fit, values: Mapping[Place, float]) -> tuple[Candidate, ...]:
     """Return the members of a fit with other values of some of their shapes."""
     members = list(fit.members)
     for (k, i), value in values.items():

@@ -19,7 +19,7 @@ _STEADY = slice(3, 6)  # place in `biasprm` of sliding level, level at standstil
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _LEAST = 1e-30  # [J] that bristles store
-_RESOLVED = 0.1  # of the stiffest spring that a step can follow
+_RESOLVED = 0.5  # k·h²/m of bristles that do not bend: a step h follows their oscillation
 
 
 def most_bent(joint: JointScale) -> float:
@@ -41,9 +41,10 @@ def add_bristles(
 ) -> None:
     """Put LuGre friction [1] in the place of a joint's dry friction.
 
-    The bristles bend by `bend` before they slip, by more where a step could not resolve their
-    stiffness. They are damped against the joint's inertia, but by no more than the Coulomb level at
-    the joint's speed: more would be felt as friction of its own at every reversal.
+    The bristles bend by √(b² + b₀²) before they slip, b₀ that at which a step can still resolve
+    their stiffness: no bend is below what it tells, where nothing would change with it. They are
+    damped against the joint's inertia, but by no more than the Coulomb level at the joint's speed:
+    more would be felt as friction of its own at every reversal.
 
     Args:
         spec: the spec to change.
@@ -57,7 +58,7 @@ def add_bristles(
     """
     low, high, speed = friction
     joint, dt = machine.joints[name], spec.option.timestep
-    stiffness = min(high / bend, _RESOLVED * joint.inertia / dt**2)
+    stiffness = high / np.hypot(bend, high * dt**2 / (_RESOLVED * joint.inertia))
     motor = passive_motor(spec, name, "friction")
     damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
     motor.dynprm[5:7] = (stiffness, damping)
@@ -138,14 +139,14 @@ def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion
     """Return the force of bristles [1] whose level of sliding F is a share of a drive's force.
 
     s' = (v - |v|·s)/b with s in [-1, 1]; the friction is -(F·s + σ₁·b·s'). As in `add_bristles`,
-    the bend b is larger where a step could not resolve the stiffness F/b, and σ₁ no more than
+    the bend b is no less than that at which a step resolves the stiffness F/b, and σ₁ no more than
     F over the joint's speed. The law's memory holds s, which begins as in `loaded`: at rest the
     drive bends them, since they hold less than it gives.
 
     [1] as in `add_bristles`.
     """
     v, h, level = motion.qvel[joint.name], motion.timestep, share * np.abs(drive)
-    b = np.maximum(bend, level * h**2 / (_RESOLVED * joint.inertia))
+    b = np.hypot(bend, level * h**2 / (_RESOLVED * joint.inertia))
     before = motion.memory.get("bent")
     if before is None:
         slides = -np.expm1(-0.5 * joint.inertia * v**2 / np.maximum(level * b, _LEAST))

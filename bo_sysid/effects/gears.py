@@ -101,7 +101,7 @@ def _second_joint(
     """
     joint, scale = spec.joint(site.name), machine.joints[site.name]
     kp, kd = _loop(spec, site, machine)
-    dt = spec.option.timestep
+    dt = _step(machine)
     explicit = spec.option.integrator in _EXPLICIT
     floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
     joint.armature = max(joint.armature, floor)
@@ -121,6 +121,14 @@ def _second_joint(
         link.damping = on_link * np.array(joint.damping)
         joint.damping = (1.0 - on_link) * np.array(joint.damping)
     return play
+
+
+def _step(machine: Machine) -> float:
+    """Return the model's own step, by which joints are as stiff as it resolves, in [s].
+
+    Not that of a finer simulation: its difference is to be what the step does, not the joint.
+    """
+    return float(machine.model.opt.timestep)
 
 
 def _resolved(site: Site, machine: Machine) -> bool:
@@ -197,7 +205,7 @@ def backlash(
     )
     if spec.joint(hidden.joint) is not None:  # the model has it: what stands beside it is wanted
         return _closed(spec, hidden, site, machine)
-    play, dt = _second_joint(spec, site, machine, "play", float(x[2])), spec.option.timestep
+    play, dt = _second_joint(spec, site, machine, "play", float(x[2])), _step(machine)
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
     weight = _inverse_inertia(spec, play)
@@ -267,10 +275,10 @@ def joint_compliance(
     if spec.joint(hidden.joint) is not None:
         return _closed(spec, hidden, site, machine)
     flex = _second_joint(spec, site, machine, "flex", float(x[2]))
-    slow = (2.0 * spec.option.timestep) ** 2 * _inverse_inertia(spec, flex)
+    slow = (2.0 * _step(machine)) ** 2 * _inverse_inertia(spec, flex)
     if compliance > 0.5 * slow:
         flex.stiffness[0] = 1.0 / compliance
-        flex.damping[0] = (float(x[1]) + 4.0 * _RATIO * spec.option.timestep) / compliance
+        flex.damping[0] = (float(x[1]) + 4.0 * _RATIO * _step(machine)) / compliance
     else:
         impedance = min(1.0 - compliance / slow, _HARDEST)
         spec.add_equality(
@@ -278,7 +286,7 @@ def joint_compliance(
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             name1=flex.name,
-            solref=[2.0 * spec.option.timestep / _RATIO, _RATIO],
+            solref=[2.0 * _step(machine) / _RATIO, _RATIO],
             solimp=[impedance, impedance, 0.001, 0.5, 2.0],
         )
     return _closed(spec, hidden, site, machine)

@@ -321,11 +321,12 @@ class Model:
         self, spec: mujoco.MjSpec, edits: Sequence[Edit], timestep: float | None
     ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         written = spec.option.timestep
+        if timestep is not None and not timestep > 0:
+            raise ModelError(f"{self.source}: timestep {timestep:g} s must be above 0")
+        spec.option.timestep = timestep or written  # edits ask what a step resolves
         for edit in edits:
             edit(spec)
-        if timestep is not None:
-            if not timestep > 0:
-                raise ModelError(f"{self.source}: timestep {timestep:g} s must be above 0")
+        if timestep is not None:  # whatever the edits make of it
             spec.option.timestep = timestep
         keep_delays(spec, written)
         if spec.keys and self._changes_coordinates(spec):
