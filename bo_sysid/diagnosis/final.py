@@ -10,11 +10,12 @@ from bo_sysid.diagnosis.linear import Linear
 from bo_sysid.diagnosis.moves import eliminate, rubbing
 from bo_sysid.diagnosis.problem import Problem
 from bo_sysid.diagnosis.refit import FINAL, Effort, refit
-from bo_sysid.diagnosis.rounds import substitute, vary
+from bo_sysid.diagnosis.rounds import substitute
 from bo_sysid.diagnosis.rules import LOOSE, admissible, clean, lost, ranked
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import ranges, reshaped, with_shapes_unsure
 from bo_sysid.diagnosis.starts import first_starts
+from bo_sysid.diagnosis.variants import vary
 from bo_sysid.diagnosis.window_lengths import windows_of
 from bo_sysid.diagnosis.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch

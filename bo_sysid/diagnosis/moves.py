@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.groups import subset
 from bo_sysid.diagnosis.hypothesis import Candidate
 from bo_sysid.diagnosis.refit import FINAL
-from bo_sysid.diagnosis.rounds import round_at, simplify
+from bo_sysid.diagnosis.rounds import round_at
 from bo_sysid.diagnosis.rules import (
     LOOSE,
     MARGIN,
@@ -25,6 +25,7 @@ from bo_sysid.diagnosis.rules import (
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.settling import first_start, settle
 from bo_sysid.diagnosis.subsets import clashes
+from bo_sysid.diagnosis.variants import simplify
 from bo_sysid.diagnosis.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 

@@ -4,9 +4,9 @@ from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.groups import subset
-from bo_sysid.diagnosis.rounds import enrich, vary
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.shapes import UNIFORM, Place, profile, ranges, reshaped_members
+from bo_sysid.diagnosis.variants import enrich, vary
 
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of its range that is told apart
 _SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
