@@ -13,6 +13,7 @@ SLIDER = """<mujoco><option timestep="0.0005" gravity="0 0 0"/><worldbody><body>
 <joint name="s" type="slide" axis="1 0 0"/><geom size=".1" mass="1.5"/>
 {second}</body></worldbody>
 <actuator><motor name="m" joint="s"/></actuator></mujoco>"""
+TIME = np.arange(0, 20, 0.01)
 LINK = """<body><joint name="h" type="hinge" axis="0 1 0"/>
 <geom size=".02" pos="0 0 -.5" mass=".4"/></body>"""
 
@@ -85,3 +86,23 @@ def test_bristles_that_hold_nothing_are_straight_and_say_nothing():
     qpos, qvel, ctrl = np.zeros((2, 1)), np.array([[0.0], [1.0]]), np.ones((2, 1))
     with np.errstate(all="raise"):
         assert not loaded(model, motors, qpos, qvel, ctrl).any()
+
+
+def test_a_finer_step_resolves_stiffer_bristles_to_those_that_bend_as_they_should():
+    """At rest the force of bristles is their level times the share of their bend."""
+
+    def bend(timestep: float) -> float:
+        spec = mujoco.MjSpec.from_string(SLIDER.format(second=""))
+        spec.option.timestep = timestep
+        moved = Recording.from_arrays(TIME, qpos={"s": 0.3 * np.sin(TIME)}, ctrl={"m": TIME})
+        add_bristles(spec, "s", (HIGH, HIGH, SPEED), BEND, survey(spec.copy().compile(), [moved]))
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.act[:] = 1e-6
+        mujoco.mj_forward(model, data)
+        return float(HIGH * 1e-6 / abs(data.qfrc_actuator[0]))
+
+    bends = [bend(h) for h in (8e-3, 2e-3, 1e-3, 1e-4)]
+    assert bends == sorted(bends, reverse=True)
+    assert bends[0] > 2 * BEND
+    assert bends[-1] == pytest.approx(BEND, rel=1e-3)

@@ -172,6 +172,15 @@ def test_timestep():
     assert model.compile().opt.timestep == 0.002
     with pytest.raises(ModelError, match="timestep 0 s must be above 0"):
         model.compile(timestep=0.0)
+    seen = []  # edits ask what the step resolves, and one that changes it is not simulated
+
+    def edit(spec):
+        seen.append(spec.option.timestep)
+        spec.option.timestep = 0.005
+
+    assert model.compile([edit], timestep=0.0005).opt.timestep == 0.0005
+    assert model.compile([edit]).opt.timestep == 0.005
+    assert seen == [0.0005, 0.002]
 
 
 DELAYED = """
