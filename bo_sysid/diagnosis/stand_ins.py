@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import clashes
 
-_THERE = 0.1  # of the level by which friction is probed, that a parameter must have
+_THERE = 0.1  # of the level by which friction is probed, that a parameter must add to the model's
 
 
 def stand_in(search: Search, base: Fit) -> None:
@@ -35,7 +35,10 @@ def stand_in(search: Search, base: Fit) -> None:
 
 
 def _present(search: Search, base: Fit) -> list[list[Candidate]]:
-    """Return for each parameter that is friction, and is there, what may stand in its place."""
+    """Return for each parameter that adds friction to the model what may stand in its place.
+
+    One that leaves the model's own friction as it is has no member that differs from nothing.
+    """
     dry = {c.site.name: c for c in search.candidates if c.rubbing and not c.effect.nested}
     taken = {c.site.name for c in base.members if c.rubbing}
     found = []
