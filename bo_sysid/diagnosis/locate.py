@@ -21,6 +21,7 @@ _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says whe
 _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
+_BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
 _CARRIED = 4
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which it needs others
@@ -161,7 +162,7 @@ def _finer(
 ) -> tuple[Search, float]:
     """Carry the best sets to a finer step where that tells how friction bends."""
     finer = _step_for(search, leader, step)
-    if finer == step or not _bends(leader) or clean(leader):
+    if finer == step or not _bends(leader) or leader.rms < _BEND_SHOWS:
         return search, step
     prepared = prepare(windows_of(evidence, length, finer), leader.hypothesis)
     return carried(search, prepared, _CARRIED), finer
