@@ -9,7 +9,7 @@ import yaml
 from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.evidence import make_evidence
+from bo_sysid.diagnosis.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hints import holding
@@ -22,6 +22,7 @@ from bo_sysid.diagnosis.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.sharpen import sharpened
 from bo_sysid.diagnosis.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
+from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording
@@ -212,14 +213,19 @@ def test_the_repaired_study_goes_on_with_friction_that_bends(tmp_path: Path) -> 
     assert check(repaired).parameters.nominal.iloc[0] == pytest.approx(0.1, rel=0.02)
 
 
-def fitted_beside(parameters: list[Parameter], missing: list[float], finer: int = 16) -> Fit:
-    """The best set on recordings of an arm whose shoulder rubs, beside parameters of a study."""
+def evidence_of(
+    missing: list[float], parameters: list[Parameter], model: Model, finer: int = 16
+) -> Evidence:
     recording = record([("dry_friction", "joint", "shoulder", missing)], duration=5.0, finer=finer)
     chosen = [CATALOGUE[n] for n in NAMES]
-    made = make_evidence(
-        arm(), [recording], effects=chosen, parameters=parameters, noise={"qpos": SIGMA}, threads=1
+    return make_evidence(
+        model, [recording], effects=chosen, parameters=parameters, noise={"qpos": SIGMA}, threads=1
     )
-    return locate(made).decision.best
+
+
+def fitted_beside(parameters: list[Parameter], missing: list[float], finer: int = 16) -> Fit:
+    """The best set on recordings of an arm whose shoulder rubs, beside parameters of a study."""
+    return locate(evidence_of(missing, parameters, arm(), finer)).decision.best
 
 
 def frictions(*joints: str) -> list[Parameter]:
@@ -252,3 +258,31 @@ def test_a_parameter_of_other_joints_too_stays_beside_friction() -> None:
     assert beside(held, [shoulder]) == held
     assert beside(held, [elbow]) == held[:2]
     assert beside(held, [shoulder, elbow]) == held[1:2]
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_friction_that_the_model_has_right_may_bend(fitted: bool) -> None:
+    """Its level is no change, and what is missing is how far it gives way."""
+    level, bend = 0.1, 8e-4
+    xml = ARM.read_text().replace('name="shoulder"', f'name="shoulder" frictionloss="{level}"', 1)
+    evidence = evidence_of(
+        [level, 1.0, bend], frictions("shoulder") if fitted else [], Model.from_xml(xml)
+    )
+    best = locate(evidence).decision.best
+    assert [c.key for c in best.members] == [("dry_friction", "shoulder")]
+    assert best.x[0][0] == pytest.approx(0.0, abs=0.01 * level)
+    assert best.members[0].shapes[-1] == pytest.approx(bend, rel=0.3)
+    assert not holding(best)  # as slopes by what changes alone would say
+    (finding,) = findings(best, evidence.machine, 1.0, ())
+    assert finding.sentence.startswith("The dry friction at the shoulder, 0.1 N m in the model, ")
+    assert finding.after == pytest.approx(level, rel=0.01)
+
+
+def test_friction_that_bends_is_all_that_there_is_at_its_joint() -> None:
+    xml = ARM.read_text().replace('name="shoulder"', 'name="shoulder" frictionloss=".3"', 1)
+    machine = survey(Model.from_xml(xml).compile(), [record([], duration=1.0)])
+    straight = candidate(machine, "dry_friction", "shoulder")
+    bent = straight.with_shapes(np.array([1.0, 1e-3]))
+    change = np.array([-0.1])
+    assert straight.whole(change) == pytest.approx(change)
+    assert bent.whole(change) == pytest.approx([0.2])

@@ -59,15 +59,19 @@ def _fitted_on_all(final: Search, fit: Fit, far: bool) -> None:
     final.listed(made)
 
 
-def compare(final: Search) -> None:
+def compare(final: Search, first: Fit) -> None:
     """Fit what could stand in the place of each member of the leading set, and fewer of them.
 
     Whatever comes to lead by that is compared with others in its turn: of a set that was not,
     nothing says what else the recordings admit.
+
+    Args:
+        final: the fits on all windows.
+        first: what led before; it was fitted with its own shapes.
     """
     eliminate(final)
     done: set[object] = set()
-    polished: set[Names] = set()
+    polished = {_effects(first)}
     for _ in range(_COMPARED):
         leader = _leader(final)
         if not leader.members or leader.key in done:
@@ -77,7 +81,7 @@ def compare(final: Search) -> None:
             return
         substitute(final, leader)
         _shaped_alike(final, leader)
-        _polish_rivals(final, leader, polished)
+        _polish(final, leader, polished)
         eliminate(final)
 
 
@@ -98,30 +102,46 @@ def _shaped_alike(final: Search, leader: Fit) -> None:
             )  # fmt: skip
 
 
-def _polish_rivals(final: Search, leader: Fit, polished: set[Names]) -> None:
-    """Fit the nearest sets with other names as the leader was: their own shapes, linearised there.
+def _polish(final: Search, leader: Fit, polished: set[Names]) -> None:
+    """Fit the leader and the nearest rivals with their own shapes, linearised at themselves.
 
-    What a start can do at the leader's motion is not what it can do at theirs, and an effect with
-    fewer magnitudes than another may only be linear less far.
+    What a start can do at one motion is not what it can do at another, and an effect with fewer
+    magnitudes than another may only be linear less far.
 
     Args:
         final: the fits on all windows.
         leader: the leading one.
-        polished: names of the sets that were fitted so before; grows.
+        polished: effects and sites of the sets that were fitted so before; grows.
     """
-    problem, count = final.prepared.problem, sum(c.size for c in leader.members)
-    polished.add(leader.names)
-    rivals: dict[Names, Fit] = {}
+    problem = final.prepared.problem
+    rivals = [f for f in _rivals(final, leader) if _effects(f) not in polished]
+    for f in (leader, *rivals[:_RIVALS]):
+        if _effects(f) in polished or (f is leader and not _shaped(final, f)):
+            continue
+        polished.add(_effects(f))
+        made = _fitted_at_itself(problem, f)
+        if made.rss < f.rss:
+            final.listed(made)
+
+
+def _rivals(final: Search, leader: Fit) -> list[Fit]:
+    """Return the nearest sets with other effects, each with the best of its shapes."""
+    count, found = sum(c.size for c in leader.members), dict[Names, Fit]()
     for f in ranked(final.fits.values(), final.prior):
         fewer = sum(c.size for c in f.members) < count and f.rms < _FAR * leader.rms
-        shaped = any(ranges(c, problem.machine) for c in f.members) and f.rms < _NEAR * leader.rms
+        shaped = f.names != leader.names and _shaped(final, f) and f.rms < _NEAR * leader.rms
         if f.size == leader.size and (fewer or shaped) and not f.names < leader.names:
-            rivals.setdefault(f.names, f)
-    for names in [n for n in rivals if n not in polished][:_RIVALS]:
-        polished.add(names)
-        made = _fitted_at_itself(problem, rivals[names])
-        if made.rss < rivals[names].rss:
-            final.listed(made)
+            found.setdefault(_effects(f), f)
+    return list(found.values())
+
+
+def _shaped(final: Search, fit: Fit) -> bool:
+    return any(ranges(c, final.prepared.problem.machine) for c in fit.members)
+
+
+def _effects(fit: Fit) -> Names:
+    """Return effects and sites as they are, whatever an effect contains (`Fit.names`)."""
+    return frozenset(c.key for c in fit.members)
 
 
 def _bent_anew(final: Search) -> None:

@@ -175,8 +175,14 @@ def sentence(
         details: further components by name, which a sentence may have placeholders for.
     """
     effect, site = candidate.effect, spoken(candidate.site)
+    bend = details.get(effect.components[-1].name) if candidate.bent else None
+    low, high = quantity.interval
+    if bend and begun and low < 0 < high:
+        return (
+            f"The {effect.noun} at {site}, {begun:.4g} {quantity.unit} in the model, gives way by "
+            f"{amount(bend)} before it slips, which the model lacks."
+        )
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
-        low, high = quantity.interval
         whole = Quantity(begun + quantity.value, quantity.unit, (begun + low, begun + high))
         now = amount(whole)
         noun = re.sub(r"^an? ", "the ", effect.noun)
@@ -191,7 +197,7 @@ def sentence(
             size = size.removeprefix("+")
         more = {name: amount(q) for name, q in details.items()}
         text = text.format_map({**more, "site": site, "value": size, "interval": ""})
-    if candidate.bent and (bend := details.get(candidate.effect.components[-1].name)):
+    if bend:
         text += f" It gives way by {amount(bend)} before it slips."
     return text[0].upper() + text[1:]
 

@@ -82,11 +82,12 @@ class Fit:
 
     @cached_property
     def felt(self) -> tuple[float, ...]:
-        """What each member does, by the slope at its magnitudes, as an rms in sigma.
+        """What each member does, by the slope at all that it is, as an rms in sigma.
 
         It is nothing where more of it would do no more, as of a friction that holds a joint.
         """
-        own = zip(slices_of(self.members), self.x, strict=True)
+        whole = (c.whole(x) for c, x in zip(self.members, self.x, strict=True))
+        own = zip(slices_of(self.members), whole, strict=True)
         return tuple(float(np.sqrt(np.mean((self.jacobian[..., s] @ x) ** 2))) for s, x in own)
 
     @property
@@ -126,8 +127,9 @@ def assess(
     columns. The covariance is the sandwich of the blocks' gradients, at least the one of white
     noise of the observed size, all magnitudes being uniform within their bounds: what cannot be
     seen, such as a shift out of the plane of motion, may lie anywhere between them. The
-    unique size of a member is the rms of its columns times its magnitudes after the other columns
-    took over what they can, parameters and the share of a finer time step within their bounds.
+    unique size of a member is the rms of its columns times its magnitudes (`Candidate.whole`) after
+    the other columns took over what they can, parameters and the share of a finer time step within
+    their bounds.
     """
     y = project(Q, residual)
     SP = project(Q, jacobian.astype(float))
@@ -239,7 +241,7 @@ def _unique(
         own = 1 if candidate.effect.nested else candidate.size
         a = np.arange(at.start, at.start + own)
         rest = np.setdiff1d(np.arange(len(G)), a)
-        z = x[:own] * scale[a]
+        z = candidate.whole(x)[:own] * scale[a]
         N, c = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), G[np.ix_(rest, a)] @ z
         y = _nearest(N, c, (room[0][rest], room[1][rest]))
         left = z @ G[np.ix_(a, a)] @ z - 2 * y @ c + y @ N @ y

@@ -103,6 +103,14 @@ class Candidate:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
         return np.concatenate([x, self.shapes])
 
+    def whole(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
+        """Return the magnitudes of all that a member is, for changes `x` of the model.
+
+        Friction that bends is all the friction of its joint, and its least change takes away what
+        the model has.
+        """
+        return x - self.low if self.bent else x
+
     def parts(
         self, spec: mujoco.MjSpec, x: Float[np.ndarray, " l"], machine: Machine
     ) -> tuple[Part, ...]:

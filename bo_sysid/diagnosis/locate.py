@@ -83,7 +83,7 @@ def _located(
         search = carried(search, telling(final.prepared, final.best), _CARRIED)
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
-    compare(final)
+    compare(final, search.best)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)

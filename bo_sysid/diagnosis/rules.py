@@ -117,6 +117,7 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     others, found = tuple(fits), []
     for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
         probe = np.abs(member.probe)
+        x = member.whole(x)
         there = bool((np.abs(x) > _NOTHING * probe).any())
         full = felt <= FLAT and bool((np.abs(x) > probe).any())
         far = there and (fit.rms > LOOSE or full)

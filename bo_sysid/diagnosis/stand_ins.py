@@ -1,8 +1,10 @@
-"""Friction that is a parameter of the study, as a member of a set: it may hold, or bend.
+"""Friction that the model or a parameter of the study has, as a member of a set: it may bend.
 
-MuJoCo's `frictionloss` creeps under a load and does not bend before it slips. What a parameter
-leaves where a machine's friction does is not linear in its level, and no screening proposes it.
+MuJoCo's `frictionloss` creeps under a load and does not bend before it slips. What is left where a
+machine's friction does is not linear in its level, and no screening proposes it.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,14 +15,15 @@ from bo_sysid.diagnosis.rules import clean
 from bo_sysid.diagnosis.search import Search
 from bo_sysid.diagnosis.subsets import clashes
 
-_THERE = 0.1  # of the level by which friction is probed, that a parameter must add to the model's
+_THERE = 0.1  # of the level by which friction is probed, that friction of a model must have
+_BEGUN = 1e-2  # of that level, by which a member begins to change it: without a change none bends
 
 
 def stand_in(search: Search, base: Fit) -> None:
-    """Fit a set with members in the place of its parameters that are friction.
+    """Fit a set with members in the place of the friction that the model has beside it.
 
     All of them at once, with each shape of friction that there is; then, where that is not all,
-    each parameter by itself with the shape that leaves least.
+    each joint's, or each parameter's, by itself with the shape that leaves least.
     """
     present = _present(search, base)
     if not present:
@@ -35,20 +38,21 @@ def stand_in(search: Search, base: Fit) -> None:
 
 
 def _present(search: Search, base: Fit) -> list[list[Candidate]]:
-    """Return for each parameter that adds friction to the model what may stand in its place.
-
-    One that leaves the model's own friction as it is has no member that differs from nothing.
-    """
+    """Return what may stand in the place of friction: joints of one parameter together."""
+    h = base.hypothesis
+    model, _ = search.prepared.problem.compiled(replace(h, members=(), x=()))
     dry = {c.site.name: c for c in search.candidates if c.rubbing and not c.effect.nested}
     taken = {c.site.name for c in base.members if c.rubbing}
-    found = []
-    for p, x in zip(base.hypothesis.nuisances, base.hypothesis.nuisance_x, strict=True):
-        able = p.rubs and all(j in dry and j not in taken for j in p.rubs)
-        if able:
-            own = [dry[j].straight for j in p.rubs]
-            if any(x[0] > _THERE * c.probe[0] for c in own):
-                found.append(own)
-    return found
+
+    def rubs(joint: str) -> bool:
+        return bool(model.joint(joint).frictionloss[0] > _THERE * dry[joint].probe[0])
+
+    tied = [p.rubs for p in h.nuisances if p.rubs]
+    alone = [(joint,) for joint in dry if not any(joint in joints for joints in tied)]
+    able = [
+        joints for joints in (*tied, *alone) if all(j in dry and j not in taken for j in joints)
+    ]
+    return [[dry[j].straight for j in joints] for joints in able if any(map(rubs, joints))]
 
 
 def _fitted(search: Search, base: Fit, own: list[Candidate], shape: int) -> Fit | None:
@@ -61,5 +65,5 @@ def _fitted(search: Search, base: Fit, own: list[Candidate], shape: int) -> Fit 
         return None
     if (key := set_key(members)) in search.fits:
         return search.fits[key]
-    x = (*base.x, *(np.zeros(c.size) for c in held))  # and what the parameters have
+    x = (*base.x, *(_BEGUN * c.probe for c in held))  # and what the parameters have
     return search.fit(members, x, start=base.start, guess=base.hypothesis, again=True)

@@ -116,7 +116,7 @@ def _other_shapes(c: Candidate) -> list[np.ndarray]:
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
-    """Fit a set with the simpler effect in the place of each that contains one."""
+    """Fit a set with the simpler effect in the place of each that contains one, bent alike."""
     for k, c in enumerate(fit.members):
         plain = _plainer(search, c) if fit.unique[k] < 1.0 or effort else None
         if plain is not None:
@@ -128,4 +128,7 @@ def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
 
 def _plainer(search: Search, c: Candidate) -> Candidate | None:
     wanted = (c.effect.nested, c.site.name)
-    return next((d for d in search.candidates if d.key == wanted), None)
+    plain = next((d for d in search.candidates if d.key == wanted and not d.secant), None)
+    if plain is None or not c.bent:
+        return plain
+    return search.known(plain.with_shapes(np.array([*plain.shapes[:-1], c.shapes[-1]])))
