@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
+from itertools import accumulate, permutations
 
 import mujoco
 import numpy as np
@@ -176,6 +176,29 @@ class Hypothesis:
         return tuple(pairs)
 
 
+def orders(members: Sequence[Candidate]) -> list[tuple[int, ...]]:
+    """Return the other orders of members that act on one command in turn, as places in a set."""
+    held: dict[str, list[int]] = {}
+    for k, c in enumerate(members):
+        if c.effect.in_turn:
+            held.setdefault(c.site.name, []).append(k)
+    found = []
+    for own in held.values():
+        for changed in list(permutations(own))[1:]:
+            order = list(range(len(members)))
+            for k, other in zip(own, changed, strict=True):
+                order[k] = other
+            found.append(tuple(order))
+    return found
+
+
+def followed(members: Sequence[Candidate], k: int) -> bool:
+    """Return whether another member acts on what a member makes of a command."""
+    c = members[k]
+    later = (d for d in members[k + 1 :] if d.effect.in_turn and d.site == c.site)
+    return c.effect.in_turn and any(later)
+
+
 def slices_of(held: Sequence[Candidate]) -> tuple[slice, ...]:
     """Return where each candidate stands in a vector of the magnitudes of all."""
     ends = list(accumulate((c.size for c in held), initial=0))
@@ -269,8 +292,11 @@ def edits_and_parts(
     parts: list[Part] = []
     made: dict[int, tuple[Part, ...]] = {}
 
+    held = [c for c, _ in hypothesis.terms]
+
     def edit_of(number: int, c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
-        make = c.effect.write if written else c.effect.parts
+        # what a file says of an actuator acts after all that changes its command beside the file
+        make = c.effect.write if written and not followed(held, number) else c.effect.parts
 
         def edit(spec: mujoco.MjSpec) -> None:
             made[number] = _made(make, c, spec, x, machine)  # again, where a model is edited twice

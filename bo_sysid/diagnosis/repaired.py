@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts, followed
 from bo_sysid.diagnosis.timestep import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed, beside_a_file
@@ -113,11 +113,12 @@ def _module(words: Sequence[str]) -> str:
 def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
     """Return the members of a hypothesis of which something remains beside a model file."""
     effects, laws = [], []
-    for c, x in zip(hypothesis.members, hypothesis.x, strict=True):
+    for k, (c, x) in enumerate(zip(hypothesis.members, hypothesis.x, strict=True)):
         if c.effect.id == "unknown":
             laws += _learned(model, machine, c, x)
             continue
-        remaining = c.effect.write(model.spec(), c.site, c.full(x), machine)
+        make = c.effect.parts if followed(hypothesis.members, k) else c.effect.write
+        remaining = make(model.spec(), c.site, c.full(x), machine)
         if beside_a_file(remaining):
             effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
     return Beside(machine, tuple(effects), tuple(laws))

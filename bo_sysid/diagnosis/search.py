@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.fit import Fit, set_key
 from bo_sysid.diagnosis.groups import grouped_labels
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, orders
 from bo_sysid.diagnosis.linear import Linear, linearise
 from bo_sysid.diagnosis.refit import Effort, refit
 from bo_sysid.diagnosis.rules import ROUGH, SetPrior, clean, ranked
@@ -133,6 +133,7 @@ class Search:
             if found is None or made.rss < found.rss:
                 found = made
         assert found is not None  # noqa: S101 - there is always a first start
+        found = self._in_turn(found, effort)
         self.fits[key] = self._not_worse(found, labels, effort)
         self.doing(f"{len(self.fits)} sets fitted, the nearest leaves {self.least:.3f} sigma")
         return self.fits[key]
@@ -174,6 +175,20 @@ class Search:
             if not better:
                 break
         return fit
+
+    def _in_turn(self, fit: Fit, effort: Effort) -> Fit:
+        """Fit what acts on one command in other orders as well; all are one set."""
+        best = fit
+        for order in orders(fit.members):
+            if clean(best) or best.rms > _HOPEFUL * self.least:
+                break
+            members, x = [fit.members[k] for k in order], [fit.x[k] for k in order]
+            made = refit(
+                self.frame, members, x, groups=grouped_labels(members, self.candidates),
+                start=fit.start, guess=fit.hypothesis, effort=effort,
+            )  # fmt: skip
+            best = made if made.rss < best.rss else best
+        return best
 
     def _in_gaps(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
         """Fit on from starts that are fitted to each window, where a joint moves in a gap.

@@ -47,6 +47,7 @@ def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine)
     form="filter; filterexact in a file",
     evidence="roll-off of fast commands",
     separation="commands over two decades of frequency",
+    in_turn=True,
     written=_write_lag,
 )
 def actuator_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
@@ -112,6 +113,7 @@ def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
     form="filter",
     evidence="small commands do nothing, large ones lack a constant",
     separation="reversals while moving; an unpowered run",
+    in_turn=True,
 )
 def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """Commands within ±x[0] do nothing; beyond, x[0] is lost."""
@@ -152,6 +154,7 @@ def _rate(x: Magnitudes, machine: Machine, site: Site) -> float:
     form="filter",
     evidence="large changes of the command arrive as ramps, small ones at once",
     separation="steps of several sizes",
+    in_turn=True,
     absolute=_rate,
 )
 def command_rate(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:

@@ -222,6 +222,8 @@ class Effect:
             a saturation, the time step).
         form: what it is in a model: MJCF attributes, or a force law, a filter, a reading.
         hidden: whether it adds a joint, whose coordinate no recording shows.
+        in_turn: whether it changes a command so that it matters which of two such comes first: a
+            dead zone of what a lag has smoothed is no lag of what passed a dead zone.
         written: edits the spec of a model file, where plain MJCF can say what `apply` does with
             parts; like it, returns the parts that remain.
     """
@@ -250,6 +252,7 @@ class Effect:
     absolute: Callable[[Magnitudes, Machine, Site], float] | None = None
     form: str = ""
     hidden: bool = False
+    in_turn: bool = False
     written: Apply | None = None
 
     @property

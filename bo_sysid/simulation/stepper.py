@@ -37,10 +37,11 @@ class Stepper:
         parts = read_beside(Path(beside), source.compile()).parts(source)
         self.model: mujoco.MjModel = source.compile()
         self.data = mujoco.MjData(self.model)
-        self._filters = [p for p in parts if isinstance(p, Filter)]
-        self._control = {
-            self.model.actuator(a).name: i for i, a in enumerate(controlled(self.model))
-        }
+        place = {self.model.actuator(a).name: i for i, a in enumerate(controlled(self.model))}
+        self._filters: dict[int, list[Filter]] = {}  # of each control, in the order they act
+        for p in parts:
+            if isinstance(p, Filter):
+                self._filters.setdefault(place[p.actuator], []).append(p)
         self._laws = force_laws(parts)
         self._time: list[float] = []
         self._past: list[np.ndarray] = []
@@ -55,12 +56,12 @@ class Stepper:
             self._restart()
         commanded, applied = d.ctrl.copy(), d.qfrc_applied.copy()
         self._remember(commanded)
-        for f in self._filters:
-            i = self._control[f.actuator]
+        for i, filters in self._filters.items():
             values = np.array([c[i] for c in self._past])
-            times = np.array(self._time)
-            channel = Channel(times, values, "", "", "zero")
-            d.ctrl[i] = f.change(channel, m.opt.timestep).at(np.array([d.time]))[0]
+            channel = Channel(np.array(self._time), values, "", "", "zero")
+            for f in filters:
+                channel = f.change(channel, m.opt.timestep)
+            d.ctrl[i] = channel.at(np.array([d.time]))[0]
         d.qfrc_applied[:] = applied + self._forces()
         mujoco.mj_step(m, d)
         d.ctrl[:], d.qfrc_applied[:] = commanded, applied
