@@ -130,7 +130,8 @@ def _as_good(
     without = screen.without(out, [base.x[k] for k in part])
     grouped = subsets.groups(search.candidates) if len(part) > 1 else ()
     table = without.gram(fixed, dict(zip(fixed, x, strict=True)))
-    found = subsets.search(table, 1, grouped)[1]
+    room = search.most - base.size + max(c.effect.weight for c in out)
+    found = subsets.search(table, room, grouped, deepest=1)[1]
 
     def size(s: Scored) -> int:
         return sum(search.candidates[i].size for i in s.members)
