@@ -10,6 +10,7 @@ from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.final import let_hold
 from bo_sysid.diagnosis.findings import findings
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.hints import holding
@@ -286,3 +287,24 @@ def test_friction_that_bends_is_all_that_there_is_at_its_joint() -> None:
     change = np.array([-0.1])
     assert straight.whole(change) == pytest.approx(change)
     assert bent.whole(change) == pytest.approx([0.2])
+
+
+@pytest.mark.parametrize(
+    ("joint", "level", "told"), [("shoulder", 0.1, True), ("elbow", 0.15, False)]
+)
+def test_friction_holds_where_recordings_do_not_tell_that_it_creeps(
+    joint: str, level: float, told: bool
+) -> None:
+    """The plant's creeps as MuJoCo's own does; a shoulder that gravity loads shows that."""
+    recording = record([("dry_friction", "joint", joint, [level, 0.0, 0.0])], duration=5.0)
+    problem, machine = posed(recording, horizon=150)
+    friction = candidate(machine, "dry_friction", joint)
+    creeping = friction.with_shapes(np.array([0.0, 0.0]))
+    assert creeping.creeps
+    assert not friction.creeps
+    assert not creeping.with_shapes(np.array([0.0, 1e-3])).creeps
+    final = Search.on(prepare(problem), [friction, creeping], 1, None)
+    final.fit([creeping], [np.array([level])])
+    let_hold(final)
+    assert final.best.members[0].creeps is told
+    assert len(final.fits) == (3 if told else 2)

@@ -85,6 +85,22 @@ def compare(final: Search, first: Fit) -> None:
         eliminate(final)
 
 
+def let_hold(final: Search) -> None:
+    """Let friction of the leading set hold a load where recordings do not tell that it creeps.
+
+    Machines' friction holds; that of MuJoCo's default settings creeps.
+    """
+    leader = _leader(final)
+    if not any(c.creeps for c in leader.members):
+        return
+    known = [final.known(c.usual) if c.creeps else c for c in leader.members]
+    held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
+    if held.rms < _AS_GOOD * leader.rms:
+        for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
+            if any(c.creeps for c in f.members):
+                del final.fits[f.key]
+
+
 def _shaped_alike(final: Search, leader: Fit) -> None:
     """Fit the sets that differ from the leader in one member with the shapes of the others.
 

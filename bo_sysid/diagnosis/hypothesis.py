@@ -89,6 +89,17 @@ class Candidate:
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
 
     @property
+    def creeps(self) -> bool:
+        """Whether it is friction that neither holds, as it usually does, nor bends."""
+        switched = self.bendable and not self.extent.grid  # no speed is among its shapes
+        return switched and not self.bent and not np.array_equal(self.shapes, self.usual.shapes)
+
+    @property
+    def usual(self) -> "Candidate":
+        """The same with the shapes that it usually has."""
+        return self.with_shapes(np.array(self.extent.probe[self.size :], float))
+
+    @property
     def rubbing(self) -> bool:
         """Whether it is all dry friction of its joint, or holds that."""
         return _DRY in (self.effect.id, self.effect.nested)

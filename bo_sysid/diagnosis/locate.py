@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from bo_sysid.diagnosis.decide import Decision, decide
 from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.final import compare, final_fits
+from bo_sysid.diagnosis.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.fit import Fit
 from bo_sysid.diagnosis.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.rules import ROUGH, clean, follows, lost
@@ -84,6 +84,7 @@ def _located(
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
+    let_hold(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
