@@ -289,13 +289,12 @@ def test_friction_that_bends_is_all_that_there_is_at_its_joint() -> None:
     assert bent.whole(change) == pytest.approx([0.2])
 
 
-@pytest.mark.parametrize(
-    ("joint", "level", "told"), [("shoulder", 0.1, True), ("elbow", 0.15, False)]
-)
+@pytest.mark.parametrize(("level", "told"), [(0.1, True), (0.004, False)])
 def test_friction_holds_where_recordings_do_not_tell_that_it_creeps(
-    joint: str, level: float, told: bool
+    level: float, told: bool
 ) -> None:
-    """The plant's creeps as MuJoCo's own does; a shoulder that gravity loads shows that."""
+    """The plant's creeps as MuJoCo's own does; only where it is large is that more than noise."""
+    joint = "shoulder"
     recording = record([("dry_friction", "joint", joint, [level, 0.0, 0.0])], duration=5.0)
     problem, machine = posed(recording, horizon=150)
     friction = candidate(machine, "dry_friction", joint)
