@@ -27,6 +27,7 @@ _COMPARED = 3  # leading sets at most that are compared with others
 _POLISH = 6  # times at most that the leader is linearised anew on all windows
 _TOLD = 2.0  # standard deviations from which a bend is told from none
 _AS_GOOD = 1.02  # times what a set leaves, that may be left without
+_UNTOLD = 1.005  # the same, of friction that holds where it creeps in the set
 _NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are polished; how many
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 _SETTLED_SHAPE = 0.03  # the same as a share of a shape
@@ -95,7 +96,7 @@ def let_hold(final: Search) -> None:
         return
     known = [final.known(c.usual) if c.creeps else c for c in leader.members]
     held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
-    if held.rms < _AS_GOOD * leader.rms:
+    if held.rms < _UNTOLD * leader.rms:
         for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
             if any(c.creeps for c in f.members):
                 del final.fits[f.key]
