@@ -1,6 +1,7 @@
 """The final fits, on all windows: the leading sets, and what could stand in their place."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,7 +54,8 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
 
 def _fitted_on_all(final: Search, fit: Fit, far: bool) -> None:
     """Fit a set on all windows; to the end only where it may lead there."""
-    for effort in (Effort(), FINAL) if far else (FINAL,):
+    last = replace(FINAL, rival=final.least)
+    for effort in (Effort(), last) if far else (last,):
         made = final.fit(fit.members, fit.x, guess=fit.hypothesis, again=True, effort=effort)
         if made.rms > _FAR * final.least:
             break
