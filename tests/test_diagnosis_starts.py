@@ -114,6 +114,21 @@ def test_windows_whose_slope_says_nothing_catch_up(windows, monkeypatch):
     assert (left < 1.2 * least).all()
 
 
+def test_windows_that_leave_much_more_than_others_begin_anew(windows):
+    """Starts that went astray are no place to go on from; those of the other windows stay."""
+    problem, machine = windows
+    h = Hypothesis((candidate(machine, "viscous_damping", "elbow"),), (np.array([0.05]),))
+    good = estimated(problem, h, 1)
+    far = np.zeros((len(good), 4))
+    far[3] = 1.0, -2.0, 5.0, -30.0
+    start, r = caught_up(problem, h, problem.moved(good, far))
+    cost = (r**2).sum(axis=1) / problem.count
+    assert (problem.residual(h, problem.moved(good, far))[3] ** 2).mean() > 1e4
+    assert cost[3] < 1.5
+    rest = np.arange(len(good)) != 3
+    assert np.array_equal(start.qpos[rest], good.qpos[rest])
+
+
 def test_the_beginning_of_windows_is_simulated_as_in_the_whole(windows):
     problem, _ = windows
     part, start = problem.beginning(17), problem.windows.start

@@ -29,6 +29,7 @@ _GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, o
 _DRAWS, _DRAWN = 32, 2  # starts that are drawn for a window in contact; how many of them are fitted
 _HOPEFUL = 20.0  # times what a window leaves, up to which one is
 _LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
+_ASTRAY = 2.0  # times what the window in the middle leaves, from which one begins anew
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
 _POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
@@ -124,6 +125,21 @@ class FittedStarts:
         if not anywhere:
             left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
         return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
+
+    def begun_anew(self) -> None:
+        """Fit windows that leave much more than others from the smoother on, joints at rest or not.
+
+        Their starts followed magnitudes that were far off, to where no small step leads back.
+        """
+        rows = self.left_behind()
+        rows = rows[self.cost[rows] > _ASTRAY * np.median(self.cost)]
+        if rows.size:
+            problem = self._problem.rows(rows)
+            start = problem.windows.start
+            other = FittedStarts(problem, self._hypothesis, start, self._finer, worth=self._worth)
+            other.fit()
+            other.rested()
+            self._adopt(rows, other)
 
     def rested(self, *, half: bool = False) -> None:
         """Try slow joints that friction may hold at rest, where windows leave more than noise.

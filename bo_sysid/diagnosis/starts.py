@@ -52,7 +52,8 @@ def caught_up(
     In contact a start decides when something is touched, and no small step leads from one order of
     impacts to another; what is left there asks for names that are not there. Each such window
     begins anew at the smoother's start and is fitted to its first part, then to more of it, and
-    from starts drawn about the smoother's. Slow joints that friction may hold are tried at rest,
+    from starts drawn about the smoother's. Elsewhere those begin anew that leave much more than
+    others. Slow joints that friction may hold are tried at rest,
     far from the recordings in half of the windows: all of them leave more than noise there.
 
     Args:
@@ -64,6 +65,8 @@ def caught_up(
     if can_touch(problem.machine.model):
         found.grown()
         found.scattered()
+    else:
+        found.begun_anew()
     far = _far(found, problem)
     found.rested(half=far)
     if far and not _far(found, problem):  # only the starts were
