@@ -33,16 +33,14 @@ def test_orders_are_those_of_what_acts_on_one_command(machine: Machine) -> None:
     assert orders([lag, delay]) == []  # both are linear and the same at all times
     assert orders([dead, other]) == []
     assert orders([delay, lag, other, dead]) == [(0, 3, 2, 1)]
-    rate = next(
-        c for c in (candidate(machine, "command_rate", "shoulder"),) if c.effect.in_turn
-    )  # fmt: skip
+    (rate,) = held(machine, "command_rate")
     assert len(orders([lag, dead, rate])) == 5
     assert [followed([lag, delay, dead], k) for k in range(3)] == [True, False, False]
 
 
 def moved(*effects: str, finer: int = 4) -> Recording:
     """A recording of an arm whose shoulder has a lag and a dead zone in that or the other order."""
-    commanded, model = record([], duration=6.0), arm().compile(timestep=0.002 / 4)
+    commanded, model = record([], duration=6.0), arm().compile(timestep=0.002 / finer)
     time = commanded.channels["ctrl.shoulder"].time
     ctrl = np.stack([commanded.channels[f"ctrl.{n}"].values for n in ("shoulder", "elbow")], 1)
     data, qpos = mujoco.MjData(model), np.empty((len(time), 2))

@@ -190,8 +190,7 @@ def _straightened(final: Search) -> None:
     if straight.rms > _AS_GOOD * leader.rms:
         return
     for f in list(final.fits.values()):
-        same = {c.key for c in f.members} == {c.key for c in leader.members}
-        if same and any(c.bent and c.key in untold for c in f.members):
+        if _effects(f) == _effects(leader) and any(c.bent and c.key in untold for c in f.members):
             del final.fits[f.key]
 
 
@@ -280,9 +279,9 @@ def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     windows admit, and the best that shares no name, to compare with. Where names are no explanation
     only the leader, and the best that is admissible.
     """
-    first: dict[frozenset[tuple[str, str]], Fit] = {}
+    first = dict[Names, Fit]()
     for f in order:
-        first.setdefault(frozenset(c.key for c in f.members), f)
+        first.setdefault(_effects(f), f)
     order = list(first.values())
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
