@@ -10,11 +10,12 @@ from diagnosis_plant import Planted
 from diagnosis_rigs import CONTACT, LOGS, RIGS, load
 from diagnosis_strange import STRANGE
 
+from bo_sysid.diagnosis.answer.explain import Outcome, explain
+from bo_sysid.diagnosis.answer.findings import Finding, findings
 from bo_sysid.diagnosis.diagnose import make_evidence
-from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.explain import Outcome, explain
-from bo_sysid.diagnosis.findings import Finding, findings
-from bo_sysid.diagnosis.forecast import (
+from bo_sysid.diagnosis.search.locate import Located, locate
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.forecast import (
     AHEAD,
     LONGER,
     PAST,
@@ -22,8 +23,7 @@ from bo_sysid.diagnosis.forecast import (
     forecast_problem,
     noise_floor,
 )
-from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.locate import Located, locate
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Address

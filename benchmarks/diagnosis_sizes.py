@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.linear import project
-from bo_sysid.diagnosis.problem import pose
-from bo_sysid.diagnosis.windowing import nothing, prepare
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch

@@ -22,14 +22,14 @@ from absl import logging as absl_logging
 from jaxtyping import Float
 from mujoco import sysid
 
-from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.hypothesis import (
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.hypothesis import (
     Candidate,
     Hypothesis,
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, pose
 from bo_sysid.parameters import Parameter
 
 WINDOW = 0.3  # [s]

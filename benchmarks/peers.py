@@ -21,9 +21,9 @@ import peer_sysid
 from common import Cases, benchmark
 
 from bo_sysid.diagnosis.diagnose import diagnose, gather
-from bo_sysid.diagnosis.evidence import Evidence
-from bo_sysid.diagnosis.forecast import AHEAD, PAST, forecast, forecast_problem
-from bo_sysid.diagnosis.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.proof.develop import develop
 from bo_sysid.proof.marks import mark, named
 from bo_sysid.proof.oracle import true_hypothesis

@@ -9,12 +9,12 @@ import pytest
 import yaml
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.coordinates import Coordinates, transmitted
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.window_lengths import windows_of
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Hidden, Site, survey
 from bo_sysid.errors import ModelError
 from bo_sysid.identify import identify

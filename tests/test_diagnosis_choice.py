@@ -9,14 +9,12 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 from numpy.testing import assert_allclose
 
-from bo_sysid.diagnosis.answer import make_answer
-from bo_sysid.diagnosis.argmin import argmin_sets
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.experiment import next_experiment
-from bo_sysid.diagnosis.explain import explain
-from bo_sysid.diagnosis.findings import findings
-from bo_sysid.diagnosis.forecast import AHEAD, LONGER
-from bo_sysid.diagnosis.hints import (
+from bo_sysid.diagnosis.answer.answer import make_answer
+from bo_sysid.diagnosis.answer.argmin import argmin_sets
+from bo_sysid.diagnosis.answer.experiment import next_experiment
+from bo_sysid.diagnosis.answer.explain import explain
+from bo_sysid.diagnosis.answer.findings import findings
+from bo_sysid.diagnosis.answer.hints import (
     bending,
     doubtful,
     hints,
@@ -27,14 +25,16 @@ from bo_sysid.diagnosis.hints import (
     stepping,
     unrepeated,
 )
-from bo_sysid.diagnosis.holdout import Holdout, beyond
-from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.missing_force import explained, missing_force
-from bo_sysid.diagnosis.moves import fit_some
-from bo_sysid.diagnosis.problem import Problem
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.sentences import doubts, rivals
-from bo_sysid.diagnosis.sharpen import sharpened
+from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
+from bo_sysid.diagnosis.answer.sentences import doubts, rivals
+from bo_sysid.diagnosis.search.locate import Located, locate
+from bo_sysid.diagnosis.search.moves import fit_some
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from diagnosis_helpers import candidate, posed, record
 
-from bo_sysid.diagnosis.decide import decide
-from bo_sysid.diagnosis.final import _finalists
-from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.rules import SetPrior, admissible, lost, required, sizes
+from bo_sysid.diagnosis.search.final import _finalists
+from bo_sysid.diagnosis.sets.decide import decide
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, lost, required, sizes
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000

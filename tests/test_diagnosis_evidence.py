@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model

@@ -7,17 +7,17 @@ import pytest
 from diagnosis_helpers import arm, candidate, posed, record
 from scipy.optimize import lsq_linear
 
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.findings import findings
-from bo_sysid.diagnosis.fit import assess, sandwich
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.linear import project
-from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.refit import FINAL, Effort, refit
-from bo_sysid.diagnosis.screen import Screen
-from bo_sysid.diagnosis.signatures import signatures
-from bo_sysid.diagnosis.timestep import SHARE_BOUNDS
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.answer.findings import findings
+from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.sets.fit import assess, sandwich
+from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
+from bo_sysid.diagnosis.sets.screen import Screen
+from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.parameters import Parameter
 

@@ -9,19 +9,19 @@ import yaml
 from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.final import let_hold
-from bo_sysid.diagnosis.findings import findings
-from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.hints import holding
-from bo_sysid.diagnosis.hypothesis import beside, candidates, parameter_candidates
-from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.moves import explore
-from bo_sysid.diagnosis.rules import admissible, clean, ranked
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.shapes import ranges, with_shapes_unsure
-from bo_sysid.diagnosis.sharpen import sharpened
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.answer.findings import findings
+from bo_sysid.diagnosis.answer.hints import holding
+from bo_sysid.diagnosis.search.final import let_hold
+from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.search.moves import explore
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import admissible, clean, ranked
+from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import beside, candidates, parameter_candidates
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
@@ -139,7 +139,7 @@ def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> N
     levels = {}
     for moved in (-2 * deviation, 0.0, 2 * deviation):
         c = fit.members[0].with_shapes(fit.members[0].shapes + np.array([0.0, moved]))
-        made = search.fit([c], fit.x, start=fit.start, guess=fit.hypothesis, again=True)
+        made = search.refit([c], fit.x, start=fit.start, guess=fit.hypothesis)
         levels[moved] = (made.rss, made.x[0][0])
     white = [levels[m][0] - levels[0.0][0] for m in levels if m]
     assert np.mean(white) / 4 >= 0.5  # no narrower than the noise allows

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.diagnose import make_evidence
-from bo_sysid.diagnosis.locate import locate
+from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

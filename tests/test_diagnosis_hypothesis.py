@@ -11,10 +11,10 @@ from diagnosis_helpers import SIGMA, arm, posed, record
 from effect_bench import MOTOR, pendulum
 from effect_machines import case
 
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.hypothesis import Hypothesis, candidates, edits_and_parts
-from bo_sysid.diagnosis.repaired import BESIDE, MODEL, MODULE, write_model
-from bo_sysid.diagnosis.timestep import coarsened, finer_step
+from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, MODULE, write_model
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, candidates, edits_and_parts
+from bo_sysid.diagnosis.windows.timestep import coarsened, finer_step
 from bo_sysid.effects import CATALOGUE, Extent, Force, Reading, catalogue, load_effects
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.errors import ModelError, StudyError

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, followed, orders
-from bo_sysid.diagnosis.repaired import BESIDE, MODEL, write_model
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, followed, orders
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Machine, survey
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.stepper import Stepper

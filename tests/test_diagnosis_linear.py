@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, candidate, posed, record
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, candidates
-from bo_sysid.diagnosis.linear import linearise, project
-from bo_sysid.diagnosis.problem import Problem, pose
-from bo_sysid.diagnosis.shown import observe
-from bo_sysid.diagnosis.signatures import signatures
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates
+from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.shown import observe
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Machine, Reading, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.prediction_error import PredictionError
+from bo_sysid.diagnosis.answer.prediction_error import PredictionError
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

@@ -9,9 +9,9 @@ import pytest
 import yaml
 from diagnosis_helpers import ARM, arm, record
 
-from bo_sysid.diagnosis.findings import Finding, Quantity
-from bo_sysid.diagnosis.repaired import MODEL, Written
-from bo_sysid.diagnosis.repaired_study import study_text
+from bo_sysid.diagnosis.answer.findings import Finding, Quantity
+from bo_sysid.diagnosis.answer.repaired import MODEL, Written
+from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.mjcf import Address, parameter_edits
 from bo_sysid.recording.writers import write_recording

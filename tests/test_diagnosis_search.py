@@ -1,24 +1,22 @@
 """What the search does and leaves out where names are far from the recordings."""
 
-import sys
-
 import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.fit import Fit, set_key
-from bo_sysid.diagnosis.forecast import fitted
-from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.locate import locate
-from bo_sysid.diagnosis.moves import stripped
-from bo_sysid.diagnosis.rules import MARGIN, ROUGH, lost
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.window_lengths import windows_of
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.search.moves import stripped
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.fit import Fit, set_key
+from bo_sysid.diagnosis.sets.rules import MARGIN, lost
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.forecast import fitted
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.linear import linearise
+from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
-
-SEARCH, FINAL = (sys.modules[f"bo_sysid.diagnosis.{name}"] for name in ("search", "final"))
 
 
 def evidence(effect: str, **plant: object) -> Evidence:
@@ -41,7 +39,9 @@ def waves() -> Evidence:
 def compared(monkeypatch: pytest.MonkeyPatch) -> list[Fit]:
     """The sets whose members others were tried in the place of."""
     seen: list[Fit] = []
-    monkeypatch.setattr(FINAL, "substitute", lambda search, fit: seen.append(fit))
+    monkeypatch.setattr(
+        "bo_sysid.diagnosis.search.final.substitute", lambda search, fit: seen.append(fit)
+    )
     return seen
 
 
@@ -88,10 +88,13 @@ def test_a_set_is_fitted_again_where_the_model_was_linearised_at_another_distanc
     damping = candidate(waves.machine, "viscous_damping", "elbow")
     first = search.fit([damping], [np.zeros(1)])
     assert first.rms > ROUGH
-    taken, linearise = [], SEARCH.linearise
-    monkeypatch.setattr(SEARCH, "linearise", lambda *at: taken.append(at) or linearise(*at))
+    taken: list[object] = []
+    monkeypatch.setattr(
+        "bo_sysid.diagnosis.search.search.linearise",
+        lambda *at: taken.append(at) or linearise(*at),
+    )
     monkeypatch.setattr(search, "_framed", share * first.rms)
-    search.fit([damping], first.x, start=first.start, again=True)
+    search.refit([damping], first.x, start=first.start)
     assert min(len(taken), 1) == times
 
 

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.explain import Unexplained
-from bo_sysid.diagnosis.findings import Finding, Quantity, sentence
-from bo_sysid.diagnosis.hypothesis import candidates
-from bo_sysid.diagnosis.sentences import found_sentences
+from bo_sysid.diagnosis.answer.explain import Unexplained
+from bo_sysid.diagnosis.answer.findings import Finding, Quantity, sentence
+from bo_sysid.diagnosis.answer.sentences import found_sentences
+from bo_sysid.diagnosis.windows.hypothesis import candidates
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.recording import Recording

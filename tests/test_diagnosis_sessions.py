@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
-from bo_sysid.diagnosis.problem import pose
-from bo_sysid.diagnosis.refit import refit
-from bo_sysid.diagnosis.sessions import by_recording, by_stretch
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.answer.sessions import by_recording, by_stretch
+from bo_sysid.diagnosis.sets.refit import refit
+from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import survey
 from bo_sysid.simulation import Engine
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from bo_sysid.diagnosis.hypothesis import Candidate
-from bo_sysid.diagnosis.subsets import Unit, clashes, gram, groups, search
+from bo_sysid.diagnosis.sets.subsets import Unit, clashes, gram, groups, search
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.effects import Component, Effect, Extent, Site
 
 

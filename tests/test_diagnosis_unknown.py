@@ -8,22 +8,29 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
-from bo_sysid.diagnosis import explain as explaining
-from bo_sysid.diagnosis.along import smoothed
-from bo_sysid.diagnosis.decide import Decision
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.explain import Unexplained, _better, _learned, _placed, _refuted, _said
-from bo_sysid.diagnosis.fit import Fit
-from bo_sysid.diagnosis.law import law_candidate, learn, terms_of
-from bo_sysid.diagnosis.left_out import RIDGES, LeftOut
-from bo_sysid.diagnosis.linear import linearise, project
-from bo_sysid.diagnosis.locate import Located
-from bo_sysid.diagnosis.prediction_error import PredictionError
-from bo_sysid.diagnosis.refit import Effort, refit
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.signatures import response_to_forces
-from bo_sysid.diagnosis.unknown import Clue, Unknown, examine, needed_beside
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.answer import explain as explaining
+from bo_sysid.diagnosis.answer.explain import (
+    Unexplained,
+    _better,
+    _learned,
+    _placed,
+    _refuted,
+    _said,
+)
+from bo_sysid.diagnosis.answer.prediction_error import PredictionError
+from bo_sysid.diagnosis.search.locate import Located
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.sets.decide import Decision
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.sets.signatures import response_to_forces
+from bo_sysid.diagnosis.unexplained.law import law_candidate, learn, terms_of
+from bo_sysid.diagnosis.unexplained.left_out import RIDGES, LeftOut
+from bo_sysid.diagnosis.unexplained.unknown import Clue, Unknown, examine, needed_beside
+from bo_sysid.diagnosis.windows.along import smoothed
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects.learned import learned_force
 from bo_sysid.mjcf.touching import touching
 
@@ -233,7 +240,7 @@ def test_in_contact_more_must_be_left_to_be_flagged(
     ready, nominal = magnet
     loud = settled(left_over(nominal, rms))
     assert examine(ready.problem, loud).flagged
-    monkeypatch.setattr("bo_sysid.diagnosis.unknown.in_contact", lambda problem: True)
+    monkeypatch.setattr("bo_sysid.diagnosis.unexplained.unknown.in_contact", lambda problem: True)
     assert examine(ready.problem, loud).flagged == in_contact
     assert examine(ready.problem, loud).law is None
     assert examine(ready.problem, settled(nominal)).law.joint == "elbow"

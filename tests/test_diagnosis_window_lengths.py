@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.window_lengths import stable
+from bo_sysid.diagnosis.search.window_lengths import stable
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

@@ -3,10 +3,10 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.search import Search
-from bo_sysid.diagnosis.window_lengths import telling, windows_of
-from bo_sysid.diagnosis.windowing import prepare
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.window_lengths import telling, windows_of
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bo_sysid.diagnosis.hypothesis import Candidate, Hypothesis, candidates, edits_and_parts
-from bo_sysid.diagnosis.repaired import BESIDE, MODEL, write_model
+from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates, edits_and_parts
 from bo_sysid.effects import CATALOGUE, Force, Machine, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

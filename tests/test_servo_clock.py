@@ -7,10 +7,10 @@ import pytest
 from bo_sysid.checks.estimate import Estimate, delay
 from bo_sysid.checks.hypothesis import Evidence
 from bo_sysid.checks.traces import Traces
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.missing_force import missing_force
-from bo_sysid.diagnosis.timestep import FINER
+from bo_sysid.diagnosis.unexplained.missing_force import missing_force
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.timestep import FINER
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.evidence import make_evidence
-from bo_sysid.diagnosis.hypothesis import Hypothesis
-from bo_sysid.diagnosis.window_lengths import windows_of
+from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, MujocoSimulator

@@ -7,27 +7,27 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.checks.motion import range_flags
-from bo_sysid.diagnosis.answer import Answer, make_answer
-from bo_sysid.diagnosis.argmin import ArgminSets, argmin_sets
-from bo_sysid.diagnosis.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.experiment import EXPERIMENT, next_experiment
-from bo_sysid.diagnosis.explain import Outcome, explain
-from bo_sysid.diagnosis.hints import doubtful, hints, leaves_much, left_sentence
-from bo_sysid.diagnosis.holdout import Holdout, judge
-from bo_sysid.diagnosis.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.locate import Located, locate
-from bo_sysid.diagnosis.missing_force import missing_force
-from bo_sysid.diagnosis.repaired import MODEL, STUDY, write_model
-from bo_sysid.diagnosis.repaired_study import study_text
-from bo_sysid.diagnosis.sentences import (
+from bo_sysid.diagnosis.answer.answer import Answer, make_answer
+from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
+from bo_sysid.diagnosis.answer.experiment import EXPERIMENT, next_experiment
+from bo_sysid.diagnosis.answer.explain import Outcome, explain
+from bo_sysid.diagnosis.answer.hints import doubtful, hints, leaves_much, left_sentence
+from bo_sysid.diagnosis.answer.holdout import Holdout, judge
+from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
+from bo_sysid.diagnosis.answer.repaired_study import study_text
+from bo_sysid.diagnosis.answer.sentences import (
     doubts,
     found_sentences,
     parameters_sentence,
     rivals,
     stood_in_sentence,
 )
-from bo_sysid.diagnosis.tables import bent_pose, sets
-from bo_sysid.diagnosis.windowing import in_contact
+from bo_sysid.diagnosis.answer.tables import bent_pose, sets
+from bo_sysid.diagnosis.search.locate import Located, locate
+from bo_sysid.diagnosis.unexplained.missing_force import missing_force
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording

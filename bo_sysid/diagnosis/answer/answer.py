@@ -1,0 +1,190 @@
+"""The answer of a diagnosis: frozen and hashed before the hold-out is read."""
+
+import hashlib
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import pandas as pd
+
+from bo_sysid.diagnosis.answer.experiment import Experiment
+from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
+from bo_sysid.diagnosis.answer.findings import Finding, findings, named
+from bo_sysid.diagnosis.sets.decide import Decision
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.effects import Machine
+from bo_sysid.effects.contract import Family
+from bo_sysid.runs import plain
+
+Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
+
+_FEW, _LISTED = 4, 0.005  # other sets that are always told; probability of further ones
+_EQUIVALENTS = 3
+_UNHEARD = 0.02  # probability that it is something outside the catalogue
+_STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
+_BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a diagnosis says, from the training recordings alone.
+
+    Attributes:
+        verdict: in one word.
+        findings: what is missing.
+        alternatives: other sets and their probabilities.
+        located: sites with the share of the mismatch that they explain.
+        unexplained: what no known effect explains.
+        next_experiment: what to record next, None where nothing is to be separated.
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    alternatives: tuple[Mapping[str, Any], ...]
+    located: tuple[Mapping[str, Any], ...]
+    unexplained: Unexplained
+    next_experiment: Experiment | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the answer as `diagnosis.json` has it, without the hold-out."""
+        return {
+            "verdict": self.verdict,
+            "findings": [f.as_json() for f in self.findings],
+            "alternatives": [dict(a) for a in self.alternatives],
+            "located": [dict(s) for s in self.located],
+            "unexplained": {
+                "share": self.unexplained.share,
+                "kind": self.unexplained.kind,
+                "site": self.unexplained.site,
+                "depends_on": list(self.unexplained.depends_on),
+            },
+            "next_experiment": self.next_experiment and self.next_experiment.as_json(),
+            "model": "model_repaired.xml",
+            "study": "study_repaired.yaml",
+        }
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the answer as canonical JSON."""
+        canonical = json.dumps(plain(self.as_json()), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The findings, one row each."""
+        rows = [
+            {
+                "effect": f.effect,
+                "kind": f.kind,
+                "site": f.site,
+                "value": f.quantity.value,
+                "low": f.quantity.interval[0],
+                "high": f.quantity.interval[1],
+                "unit": f.quantity.unit,
+                "before": f.before,
+                "after": f.after,
+                "group": f.group,
+                "probability": f.probability,
+            }
+            for f in self.findings
+        ]
+        columns = ["effect", "kind", "site", "value", "low", "high", "unit", "before", "after"]
+        return pd.DataFrame(rows, columns=[*columns, "group", "probability"])
+
+
+def make_answer(
+    decision: Decision,
+    outcome: Outcome,
+    machine: Machine,
+    experiment: Experiment | None = None,
+    *,
+    doubtful: bool = False,
+    fitted: Machine | None = None,
+) -> Answer:
+    """Freeze a decision into an answer, with what to record next.
+
+    Where names are doubtful an effect outside the catalogue is as probable as beside something
+    that stays unexplained: in contact, where they were wrong more often than their fits say, and
+    where `hints` says why.
+
+    Names that a learned law replaces, or that recordings disagree on, are no findings. Where others
+    of their set stay, these have its probability; where none does, it is among the alternatives,
+    and something unknown is more probable.
+
+    Args:
+        decision: between sets.
+        outcome: what is kept of it.
+        machine: the nominal model.
+        experiment: what to record next.
+        doubtful: whether something says that names are less sure than their fits.
+        fitted: the machine with the model in which only the study's parameters were fitted, the
+            nominal one where left out.
+    """
+    best, kept = decision.best, outcome.fit
+    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
+    if outcome.unexplained.flagged and best.members and not kept.members:
+        none_of_these = 1.0 - _BESIDE_UNKNOWN
+    posterior = (1.0 - none_of_these) * decision.probability
+    answered = {best.key, kept.key} if kept.members else {kept.key}
+    shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))
+    probability = float(sum(shares.get(key, 0.0) for key in answered))
+    found = findings(kept, machine, probability, _equivalents(decision, kept, machine), fitted)
+    alternatives: list[dict[str, Any]] = [
+        {"findings": list(named(f, machine)), "probability": float(p)}
+        for f, p in zip(decision.fits, posterior, strict=True)
+        if f.key not in answered
+    ]
+    likely = [a for a in alternatives[_FEW:] if a["probability"] >= _LISTED]
+    stranger = {"findings": [_STRANGER], "probability": none_of_these}
+    alternatives = [*alternatives[:_FEW], *likely, stranger]
+    alternatives.sort(key=lambda a: -a["probability"])
+    return Answer(
+        verdict({c.effect.family for c in kept.members}, outcome.unexplained),
+        found,
+        tuple(alternatives),
+        _located(kept, outcome.unexplained),
+        outcome.unexplained,
+        experiment,
+    )
+
+
+def _equivalents(
+    decision: Decision, kept: Fit, machine: Machine
+) -> tuple[tuple[Mapping[str, Any], ...], ...]:
+    """Return the sets told apart by nothing, without the names that a learned law replaced."""
+    named_at = {c.key for c in kept.members}
+    out = {c.key for c in decision.best.members} - named_at
+    found: dict[frozenset[Any], tuple[Mapping[str, Any], ...]] = {}
+    for fit in decision.equivalents[:_EQUIVALENTS]:
+        rest = tuple(m for m in named(fit, machine) if (m["effect"], m["site"]) not in out)
+        key = frozenset((m["effect"], m["site"]) for m in rest)
+        if rest and key != named_at:
+            found.setdefault(key, rest)
+    return tuple(found.values())
+
+
+def verdict(families: Collection[Family], unexplained: Unexplained) -> Verdict:
+    """Return the verdict: what is missing outweighs what is only measured wrongly."""
+    if unexplained.flagged:
+        return "unknown-physics"
+    if "physics" in families:
+        return "missing-physics"
+    if "sensing" in families:
+        return "sensing"
+    return "numerics" if families else "nothing-missing"
+
+
+def _located(best: Fit, unexplained: Unexplained) -> tuple[Mapping[str, Any], ...]:
+    """Return each site with its part of the unique sizes, squared."""
+    share = unexplained.share
+    total = sum(u**2 for u in best.unique)
+    sites: dict[tuple[str, str], float] = {}
+    for c, u in zip(best.members, best.unique, strict=True):
+        key: tuple[str, str] = (c.site.kind, c.site.name)
+        sites[key] = sites.get(key, 0.0) + (1.0 - share) * u**2 / max(total, 1e-300)
+    if unexplained.kind is not None and unexplained.site is not None:
+        key = (unexplained.kind, unexplained.site)
+        sites[key] = sites.get(key, 0.0) + share
+    ordered = sorted(sites.items(), key=lambda item: -item[1])
+    return tuple({"kind": k, "site": s, "share": float(v)} for (k, s), v in ordered)

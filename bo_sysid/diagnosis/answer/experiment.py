@@ -1,0 +1,275 @@
+"""What to record next: the motion that would tell apart what these recordings cannot.
+
+Every proposed motion is simulated with the answer in the model; the rival is then fitted to that
+simulation, starts and all, as it would be to a recording. What it cannot fit is the separation.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
+from bo_sysid.diagnosis.answer.findings import named
+from bo_sysid.diagnosis.search.locate import Located
+from bo_sysid.diagnosis.sets.decide import Decision
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.windows.problem import Problem, Simulated, pose
+from bo_sysid.diagnosis.windows.shown import observe
+from bo_sysid.diagnosis.windows.windowing import prepare
+from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.excite.limits import Limits
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Controller, Trajectory
+from bo_sysid.study.outer import Limit
+
+EXPERIMENT = "next_experiment.csv"
+"""File in the run folder with the controls to be recorded."""
+
+_LENGTH = 4.0  # [s] of a proposed motion
+_RIVALS, _OPEN = 2, 0.05  # how many rivals are looked at; probability from which a set is one
+_TELLS = 0.5  # [sigma] per sample below which a motion separates nothing
+_SLOW, _MIDDLE, _FAST = 0.15, 0.8, 3.0  # [Hz]
+_SMALLER, _TRIES = 0.7, 8  # factor by which a motion is made smaller until it keeps the limits
+_BEYOND = 0.15  # of a recorded range by which a motion may leave it where no limit is stated
+_EFFORT = Effort(iterations=5, gain=1.0, final=True)
+
+_VARY = {
+    "position": "visit every position of the joint in both directions, slowly and fast",
+    "speed": "run the joint at several constant speeds, in both directions",
+    "control": "repeat one motion with other commands: another load, or another gain",
+    "load": "repeat one motion with a known weight added",
+    "time": "run the same motion from cold to warm, and again after a pause",
+    "other_joint": "hold the joint and move the others one at a time",
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to record next.
+
+    Attributes:
+        sentence: what to do and why.
+        separates: the sets that it would tell apart.
+        separation: rms difference of their predictions in sigma, after the rival was fitted.
+        controls: time [s] and one column an actuator; None where words must do.
+    """
+
+    sentence: str
+    separates: tuple[tuple[Mapping[str, Any], ...], ...]
+    separation: float
+    controls: pd.DataFrame | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of the key `next_experiment` of an answer."""
+        return {
+            "sentence": self.sentence,
+            "separates": [list(s) for s in self.separates],
+            "separation": self.separation,
+            "unit": "sensor sigma",
+            "file": None if self.controls is None else EXPERIMENT,
+        }
+
+
+def next_experiment(
+    located: Located, outcome: Outcome, stated: Mapping[str, Limit]
+) -> Experiment | None:
+    """Return what would tell apart what the recordings cannot; None where nothing is open.
+
+    Args:
+        located: the decision.
+        outcome: what it amounts to.
+        stated: the study's limits; recorded ranges bind where there are none.
+    """
+    if outcome.unexplained.flagged:
+        return _about_unknown(outcome.unexplained)
+    best, rivals = outcome.fit, _rivals(located.decision)
+    if best.key != located.decision.best.key or not rivals:
+        return None
+    problem = located.prepared.problem
+    machine = problem.machine
+    separates = tuple(named(f, machine) for f in (best, *rivals))
+    separation, name, controls = _most_telling(problem, best, rivals, stated)
+    if controls is None or separation < _TELLS:
+        return Experiment(_in_words(best, rivals), separates, separation, None)
+    one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
+    return Experiment(
+        f"Record {name}: {one} and {other}, which these recordings do not tell apart, then differ "
+        f"by {separation:.2g} sensor sigmas.",
+        separates,
+        separation,
+        _frame(problem, controls),
+    )
+
+
+def _most_telling(
+    problem: Problem, best: Fit, rivals: Sequence[Fit], stated: Mapping[str, Limit]
+) -> tuple[float, str, Float[np.ndarray, "T nu"] | None]:
+    """Return the motion that a rival is worst at, with its name and separation; None if none."""
+    found: tuple[float, str, np.ndarray | None] = (0.0, "", None)
+    try:
+        limits = Limits.of(problem.model, stated)
+    except StudyError:  # limits are known of hinges and slides only: words must do
+        return found
+    for name, controls in _motions(problem):
+        try:
+            told = _kept(problem, best, limits, stated, controls)
+            if told is None:
+                continue
+            separation = min(_separation(problem, r, told[1]) for r in rivals)
+        except ModelError:  # a rival diverges: no number says by how much they differ
+            continue
+        if separation > found[0]:
+            found = (separation, name, told[0])
+    return found
+
+
+def _rivals(decision: Decision) -> tuple[Fit, ...]:
+    rivals = list(decision.equivalents)
+    for f, p in zip(decision.fits, decision.probability, strict=True):
+        if f is not decision.best and p >= _OPEN and f not in rivals:
+            rivals.append(f)
+    return tuple(rivals[:_RIVALS])
+
+
+def _about_unknown(unexplained: Unexplained) -> Experiment:
+    where = "the machine" if unexplained.kind == "world" else f"the {unexplained.site}"
+    ways = [_VARY[d] for d in unexplained.depends_on] or ["vary one thing at a time"]
+    if unexplained.much:
+        ways = ["move one joint at a time, slowly and fast", "do so with a known weight added"]
+    text = f"To learn what acts on {where}: {'; '.join(ways)}."
+    return Experiment(text, (), 0.0, None)
+
+
+def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
+    members = (*best.members, *(c for r in rivals for c in r.members))
+    said = (c.effect.separation.split("; ") for c in members if c.effect.separation)
+    ways = dict.fromkeys(chain.from_iterable(said))
+    return (
+        f"None of the motions that were tried within the limits tells "
+        f"{_said(best, beside=rivals[0])} from {_said(rivals[0], beside=best)} by what was "
+        f"recorded here. What tells them apart: {'; '.join(ways)}."
+    )
+
+
+def _said(fit: Fit, beside: Fit) -> str:
+    """Return what a set has that another lacks, all of it where it lacks nothing."""
+    shared = {c.key for c in beside.members}
+    own = [c for c in fit.members if c.key not in shared] or fit.members
+    words = [
+        c.effect.noun if c.site.kind == "world" else f"{c.effect.noun} at {c.site.name}"
+        for c in own
+    ]
+    return " with ".join(words) or "nothing missing"
+
+
+def _motions(problem: Problem) -> Iterator[tuple[str, Float[np.ndarray, "T nu"]]]:
+    """Yield motions by name: controls about the recorded middle, within the recorded range."""
+    time = np.arange(0.0, _LENGTH, problem.machine.sampling)
+    names = [c.removeprefix("ctrl.") for c in problem.model.ctrl_channels]
+    if any(isinstance(w, Controller) for w in problem.laws) or not names:
+        return
+    low, high = (edge(problem.windows.ctrl, axis=(0, 1)) for edge in (np.min, np.max))
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    phase = np.arange(len(names))
+    for rate, word in ((_SLOW, "slow"), (_MIDDLE, "medium"), (_FAST, "fast")):
+        angle = 2 * np.pi * rate * (1 + 0.13 * phase) * time[:, None] + phase
+        wave = np.sin(angle)
+        yield f"{word} sine waves of all commands (about {rate:g} Hz)", middle + half * wave
+    sweep = 2 * np.pi * (_SLOW * time + 0.5 * (_FAST - _SLOW) * time**2 / _LENGTH)
+    yield "a sweep from slow to fast", middle + half * np.sin(sweep[:, None] + phase)
+    square = np.sign(np.sin(2 * np.pi * _MIDDLE * (1 + 0.13 * phase) * time[:, None] + phase))
+    yield "steps back and forth", middle + 0.7 * half * square
+    servos = any(a.servo for a in problem.machine.actuators.values())  # zero is a place to go to
+    if (low < 0).all() and (high > 0).all() and not servos:
+        yield "a release from where it began, with all commands at zero", 0.0 * square
+
+
+def _kept(
+    problem: Problem,
+    best: Fit,
+    limits: Limits,
+    stated: Mapping[str, Limit],
+    controls: Float[np.ndarray, "T nu"],
+) -> tuple[Float[np.ndarray, "T nu"], Recording] | None:
+    """Return controls so small that the motion keeps the limits, and the motion; None if none."""
+    middle = controls.mean(axis=0)
+    for _ in range(_TRIES):
+        one = _posed(problem, _still(problem, controls), len(controls) - 1)
+        told = one.simulate(best.hypothesis, one.windows.start)
+        over = limits.violation(problem.machine.model, told.trajectory, told.ctrl, 1.0)[0]
+        if over == 0.0 and _within_reach(problem, stated, told.trajectory):
+            return controls, _shown(one, told, controls)
+        controls = middle + _SMALLER * (controls - middle)
+    return None
+
+
+def _posed(problem: Problem, recording: Recording, horizon: int) -> Problem:
+    sigma = 1 / problem.weight.reshape(-1, len(problem.windows.channels)).max(axis=0)
+    return pose(
+        problem.model,
+        problem.machine,
+        [recording],
+        dict(zip(problem.windows.channels, sigma.tolist(), strict=True)),
+        problem.nuisances,
+        horizon=horizon,
+        timestep=problem.windows.timestep,
+        engine=problem.engine,
+        laws=problem.laws,
+    )
+
+
+def _still(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> Recording:
+    """Return a recording of a machine that rests at its first recorded pose under controls."""
+    first = problem.recordings[0]
+    time = np.arange(len(controls)) * problem.machine.sampling
+    at = {n: first.channels[n].values[0] for n in problem.windows.channels}
+    at |= {n: first.channels[n].values.mean() for n in problem.machine.inputs}
+    channels = {n: np.full(time.size, value) for n, value in at.items() if "qvel." not in n}
+    for k, name in enumerate(problem.model.ctrl_channels):
+        channels[name] = controls[:, k]
+    return Recording.from_frame(pd.DataFrame({"time": time, **channels}), name="proposed")
+
+
+def _shown(one: Problem, told: Simulated, controls: Float[np.ndarray, "T nu"]) -> Recording:
+    """Return what the channels show of the proposed motion."""
+    still = one.recordings[0]
+    shown = observe(one.layout, told.windows, told.trajectory, told.parts)[0]
+    channels = {n: c.values for n, c in still.channels.items()}
+    for k, name in enumerate(one.windows.channels):
+        channels[name] = np.concatenate([still.channels[name].values[:1], shown[:, k]])
+    time = np.arange(len(controls)) * one.machine.sampling
+    return Recording.from_frame(pd.DataFrame({"time": time, **channels}), name="proposed")
+
+
+def _within_reach(problem: Problem, stated: Mapping[str, Limit], trajectory: Trajectory) -> bool:
+    """Whether joints without a stated limit stay near what was recorded of them."""
+    for j in problem.machine.joints.values():
+        if stated.get(j.name) is not None and stated[j.name].position is not None:
+            continue
+        q = trajectory.qpos[..., int(problem.machine.model.joint(j.name).qposadr[0])]
+        if np.abs(q - j.middle).max() > (0.5 + _BEYOND) * j.span:
+            return False
+    return True
+
+
+def _separation(problem: Problem, rival: Fit, recording: Recording) -> float:
+    """Return the rms in sigma that a rival leaves of a motion, at its best magnitudes there."""
+    horizon = int(problem.windows.observed.shape[1])
+    prepared = prepare(_posed(problem, recording, horizon), rival.hypothesis)
+    made = refit(
+        prepared.linear, rival.members, rival.x, guess=rival.hypothesis, effort=_EFFORT,
+        start=prepared.start,
+    )  # fmt: skip
+    return made.rms
+
+
+def _frame(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> pd.DataFrame:
+    frame = pd.DataFrame(controls, columns=list(problem.model.ctrl_channels))
+    frame.insert(0, "time", np.arange(len(controls)) * problem.machine.sampling)
+    return frame

@@ -1,0 +1,326 @@
+"""What the decision amounts to: names that hold, and a learned law for what they leave."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from operator import itemgetter
+
+import numpy as np
+from scipy.stats import chi2
+
+from bo_sysid.diagnosis.answer.findings import spoken
+from bo_sysid.diagnosis.answer.prediction_error import PredictionError
+from bo_sysid.diagnosis.answer.sessions import Sessions, by_recording, by_stretch
+from bo_sysid.diagnosis.search.locate import Located
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.refit import FINAL
+from bo_sysid.diagnosis.sets.rules import LOOSE
+from bo_sysid.diagnosis.sets.shapes import with_shapes_unsure
+from bo_sysid.diagnosis.unexplained.law import learn, terms_of
+from bo_sysid.diagnosis.unexplained.unknown import Clue, Unknown, examine, needed_beside
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.timestep import coarsened
+from bo_sysid.diagnosis.windows.windowing import in_contact
+from bo_sysid.effects import Site
+from bo_sysid.errors import RecordingError
+
+_BETTER = 0.95  # of a forecast error: what is less is better
+_MOST_LEFT = 0.25  # of the squares that names leave, above which a law far off explains nothing
+_ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
+_WORDS = {
+    "position": "where the joint is",
+    "speed": "how fast it moves",
+    "control": "what is commanded",
+    "load": "the torque it carries",
+    "time": "the time since the recording began",
+    "other_joint": "where another joint is",
+}
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What the findings leave unexplained.
+
+    Attributes:
+        share: of what the nominal model left unexplained.
+        kind: kind of site where it sits, None where nothing is flagged.
+        site: name of the site.
+        depends_on: what it depends on: position, speed, control, load, time, other_joint.
+        learned: whether a learned law stands for it, if it is known what it depends on.
+        much: whether far more is left than a law at one joint explains.
+    """
+
+    share: float = 0.0
+    kind: str | None = None
+    site: str | None = None
+    depends_on: tuple[str, ...] = ()
+    learned: bool = True
+    much: bool = False
+
+    @property
+    def flagged(self) -> bool:
+        """Whether something stays unexplained that is more than noise."""
+        return self.kind is not None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The same in words."""
+        if self.site is None:
+            return ()
+        where = spoken(Site("world" if self.kind == "world" else "joint", self.site))
+        text = f"Something acts on {where} that no known effect explains"
+        if self.depends_on:
+            text += f"; it depends on {' and '.join(_WORDS[d] for d in self.depends_on)}"
+        elif self.much:
+            text += (
+                ". No force law at one joint explains most of it: more effects may be missing at "
+                "once than were looked for (diagnosis: {most: …})"
+            )
+        else:
+            text += (
+                ". No force law of position, speed, command, load or time predicts it, as is so of "
+                "disturbances and of noise in recorded commands"
+            )
+        stands = "Nothing stands for it"
+        if self.learned and (self.depends_on or self.much):
+            stands = f"A learned force law stands for {'a part of ' if self.much else ''}it"
+        return (f"{text}. {stands} in the repaired model.",)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The decision after the unknown was looked for.
+
+    Attributes:
+        fit: the set whose names hold.
+        nominal: the fit of nothing.
+        refitted: the nominal model with the study's parameters fitted.
+        repaired: the hypothesis that the repaired model is made from.
+        unexplained: what it says of the unknown.
+        timestep: of the simulation in [s].
+        sessions: the magnitudes recording by recording.
+        law_alone: the nominal model with nothing but a learned law, to compare with; None where
+            no law says anything.
+
+    From here on every hypothesis is stepped with the coarsest time step whose own error is little
+    beside what the hypothesis leaves (`coarsened`); `Hypothesis.numerics` says which.
+    """
+
+    fit: Fit
+    nominal: Fit
+    refitted: Hypothesis
+    repaired: Hypothesis
+    unexplained: Unexplained
+    timestep: float
+    sessions: Sessions
+    law_alone: Hypothesis | None = None
+
+
+def explain(located: Located) -> Outcome:
+    """Keep the names that hold beside a flexible law, and learn that law where one is needed."""
+    decision, problem = located.decision, located.prepared.problem
+    fit, sessions, unknown, unexplained = _held(located)
+    error = _forecast_error(located) if unknown.flagged or in_contact(problem) else None
+    nominal = decision.nominal
+    refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
+    alone, found = _law_alone(located, error, rivals=unknown.flagged)
+    if unknown.law is None:  # where nothing is missing, the repaired model is the refitted one
+        fit, repaired = _fitted(located, fit, error) if fit.members else (fit, refitted)
+    else:
+        law = alone
+        if fit.members:
+            law, clue = _learned(located, fit, unknown.clues, error)
+            unexplained = _said(replace(unknown, clues=(clue,)))
+        if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
+            fit, law, sessions = nominal, alone, by_recording(problem, nominal)
+        if not fit.members and alone is not None:
+            unexplained = _said(found)
+        bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
+        repaired, unexplained = _better(error, bare, law, unexplained)
+    return Outcome(
+        fit, nominal, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone
+    )
+
+
+def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
+    """Return the names that hold, their magnitudes by recording, and what they leave."""
+    decision, problem = located.decision, located.prepared.problem
+    fit, unknown = decision.best, examine(problem, decision)
+    unexplained = _said(unknown)
+    if unknown.flagged and unknown.law is None:
+        unexplained = _placed(located, unexplained)
+    if unknown.law is not None:
+        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
+    named = fit.key
+    fit, sessions = _agreed(located, fit)
+    if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
+        unknown = examine(problem, replace(decision, best=fit))
+        unexplained = _said(unknown)
+    return fit, sessions, unknown, unexplained
+
+
+def _refuted(
+    error: PredictionError, fit: Fit, nominal: Fit, law: Hypothesis | None, alone: Hypothesis | None
+) -> bool:
+    """Whether nothing, or a law alone, forecasts the training recordings better than names do.
+
+    Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
+    Names that are far from the recordings without a law must forecast better than it does alone.
+    """
+    if error(fit.hypothesis) > error(nominal.hypothesis):
+        return True
+    margin = _BETTER if fit.rms <= LOOSE else 1 / _BETTER
+    return law is not None and alone is not None and error(alone) < margin * error(law)
+
+
+def _better(
+    error: PredictionError | None,
+    bare: Hypothesis,
+    law: Hypothesis | None,
+    unexplained: Unexplained,
+) -> tuple[Hypothesis, Unexplained]:
+    """Return what is put in, and what is said of it: no law that forecasts worse than none."""
+    if law is None or (error is not None and error(bare) < error(law)):
+        return bare, replace(unexplained, learned=False)
+    return law, unexplained
+
+
+def _fitted(located: Located, fit: Fit, error: PredictionError | None) -> tuple[Fit, Hypothesis]:
+    """Return a fit, in contact with the magnitudes that forecast best, and its hypothesis."""
+    if error is None or not in_contact(located.prepared.problem):
+        return fit, _stepped(located, fit.hypothesis, fit.rms, error)
+    fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
+    return fit, fit.hypothesis
+
+
+def _forecast_error(located: Located) -> PredictionError | None:
+    """Return what judges by forecasts, where recordings are long enough for one."""
+    try:
+        return PredictionError(located.evidence, located.prepared.problem.windows.timestep)
+    except RecordingError:
+        return None
+
+
+def _law_alone(
+    located: Located, error: PredictionError | None, *, rivals: bool
+) -> tuple[Hypothesis | None, Unknown]:
+    """Return the nominal model with a learned law at the joint where one explains most, and where.
+
+    Without `rivals` only the law that predicts most is learned: beside names that explain all it is
+    there to be compared with.
+    The correction of the time step has the share that the answer shows, or all of it: without what
+    is missing, its fit follows something else.
+    """
+    problem, decision = located.prepared.problem, located.decision
+    whole = 0.0 if problem.correction is None else 1.0
+    numerics = decision.best.hypothesis.numerics if decision.best.members else whole
+    nominal = decision.nominal
+    stepped = replace(nominal.hypothesis, numerics=numerics)
+    left = problem.residual(stepped, nominal.start)
+    nominal = replace(nominal, hypothesis=stepped, residual=left)
+    found = replace(examine(problem, replace(decision, best=nominal)), flagged=True)
+    if found.law is None:
+        return None, found
+    clues = found.clues if rivals else found.clues[:1]
+    law, clue = _learned(located, nominal, clues, error)
+    return law, replace(found, clues=(clue,))
+
+
+def _learned(
+    located: Located, fit: Fit, clues: Sequence[Clue], error: PredictionError | None
+) -> tuple[Hypothesis, Clue]:
+    """Return a fit's hypothesis with the law beside it that leaves least, at its time step.
+
+    A law that leaves much, and not only a little of what there was, tells nothing: where many
+    things are missing, what follows from all of them looks like a force of something at some joint.
+    """
+    problem = located.prepared.problem
+    tried = []
+    for clue in clues:
+        terms = terms_of(problem.machine, clue.joint, clue.depends_on)
+        law, _, rms = learn(problem, fit, clue.joint, terms)
+        tried.append((rms, law, clue))
+        if rms**2 - 1.0 < _ENOUGH * fit.excess:
+            break
+    rms, law, clue = min(tried, key=itemgetter(0))
+    much = rms > ROUGH and rms**2 - 1.0 > _MOST_LEFT * fit.excess
+    if much and len(problem.machine.joints) > 1 and not in_contact(problem):
+        clue = replace(clue, tells=False)
+    return _stepped(located, law, rms, error), clue
+
+
+def _stepped(
+    located: Located, hypothesis: Hypothesis, rms: float, error: PredictionError | None
+) -> Hypothesis:
+    """Return a hypothesis at the coarsest time step whose error is little beside its rms.
+
+    In contact forecasts tell the step.
+    """
+    problem = located.prepared.problem
+    if error is not None and in_contact(problem):
+        return error.stepped(hypothesis)
+    own = problem.windows.timestep == problem.machine.model.opt.timestep  # else it is fine already
+    return coarsened(hypothesis, located.prepared.step_rms / max(rms, 1.0), finest=own)
+
+
+def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
+    """Return the fit without what the recordings disagree on, and the magnitudes by recording.
+
+    Its intervals hold the differences between recordings. An effect whose magnitude differs so
+    much between them that nothing remains of it on the whole is none of the machine's.
+    """
+    sessions = by_recording(located.prepared.problem, fit)
+    while fit.members:
+        kept = tuple(_significant(fit, sessions))
+        if all(kept):
+            break
+        fit = _without(located, fit, kept)
+        sessions = by_recording(located.prepared.problem, fit)
+    covariance = sessions.covariance
+    if in_contact(located.prepared.problem):  # stretches also differ by what recordings do
+        covariance = np.maximum(covariance, by_stretch(located.prepared.problem, fit))
+    fit = replace(fit, covariance=covariance)
+    return with_shapes_unsure(located.prepared.problem, located.search.frame.Q, fit), sessions
+
+
+def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
+    """Return for each member whether the recordings agree that it is there."""
+    found = []
+    for c, x, own in zip(fit.members, fit.x, slices_of(fit.members), strict=True):
+        widened = np.diag(sessions.covariance)[own] > np.diag(fit.covariance)[own]
+        distance = x @ np.linalg.pinv(sessions.covariance[own, own], hermitian=True) @ x
+        found.append(bool(not widened.any() or distance > chi2.ppf(0.95, c.size)))
+    return found
+
+
+def _said(unknown: Unknown) -> Unexplained:
+    if not unknown.flagged:
+        return Unexplained(unknown.share)
+    if unknown.law is None:
+        return Unexplained(unknown.share, "world", "world", ())
+    if not unknown.law.tells:
+        return Unexplained(unknown.share, "world", "world", (), much=True)
+    return Unexplained(unknown.share, "joint", unknown.law.joint, unknown.law.depends_on)
+
+
+def _placed(located: Located, unexplained: Unexplained) -> Unexplained:
+    """Return where something sits that no law predicts beside the answer.
+
+    That is where a law predicts most of what the nominal model leaves, if nothing was found
+    elsewhere.
+    """
+    decision, machine = located.decision, located.prepared.problem.machine
+    found = examine(located.prepared.problem, replace(decision, best=decision.nominal))
+    at = [machine.joint_of(c.site.kind, c.site.name) for c in decision.best.members]
+    joints = {None if joint is None else joint.name for joint in at}
+    if found.law is None or joints != {found.law.joint}:
+        return unexplained
+    return replace(unexplained, kind="joint", site=found.law.joint)
+
+
+def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
+    if all(kept):
+        return fit
+    keep = np.flatnonzero(kept)
+    members, x = tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
+    return located.search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)

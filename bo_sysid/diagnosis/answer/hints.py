@@ -1,0 +1,192 @@
+"""Why the names of a set that fits may be hints and not yet findings, and what would tell."""
+
+from collections.abc import Mapping, Sequence
+from math import hypot, inf, pi, sqrt
+
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import units_of
+from bo_sysid.diagnosis.sets.rules import FLAT, clean
+from bo_sysid.effects import Machine, Site
+
+_LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
+_MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
+_SMALL = 0.15  # of a motor's lag, of another effect at its joint: together they may be a gap
+_STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
+
+
+def doubtful(best: Fit, machine: Machine) -> bool:
+    """Return whether something casts doubt on the names of a set."""
+    return leaves_much(best) or bool(hints(best, machine))
+
+
+def hints(best: Fit, machine: Machine) -> tuple[str, ...]:
+    """Return in words which effects of a set others may stand behind, and what would tell."""
+    said = []
+    if bent := bending(best):
+        said.append(_bending_sentence(bent))
+    if held := holding(best):
+        said.append(_holding_sentence(held))
+    if unseen := unrepeated(best, machine):
+        said.append(_unrepeated_sentence(unseen, machine))
+    if late := meshing(best, machine):
+        said.append(_meshing_sentence(late))
+    if added := stepping(best):
+        said.append(_stepping_sentence(added))
+    return tuple(said)
+
+
+def leaves_much(best: Fit) -> bool:
+    """Return whether the best set leaves so much that something else must be missing, too.
+
+    That is so, too, where an effect does not stand out from what is left: it may stand in for it.
+    """
+    if clean(best):
+        return False
+    sizes = [hypot(*(best.unique[k] for k in unit)) for unit in units_of(best)]
+    return best.excess > _LEFT or sqrt(best.excess) > _STANDS_OUT * min(sizes, default=inf)
+
+
+def bending(best: Fit) -> tuple[str, ...]:
+    """Return the joints with a compliance beside friction: friction bends, too, before it slips.
+
+    Its bend is not always found, and a compliance was named in its place.
+    """
+    rubbing = {c.site.name for c in best.members if c.bendable}
+    springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]
+    return tuple(joint for joint in springy if joint in rubbing)
+
+
+def _bending_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a compliance may be the friction beside it, and what would tell."""
+    return (
+        f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
+        "it slips: a load that changes while the joint moves one way would tell."
+    )
+
+
+def holding(best: Fit) -> tuple[str, ...]:
+    """Return the joints that friction holds all the time, where any friction does the same.
+
+    Such as that of a worn spot in which the joint rests.
+    """
+    members = zip(best.members, best.groups, best.felt, strict=True)
+    return tuple(c.site.name for c, g, felt in members if c.bendable and not g and felt <= FLAT)
+
+
+def _holding_sentence(joints: Sequence[str]) -> str:
+    """Return in words that friction is seen at one place only, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"Friction holds {which} all the time in these recordings: how much it is, and whether it "
+        f"is the same elsewhere, would be told by commands that move {which}."
+    )
+
+
+def unrepeated(best: Fit, machine: Machine) -> Mapping[str, float]:
+    """Return the joints that swept less than one period of a cogging there, and a period's length.
+
+    Within one period a magnet, or a spring, may look the same.
+    """
+    found = {}
+    for c in best.members:
+        joint = machine.joint_of(c.site.kind, c.site.name)
+        if c.effect.id == "cogging" and joint is not None:
+            period = 2 * pi / float(c.shapes[0])
+            if joint.span < period:
+                found[joint.name] = period
+    return found
+
+
+def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
+    """Return in words that less than a period was seen, and what would tell."""
+    which = " and ".join(periods)
+    reach = " and ".join(
+        f"{length:.3g} {'rad' if machine.joints[name].hinge else 'm'}"
+        for name, length in periods.items()
+    )
+    return (
+        f"That the cogging at {which} repeats was not seen: less than a period was swept, and a "
+        f"magnet or a spring may look the same. Motion of {which} over more than {reach} would "
+        "tell."
+    )
+
+
+def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:
+    """Return the joints whose motor is late beside another effect there that is small.
+
+    A gap in the gear is crossed at every reversal, which makes a joint late; what it does beside
+    that is little, and looks like one more effect.
+    """
+    sizes: dict[str, list[tuple[bool, float]]] = {}
+    for c, size in zip(best.members, best.unique, strict=True):
+        late = c.effect.id in ("actuator_lag", "actuator_delay")
+        for name in _joints_at(c.site, machine):
+            sizes.setdefault(name, []).append((late, size))
+    found = []
+    for name, there in sizes.items():
+        lags = [size for late, size in there if late]
+        others = [size for late, size in there if not late]
+        if lags and others and max(others) < _SMALL * max(lags):
+            found.append(name)
+    return tuple(found)
+
+
+def _joints_at(site: Site, machine: Machine) -> list[str]:
+    """Return the joint on which a site acts, or those by which a body moves."""
+    if site.kind == "body":
+        model, body = machine.model, machine.model.body(site.name)
+        own = range(int(body.jntadr[0]), int(body.jntadr[0] + body.jntnum[0]))
+        return [model.joint(j).name for j in own]
+    joint = machine.joint_of(site.kind, site.name)
+    return [] if joint is None else [joint.name]
+
+
+def _meshing_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a late motor may be a gap, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"That the motor of {which} is late, and the small effect beside it, may both be a gap in "
+        f"the gear: slow reversals of {which} under little torque would tell."
+    )
+
+
+def stepping(best: Fit) -> tuple[str, ...]:
+    """Return the joints with a gap or a compliance where the time step is named beside it.
+
+    When such a joint meets its ends hangs on the step: a plant that moves continuously looks like
+    another step, whatever it is.
+    """
+    stepped = any(c.effect.id == "timestep" for c in best.members)
+    return tuple(c.site.name for c in best.members if c.effect.hidden and stepped)
+
+
+def _stepping_sentence(joints: Sequence[str]) -> str:
+    """Return in words that the time step may be what a gap does, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"The time step beside what gives way at {which} may be no more than the moment at which "
+        "it meets its ends: the same fit of a model with a quarter of the step would tell."
+    )
+
+
+def left_sentence(best: Fit, most: int, least: float) -> str:
+    """Return in words that more than noise is left, and what can be done.
+
+    Args:
+        best: the set that is answered.
+        most: effects that the study allows.
+        least: rms that any set leaves, in sigma.
+    """
+    small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
+    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
+    if len(units_of(best)) >= most:
+        return (
+            f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
+            "missing."
+        )
+    if least < _MUCH_LESS * best.rms:
+        return (
+            f"{said}. Larger sets leave down to {least:.3g}, but have effects too small beside "
+            "what stays unexplained to be named."
+        )
+    return f"{said}. No further effect that was tried explains more."

@@ -1,0 +1,148 @@
+"""The repaired model's file, and what stands beside it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts, followed
+from bo_sysid.diagnosis.windows.timestep import finer_step
+from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
+from bo_sysid.effects.beside import Beside, LearnedLaw, Placed, beside_a_file
+from bo_sysid.mjcf import Model
+from bo_sysid.runs import atomic
+
+MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
+BESIDE, MODULE = "model_repaired.json", "model_repaired.py"
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a model file that was written does not say by itself.
+
+    Attributes:
+        beside: in words, what stands beside it.
+        unrecorded: joints that were added, each with the joint whose encoder shows it as well.
+        timestep: of the file in [s], and of the nominal model.
+    """
+
+    beside: tuple[str, ...]
+    unrecorded: Mapping[str, str | None]
+    timestep: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What stands beside the file, what nothing measures, and a finer step, in words."""
+        step, own = self.timestep
+        said = [
+            f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}"
+            for what in self.beside
+        ]
+        for joint, shown_by in self.unrecorded.items():
+            also = f"; the encoder of {shown_by} shows it as well" if shown_by else ""
+            said.append(f"{joint} is a joint of {MODEL} that nothing measures{also}")
+        if step < own:
+            said.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
+        return tuple(said)
+
+
+def write_model(
+    model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path, *, timestep: float
+) -> Written:
+    """Write the model with the findings in it, and beside it what MJCF cannot express.
+
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        hypothesis: what it lacks.
+        folder: to write to.
+        timestep: at which the hypothesis was fitted, in [s]; divided where the recordings show the
+            finer step of a continuous machine.
+    """
+    edits, parts = edits_and_parts(hypothesis, machine, written=True)
+    share = timestep / finer_step(hypothesis.numerics) / machine.model.opt.timestep
+    if share != 1:  # first, since effects ask what a step resolves
+        edits.insert(0, lambda spec: _scale_step(spec, share))
+    model.export(folder / MODEL, edits)
+    mujoco.MjModel.from_xml_path(str(folder / MODEL))
+    beside = _beside(model, machine, hypothesis)
+    own = {c.effect.id: c.effect for c in hypothesis.members}
+    words = _words(beside.parts(model, own))
+    if words:
+        beside.write(folder / BESIDE)
+        with atomic(folder / MODULE) as unfinished:
+            unfinished.write_text(_module(words), encoding="utf-8")
+    else:  # those of an earlier diagnosis in the same folder say what is no longer so
+        for name in (BESIDE, MODULE):
+            (folder / name).unlink(missing_ok=True)
+    added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
+    step = float(machine.model.opt.timestep)
+    return Written(words, added, (share * step, step))
+
+
+_MODULE = f'''"""What {MODEL} lacks because MJCF cannot say it; {BESIDE} holds it.
+
+    from model_repaired import load
+
+    simulation = load()
+    simulation.data.ctrl[:] = ...
+    simulation.step()          # in the place of mujoco.mj_step(model, data)
+"""
+
+from pathlib import Path
+
+from bo_sysid.simulation.stepper import Stepper
+
+
+def load() -> Stepper:
+    folder = Path(__file__).parent
+    return Stepper(folder / "{MODEL}", folder / "{BESIDE}")
+'''
+
+
+def _module(words: Sequence[str]) -> str:
+    """Return the module that steps the repaired model.
+
+    Names are a model's, which may hold anything: they only stand quoted, in comments.
+    """
+    return _MODULE + "\n\n# It adds:\n" + "".join(f"# {w!r}\n" for w in words)
+
+
+def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
+    """Return the members of a hypothesis of which something remains beside a model file."""
+    effects, laws = [], []
+    for k, (c, x) in enumerate(zip(hypothesis.members, hypothesis.x, strict=True)):
+        if c.effect.id == "unknown":
+            laws += _learned(model, machine, c, x)
+            continue
+        make = c.effect.parts if followed(hypothesis.members, k) else c.effect.write
+        remaining = make(model.spec(), c.site, c.full(x), machine)
+        if beside_a_file(remaining):
+            effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
+    return Beside(machine, tuple(effects), tuple(laws))
+
+
+def _learned(model: Model, machine: Machine, c: Candidate, x: np.ndarray) -> list[LearnedLaw]:
+    names = (k.name for k in c.effect.components)
+    weights = {n: float(w) for n, w in zip(names, x, strict=True) if w}
+    forces = c.effect.parts(model.spec(), c.site, c.full(x), machine)
+    return [LearnedLaw(f.joint, weights, f.hold) for f in forces if isinstance(f, Force)]
+
+
+def _scale_step(spec: mujoco.MjSpec, share: float) -> None:
+    spec.option.timestep = spec.option.timestep * share
+
+
+def _words(parts: Sequence[Part]) -> tuple[str, ...]:
+    """Return in words what stands beside the repaired model."""
+    words = []
+    for p in parts:
+        if isinstance(p, Force):
+            words.append(f"a force on joint {p.joint}")
+        elif isinstance(p, Filter):
+            words.append(f"a change of the control of {p.actuator}")
+        elif isinstance(p, Reading):
+            words.append(f"a change of what {p.channel} reads")
+    return tuple(dict.fromkeys(words))

@@ -1,0 +1,122 @@
+"""A diagnosis in sentences, to be read aloud."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from bo_sysid.diagnosis.answer.argmin import ArgminSets
+from bo_sysid.diagnosis.answer.findings import Finding, amount, spoken
+from bo_sysid.diagnosis.sets.decide import Decision
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.effects import Machine
+from bo_sysid.effects.contract import unit_at
+
+_RIVALS = 3
+_TOLD = 8  # parameters
+_MANY = 3  # members of a group from which on one sentence says them all
+
+
+def found_sentences(findings: Sequence[Finding]) -> list[str]:
+    """Return the findings in words: one sentence each, one for all of a group of three or more."""
+    groups: dict[str, list[Finding]] = {}
+    for f in findings:
+        groups.setdefault(f.group or f"{f.effect} at {f.kind} {f.site}", []).append(f)
+    said: list[str] = []
+    for name, members in groups.items():
+        if members[0].group is None or len(members) < _MANY:
+            said += [f.sentence for f in members]
+        else:
+            said.append(_group_sentence(name, members))
+    return said
+
+
+def _group_sentence(name: str, members: Sequence[Finding]) -> str:
+    """Return "Dry friction on 3 joints, which the model lacks: base 4.01 ± 0.04 N m, …"."""
+    each = ", ".join(f"{f.site.replace('_', ' ')} {amount(f.quantity)}" for f in members)
+    there = any(f.before for f in members)
+    beside = "beyond the model's" if there else "which the model lacks"
+    return f"{name[0].upper()}{name[1:]}, {beside}: {each}."
+
+
+def parameters_sentence(parameters: pd.DataFrame) -> str:
+    """Return what the study's parameters were fitted to, in words; empty where it has none.
+
+    Args:
+        parameters: columns name, unit, model, fitted and at_bound.
+    """
+    if parameters.empty:
+        return ""
+    told = []
+    for p in parameters.head(_TOLD).itertuples():
+        bound = ", at its bound" if p.at_bound else ""
+        unit = "" if p.unit in ("", "1") else f" {p.unit}"
+        told.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
+    more = f" and {len(parameters) - _TOLD} more" if len(parameters) > _TOLD else ""
+    return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
+
+
+def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
+    """Return which of the study's parameters a fit does without, in words; empty if none."""
+    out = [p.site.name for p in parameters if p not in fit.hypothesis.nuisances]
+    if not out:
+        return ""
+    verb = "was" if len(out) == 1 else "were"
+    return f"{', '.join(out)} {verb} not fitted: the friction that was found stands there instead."
+
+
+def rivals(decision: Decision, machine: Machine) -> list[str]:
+    """Return a sentence about what may be in the place of what is answered, if anything may."""
+    best, said = decision.best, dict[str, list[str]]()
+    for f in decision.equivalents[:_RIVALS]:
+        theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
+        if theirs and ours:
+            said.setdefault(ours, []).append(theirs)
+    return [
+        f"Instead of {ours} it may be {', or '.join(theirs)}: these recordings do not tell."
+        for ours, theirs in said.items()
+    ]
+
+
+def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> str:
+    """Return in words what a set names and another does not."""
+    words = []
+    for c, x in zip(fit.members, fit.x, strict=True):
+        if c.key in {d.key for d in other.members}:
+            continue
+        where = "" if c.site.kind == "world" else f" at {spoken(c.site)}"
+        value, unit = c.effect.reported(c.full(x), machine, c.site), _unit(c, machine)
+        words.append(f"{c.effect.noun}{where}" + (f" ({value:.3g}{unit})" if sized else ""))
+    return " with ".join(words)
+
+
+def _unit(c: Candidate, machine: Machine) -> str:
+    unit = unit_at(c.effect.unit, c.site, machine)
+    return "" if unit in ("", "1", "–", "relative") else f" {unit}"
+
+
+def doubts(decision: Decision, searched: ArgminSets) -> list[str]:
+    """Return a sentence where the search of the arg-min and the posterior disagree."""
+    if not searched.disagrees(decision.best):
+        return []
+    other = searched.best
+    return [
+        f"Which set it is, is open: over bootstraps of the recordings the least deviation lies in "
+        f"{set_words(other)} ({searched.of(other):.2f}) more often than in "
+        f"{set_words(decision.best)} ({searched.of(decision.best) or 0.0:.2f})."
+    ]
+
+
+def set_words(fit: Fit) -> str:
+    """Return a set in words: "dry friction at 6 joints + payload at the forearm"."""
+    if not fit.members:
+        return "nothing is missing"
+    words: list[str] = []
+    for candidate, group in zip(fit.members, fit.groups, strict=True):
+        noun = candidate.effect.noun
+        kind = candidate.site.kind
+        where = (
+            f" at {fit.groups.count(group)} {kind}s" if group else f" at {spoken(candidate.site)}"
+        )
+        words.append(noun if candidate.site.kind == "world" else noun + where)
+    return " + ".join(dict.fromkeys(words))

@@ -1,0 +1,208 @@
+"""From recordings to the decision: windows that grow, the search, the final fits on all windows."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
+from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, stripped
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.search.window_lengths import LEAST, stable, telling, tractable, windows_of
+from bo_sysid.diagnosis.sets.decide import Decision, decide
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import clean, follows, lost
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.windowing import Prepared, in_contact, prepare
+from bo_sysid.mjcf.touching import can_touch
+
+_GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
+_LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
+_LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
+_HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
+_GAP_DIVISION = 4  # of the time step where a joint moves in a gap
+_BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
+_BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
+_CARRIED = 4
+_LONGER = 1.3  # times as long, that makes windows worth lengthening once more
+_RARE = 1.5  # times what the search leaves of its windows, above which it needs others
+
+
+@dataclass(frozen=True)
+class Located:
+    """The decision, with the windows on which it was made.
+
+    Attributes:
+        decision: the posterior over sets.
+        prepared: all training windows.
+        search: the finished search, for what is asked of it later.
+        evidence: what it was made from.
+    """
+
+    decision: Decision
+    prepared: Prepared
+    search: Search
+    evidence: Evidence
+
+
+def locate(
+    evidence: Evidence,
+    tell: Callable[[str], None] = lambda text: None,
+    doing: Callable[[str], None] = lambda text: None,
+) -> Located:
+    """Find the set of effects that explains the training recordings.
+
+    Far from them no set with a joint that it added is an answer (`follows`): where one leads, it is
+    looked for without such joints.
+
+    Args:
+        evidence: what it is found from.
+        tell: told when a stage is done.
+        doing: told after every fit how far a stage is.
+    """
+    located = _located(evidence, tell, doing)
+    leading = located.search.best  # which may not be what is answered: its members must be needed
+    if follows(leading) or follows(located.decision.best):
+        tell(f"without added joints: {_said(leading)}")
+        located = _located(evidence.rigid, tell, doing)
+    return located
+
+
+def _located(
+    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+) -> Located:
+    """Search in windows that grow, fit the leading sets on all of them, and decide."""
+    search, horizon, step = _searched(evidence, tell, doing)
+    if not lost(search.best, search.nominal):
+        sharpened(search)
+        stripped(search)
+    tell(f"final fits: {_said(search.best)}")
+    step = _step_for(search, search.best, step)
+    final = final_fits(evidence, search, horizon, step)
+    if final.best.rms > _RARE * search.best.rms:
+        tell(f"other windows, since they show more: {_said(final.best)}")
+        search = carried(search, telling(final.prepared, final.best), _CARRIED)
+        search, step = _explored(evidence, search, horizon, step)
+        final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+    compare(final, search.best)
+    let_hold(final)
+    fits, dof = list(final.fits.values()), final.prepared.problem.dof
+    decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
+    return Located(decision, final.prepared, final, evidence)
+
+
+def _searched(
+    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+) -> tuple[Search, int, float]:
+    """Search in windows that grow; return their full length in instants and the time step."""
+    full = max(round(evidence.window / evidence.machine.sampling), LEAST)
+    step = evidence.machine.model.opt.timestep
+    horizon = stable(evidence, full, step)
+    prepared, length = tractable(evidence, horizon, step)
+    if length == horizon or in_contact(prepared.problem):
+        prepared, step = _short_enough(evidence, prepared, length, step)
+    search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
+    tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
+    search, step = _explored(evidence, search, length, step)
+    while True:
+        if length >= horizon:
+            longer = _calmer(evidence, search, horizon, full, step)
+            if longer <= horizon:
+                return search, horizon, step
+            horizon, step = longer, step / 2  # what a step does grows with a window
+        step = _step_for(search, search.best, step)
+        search, length = _lengthened(evidence, search, length, horizon, step)
+        search, step = _explored(evidence, search, length, step, rounds=3)
+        tell(f"windows of {length} instants: {_said(search.best)}")
+
+
+def _calmer(evidence: Evidence, search: Search, horizon: int, full: int, step: float) -> int:
+    """Lengthen the windows where what explains them is stabler than the nominal model.
+
+    A wrist without damping and rotor falls within hundredths of a second, and so short windows
+    hardly tell how it is damped; the one that was recorded does not fall.
+    """
+    if horizon == full or search.best.rms > ROUGH:
+        return horizon
+    longer = stable(evidence, full, step, search.best.hypothesis)
+    return longer if longer > _LONGER * horizon else horizon
+
+
+def _short_enough(
+    evidence: Evidence, prepared: Prepared, length: int, step: float
+) -> tuple[Prepared, float]:
+    """Halve the time step until a finer one changes little."""
+    most, halvings = _LONG_STEP, _HALVINGS
+    if in_contact(prepared.problem):
+        most, halvings = _LONG_STEP_IN_CONTACT, _HALVINGS_IN_CONTACT
+    for _ in range(halvings):
+        if prepared.correction_rms <= most:
+            break
+        step = step / 2
+        prepared = prepare(windows_of(evidence, length, step))
+    return prepared, step
+
+
+def _explored(
+    evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
+) -> tuple[Search, float]:
+    """Explore, with a finer step where friction leaves what may be its bend.
+
+    At once where it is a set from shorter windows that does, else once more.
+    """
+    if search.best.members:
+        search, step = _finer(evidence, search, search.best, length, step)
+    leader = explore(search, rounds)
+    made, finer = _finer(evidence, search, leader, length, step)
+    if made is not search:
+        explore(made, rounds)
+    return made, finer
+
+
+def _finer(
+    evidence: Evidence, search: Search, leader: Fit, length: int, step: float
+) -> tuple[Search, float]:
+    """Carry the best sets to a finer step where that tells how friction bends."""
+    finer = _step_for(search, leader, step)
+    if finer == step or not _bends(leader) or leader.rms < _BEND_SHOWS:
+        return search, step
+    prepared = prepare(windows_of(evidence, length, finer), leader.hypothesis)
+    return carried(search, prepared, _CARRIED), finer
+
+
+def _step_for(search: Search, leader: Fit, step: float) -> float:
+    """Return the time step for a leader whose joints meet ends of gaps between two long steps.
+
+    No share of a finer step's difference corrects that: when it arrives bends what follows. Nor
+    does a long step tell bristles that bend from those that do not.
+    """
+    problem, division = search.prepared.problem, 1
+    if problem.loose(leader.hypothesis):
+        division = _GAP_DIVISION
+    elif _bends(leader) and not can_touch(problem.machine.model):
+        division = _BRISTLES_DIVISION
+    return min(step, float(problem.machine.model.opt.timestep) / division)
+
+
+def _bends(leader: Fit) -> bool:
+    """Whether friction of a fit bends, or little is left, which may be its bend."""
+    return leader.rms < ROUGH and rubbing(leader, bent=clean(leader))
+
+
+def _lengthened(
+    evidence: Evidence, search: Search, length: int, horizon: int, step: float
+) -> tuple[Search, int]:
+    """Carry the best sets to longer windows: at once to full ones where the leader holds there."""
+    leader = search.best
+    longer = horizon if length * _ALMOST > horizon else int(length * _GROWTH)
+    for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
+        prepared = prepare(windows_of(evidence, tried, step), leader.hypothesis)
+        made = carried(search, prepared, _CARRIED)
+        if made.best.rms < ROUGH:
+            break
+    return made, tried
+
+
+def _said(fit: Fit) -> str:
+    names = ", ".join(str(c) for c in fit.members) or "nothing missing"
+    return f"{names} ({fit.rms:.3f} sigma)"

@@ -1,0 +1,260 @@
+"""What is done with a search: go on to its end, carry sets to longer windows, leave out."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from operator import itemgetter
+
+import numpy as np
+
+from bo_sysid.diagnosis.search.rounds import round_at
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.variants import simplify
+from bo_sysid.diagnosis.sets.fit import Fit, set_key
+from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.refit import FINAL
+from bo_sysid.diagnosis.sets.rules import (
+    LOOSE,
+    MARGIN,
+    clean,
+    lost,
+    ranked,
+    required,
+    sizes,
+    weak,
+)
+from bo_sysid.diagnosis.sets.subsets import clashes
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.settling import first_start, settle
+from bo_sysid.diagnosis.windows.windowing import Prepared
+from bo_sysid.mjcf.touching import can_touch
+
+_TRIED, _BEGUN = 2, 3  # joints that are added, by what their points leave; points of each
+_ELIMINATIONS = 14  # members that are left out, at most
+_NEARER = 0.97  # of what a set leaves far off, that a round must come below
+_NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
+
+_Point = tuple[float, Candidate, np.ndarray]
+"""What is left, in sigma²; a candidate; its magnitudes."""
+
+
+def explore(search: Search, rounds: int = 5) -> Fit:
+    """Return the leading set after rounds that end where it no longer changes.
+
+    They end as well where a leader that explains little came no nearer in a round (`_stuck`).
+    """
+    near = search.best.members and search.best.rms < LOOSE
+    if not (search.begun or near):
+        round_at(search, search.nominal)
+    leader = _followed(search, rounds)
+    problem = search.prepared.problem
+    if not (clean(leader) or can_touch(problem.machine.model)):
+        if leader.rms < ROUGH and problem.loose(leader.hypothesis):
+            soften(search, leader)
+        else:
+            add_joints(search, leader)
+        if search.best.key != leader.key:
+            leader = _followed(search, rounds)
+    return leader
+
+
+def _followed(search: Search, rounds: int) -> Fit:
+    leader = search.best
+    for _ in range(rounds):
+        if not leader.members:
+            break
+        round_at(search, leader)
+        before, leader = leader, search.best
+        if leader.key == before.key or _stuck(search, before):
+            break
+    return leader
+
+
+def _stuck(search: Search, before: Fit) -> bool:
+    """Whether a round has found no more than another set that explains as little."""
+    best = search.best
+    return lost(best, search.nominal) and best.rms > _NEARER * before.rms
+
+
+def add_joints(search: Search, leader: Fit) -> None:
+    """Fit sets with each joint that an effect adds, from what its grid points leave.
+
+    A linear estimate says little of a gap: what moves in it is not there in the nominal model. Each
+    is tried alone, beside the leader and in the place of what the leader adds.
+    """
+    rigid = [k for k, c in enumerate(leader.members) if not c.effect.hidden]
+    bases = dict.fromkeys((search.nominal, search.fit(*subset(leader, rigid)), leader))
+    for base in (b for b in bases if b.size < search.most):
+        for points in _joints_beside(search, base)[:_TRIED]:
+            for _, c, x in points[:_BEGUN]:
+                search.refit(
+                    (*base.members, c), (*base.x, x), start=base.start, guess=base.hypothesis,
+                    across=True,
+                )  # fmt: skip
+
+
+def soften(search: Search, leader: Fit) -> None:
+    """Fit a set whose joint moves in a gap from soft ends; no small step leads there from hard."""
+    for k, c in enumerate(leader.members):
+        others = c.points[1:] if c.effect.hidden else []
+        for ends in dict.fromkeys(tuple(point[1:]) for point in others):
+            x = (*leader.x[:k], np.array([leader.x[k][0], *ends]), *leader.x[k + 1 :])
+            search.refit(
+                leader.members, x, start=leader.start, guess=leader.hypothesis,
+                across=True,
+            )  # fmt: skip
+
+
+def _joints_beside(search: Search, base: Fit) -> list[list[_Point]]:
+    """Return for each joint that may be added its points by what they leave; the best joint first.
+
+    Every other window is simulated.
+    """
+    some = np.arange(len(search.prepared.start)) % 2 == 0
+    frame = search.frame.rows(some)
+    added = [c for c in search.candidates if c.effect.hidden and not clashes([*base.members, c])]
+    points = {(set_key([c]), tuple(x)): (c, x) for c in added for x in c.points}
+    left: dict[tuple[str, str], list[_Point]] = {}
+    for c, x in points.values():  # points of a grid have the same further starts
+        h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, x))
+        start, r = first_start(frame.problem, h, base.start.rows(some))
+        r = settle(frame.problem, frame, h, start, 1, r=r)[1]
+        left.setdefault(c.key, []).append((float((r**2).sum()), c, x))
+    ordered = [sorted(points, key=itemgetter(0)) for points in left.values()]
+    return sorted(ordered, key=lambda points: points[0][0])
+
+
+def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
+    """Begin on other windows with the best sets found so far."""
+    guess = search.best.hypothesis
+    new = Search.on(prepared, search.candidates, search.most, guess, search.doing)
+    for f in ranked(search.fits.values(), search.prior)[:count]:
+        if f.members:
+            new.fit(f.members, f.x, guess=f.hypothesis, across=True)
+    return new
+
+
+def stripped(search: Search) -> None:
+    """Fit the sets without their weakest member, or with the simpler effect in its place.
+
+    And without all that are next to nothing, at once: there may be more of them than turns.
+    """
+    done: set[object] = set()
+    for _ in range(4):
+        before = len(search.fits)
+        for f in ranked(search.fits.values(), search.prior)[:4]:
+            if not f.members or f.key in done:
+                continue
+            done.add(f.key)
+            simplify(search, f)
+            weakest = int(np.argmin(f.unique))
+            if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
+                trifles = tuple(k for k, size in enumerate(f.unique) if size < MARGIN)
+                for out in dict.fromkeys(((weakest,), trifles or (weakest,))):
+                    rest = [k for k in range(len(f.members)) if k not in out]
+                    search.refit(*subset(f, rest), start=f.start)
+        if len(search.fits) == before:
+            return
+
+
+def rubbing(fit: Fit, *, bent: bool = False) -> bool:
+    """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
+    if bent:
+        return any(c.bent for c in fit.members)
+    h = fit.hypothesis
+    fitted = zip(h.nuisances, h.nuisance_x, strict=True)
+    return any(c.bendable for c in fit.members) or any(p.rubs and x[0] > 0 for p, x in fitted)
+
+
+def eliminate(search: Search) -> None:
+    """Leave out what is too small until the leading set is admissible.
+
+    Where contact bends the response, that is known of a set only once it was fitted without each
+    of its members, from its own magnitudes, from its starts and anew from the smoother's: a smaller
+    set that stayed on the far side of an impact makes anything that leads across look needed. So
+    are members fitted that stay for what leaving them out costs alone.
+    """
+    touching = can_touch(search.prepared.problem.machine.model)
+    done: set[tuple[object, object]] = set()
+    for _ in range(_ELIMINATIONS):
+        for f in ranked(search.fits.values(), search.prior):
+            before, nearer = len(search.fits), False
+            small = weak(f, search.nominal, search.fits.values())
+            if small:
+                simplify(search, f, FINAL)
+                fit_some(search, f, _without_weak(search, f, small))
+            else:
+                out = range(len(f.members)) if touching else _by_cost(search, f)
+                nearer = _fitted_without(search, f, out, done)
+                if f.rms > LOOSE and not touching:
+                    _fit_parts(search, f)
+            if nearer or len(search.fits) > before:
+                break
+            if not small:
+                return
+        else:
+            return
+
+
+def _by_cost(search: Search, f: Fit) -> list[int]:
+    """Return the members that stay for what leaving them out costs alone."""
+    found, need = sizes(f, search.fits.values()), required(f, search.nominal)
+    return [k for k, u in enumerate(found) if u < need and f.groups[k] is None]
+
+
+def _fitted_without(
+    search: Search, f: Fit, out: Iterable[int], done: set[tuple[object, object]]
+) -> bool:
+    """Fit a set without each of some members from where it is; whether that came nearer."""
+    nearer, smooth = False, search.prepared.problem.windows.start
+    for k in out:
+        members, x = subset(f, _all_but(f, k))
+        key = set_key(members)
+        if (f.key, key) in done:
+            continue
+        done.add((f.key, key))
+        known = search.fits.get(key)
+        for start in (f.start, smooth):
+            made = search.refit(members, x, start=start, guess=f.hypothesis, effort=FINAL)
+            if made.rms > _NEEDED * f.rms:
+                break
+        nearer |= known is None or made.rss < known.rss
+    return nearer
+
+
+def _fit_parts(search: Search, f: Fit) -> None:
+    """Fit a set without each of its members that is in no group, where that was not done yet."""
+    for k, group in enumerate(f.groups):
+        if group is None:
+            fit_some(search, f, _all_but(f, k))
+
+
+def _all_but(f: Fit, k: int) -> list[int]:
+    return [i for i in range(len(f.members)) if i != k]
+
+
+def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
+    """Fit a part of a set; where that leaves less than the set, fit the set from there as well.
+
+    A part that stays far behind is given up early: what was left out is needed.
+    """
+    members, x = subset(f, keep)
+    if set_key(members) in search.fits:
+        return
+    effort = replace(FINAL, rival=f.rms)
+    made = search.fit(members, x, start=f.start, guess=f.hypothesis, effort=effort)
+    if made.rss < f.rss:
+        search.refit(f.members, f.x, start=f.start, guess=f.hypothesis, effort=FINAL)
+
+
+def _without_weak(search: Search, f: Fit, small: Sequence[int]) -> list[int]:
+    """Leave out the weakest member, or all weak members of the weakest group at once.
+
+    Only one group: without what a second one does, nothing says how much the first is needed.
+    """
+    size = np.square(sizes(f, search.fits.values()))
+    units: dict[object, list[int]] = {}
+    for k in small:
+        units.setdefault(f.groups[k] or k, []).append(k)
+    out = min(units.values(), key=lambda unit: float(size[unit].sum()))
+    return [k for k in range(len(f.members)) if k not in out]

@@ -1,0 +1,67 @@
+"""The shapes of the leading set, such as a period, searched between the points of their grids."""
+
+from scipy.optimize import minimize_scalar
+
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.variants import enrich, vary
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.shapes import UNIFORM, Place, profile, ranges, reshaped_members
+
+_SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of its range that is told apart
+_SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
+_UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
+
+
+def sharpened(search: Search) -> None:
+    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
+
+    Of the leading set, and of that set without each of its other members: beside a period that is
+    a little off a second effect looks needed.
+    """
+    if not any(search.best.groups):
+        vary(search, search.best)  # what is left may be little and decide a forecast all the same
+    enrich(search, search.best)
+    done: set[tuple[str, str]] = set()
+    while left := [c for c in search.best.members if c.key not in done]:
+        done.add(left[0].key)
+        _sharpened_at(search, search.best, left[0].key)
+
+
+def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:
+    """Fit the shapes of one member of a set, and of the set without each of its others."""
+    count, machine = len(leader.members), search.prepared.problem.machine
+    alone = [i for i in range(count) if leader.members[i].key != key and leader.groups[i] is None]
+    for out in (None, *alone):
+        members, x = subset(leader, [i for i in range(count) if i != out])
+        fit = search.fit(members, x, start=leader.start, guess=leader.hypothesis)
+        at = next(i for i, c in enumerate(fit.members) if c.key == key)
+        for shape, bounds in ranges(fit.members[at], machine).items():
+            fit = _sharpen(search, fit, (at, shape), bounds)
+
+
+def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -> Fit:
+    """Minimise the residual over one shape of a member; the best fit is kept.
+
+    A shape that the recordings do not tell (the speed of friction that does not fall) stays.
+    """
+    told = profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
+    if told.covariance[0, 0] > _UNTOLD * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
+        return fit
+    best, sharp = fit, _SMOOTH if fit.members[at[0]].bendable else _SHARP
+
+    def rss(value: float) -> float:
+        nonlocal best
+        members = reshaped_members(best, {at: value})
+        made = search.refit(members, best.x, start=best.start, guess=best.hypothesis)
+        del search.fits[made.key]
+        best = min(best, made, key=lambda f: f.rss)
+        return made.rss
+
+    minimize_scalar(
+        rss, bounds=bounds, method="bounded",
+        options={"maxiter": _SHARPENINGS, "xatol": 0.5 * sharp * (bounds[1] - bounds[0])},
+    )  # fmt: skip
+    if best is not fit:
+        search.listed(best)
+    return best

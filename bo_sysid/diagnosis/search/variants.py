@@ -1,0 +1,134 @@
+"""Variants of a set: other shapes of its friction, richer and simpler effects at the same sites."""
+
+import numpy as np
+
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.stand_ins import stand_in
+from bo_sysid.diagnosis.sets.fit import Fit, set_key
+from bo_sysid.diagnosis.sets.groups import subset, units_of
+from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.sets.rules import clean
+from bo_sysid.diagnosis.sets.shapes import reshaped
+from bo_sysid.diagnosis.sets.subsets import clashes
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.linear import linearise
+
+_PROMISING = 1.5  # times the least that is left, up to which a bend is fitted
+
+
+def reshape(search: Search, base: Fit) -> None:
+    """Fit a set with other shapes of its friction; the nearest that bends between grid points.
+
+    A grid is coarse: what a bend leaves that is half as large again looks like a compliance, and
+    every joint has a bend of its own.
+    """
+    vary(search, base)
+    enrich(search, base)
+    stand_in(search, base)
+    for f in _bent(search):
+        if clean(search.best):
+            return
+        effort = Effort(rival=search.least)
+        there = linearise(search.prepared.problem, f.hypothesis, f.start)
+        begun = refit(
+            there, f.members, f.x, groups=f.groups, start=f.start, guess=f.hypothesis,
+            effort=effort,
+        )  # fmt: skip
+        search.listed(reshaped(there, begun, effort, friction_alone=True))
+
+
+def _bent(search: Search) -> list[Fit]:
+    """Return the nearest set with friction that bends, after the nearest with fewer magnitudes.
+
+    Only where they bend as points of a grid say, and were not fitted between them before.
+    """
+    bent = [f for f in search.fits.values() if any(c.bent for c in f.members)]
+    near = sorted((f for f in bent if f.rms < _PROMISING * search.least), key=lambda f: f.rms)
+    count = [sum(c.size for c in f.members) for f in near]
+    fewer = [f for f, n in zip(near, count, strict=True) if n < count[0]]
+    return [f for f in (*fewer[:1], *near[:1]) if any(map(_on_grid, f.members))]
+
+
+def _on_grid(c: Candidate) -> bool:
+    return c.bent and any(c.shapes[-1] == v[-1] for v in c.extent.variants)
+
+
+def vary(search: Search, base: Fit) -> None:
+    """Fit a set with other shapes of its effects, all sites alike.
+
+    Without the joints that were added where such effects are: what bristles do before they slip
+    looks like a compliance, and beside one there is little left for them.
+    """
+    rubbing = {c.site.name for c in base.members if c.bendable}
+    keep = [
+        k for k, c in enumerate(base.members) if not (c.effect.hidden and c.site.name in rubbing)
+    ]
+    if len(keep) < len(base.members):
+        base = search.fit(*subset(base, keep), guess=base.hypothesis)
+    for effect in dict.fromkeys(c.effect for c in base.members if c.bendable):
+        own = [c for c in base.members if c.effect is effect]
+        # the site with the fewest shapes, one that does not bend yet, ends the list for all
+        for shapes in zip(*map(_other_shapes, own), strict=False):
+            changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
+            members = [changed.get(c, c) for c in base.members]
+            if set_key(members) not in search.fits:
+                known = [search.known(c) for c in members]
+                search.refit(
+                    known, base.x, start=base.start, guess=base.hypothesis,
+                )  # fmt: skip
+
+
+def enrich(search: Search, base: Fit) -> None:
+    """Fit a set with each effect that holds a simpler one, in its place, and bent alike.
+
+    What a friction would do is far from linear at one of another size, so that no linear estimate
+    proposes it. One that does not bend never comes near, where that of the set does. Where a member
+    is such an effect itself, with its other shapes: from one of them none may lead to another.
+    """
+    for k, c in ((unit[0], base.members[unit[0]]) for unit in units_of(base) if len(unit) == 1):
+        for d in _richer(search, c):
+            shapes = np.array([*d.shapes[:-1], c.shapes[-1]]) if c.bent else d.shapes
+            members = (*base.members[:k], d.with_shapes(shapes), *base.members[k + 1 :])
+            if clashes(members) or set_key(members) in search.fits:
+                continue
+            known = [search.known(m) for m in members]
+            own = base.x[k] if d.key == c.key else np.concatenate([[0.0], base.x[k]])
+            x = (*base.x[:k], own, *base.x[k + 1 :])
+            search.refit(known, x, start=base.start, guess=base.hypothesis)
+
+
+def _richer(search: Search, c: Candidate) -> list[Candidate]:
+    """Return the points of the grids of effects that hold another one, or are that themselves."""
+    listed = [d for d in search.candidates if tuple(d.point) in d.extent.grid and not d.secant]
+    holding = [d for d in listed if (d.effect.nested, d.site.name) == c.key]
+    return holding or [
+        d for d in listed if d.key == c.key and d.effect.nested and d.size < len(d.point)
+    ]
+
+
+def _other_shapes(c: Candidate) -> list[np.ndarray]:
+    given = np.array(c.extent.variants, float)
+    finer = [c.shapes[-1] * f for f in c.extent.refine if c.bent]
+    return [
+        *np.where(np.isnan(given), c.shapes, given),
+        *(np.array([*c.shapes[:-1], s]) for s in finer),
+    ]
+
+
+def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
+    """Fit a set with the simpler effect in the place of each that contains one, bent alike."""
+    for k, c in enumerate(fit.members):
+        plain = _plainer(search, c) if fit.unique[k] < 1.0 or effort else None
+        if plain is not None:
+            members = (*fit.members[:k], plain, *fit.members[k + 1 :])
+            x = (*fit.x[:k], fit.x[k][1:], *fit.x[k + 1 :])
+            if not clashes(members):
+                search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=effort)
+
+
+def _plainer(search: Search, c: Candidate) -> Candidate | None:
+    wanted = (c.effect.nested, c.site.name)
+    plain = next((d for d in search.candidates if d.key == wanted and not d.secant), None)
+    if plain is None or not c.bent:
+        return plain
+    return search.known(plain.with_shapes(np.array([*plain.shapes[:-1], c.shapes[-1]])))

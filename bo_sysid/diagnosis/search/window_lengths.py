@@ -1,0 +1,103 @@
+"""How long the windows of a diagnosis are, and how many of them are taken."""
+
+import numpy as np
+
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.windowing import Prepared, nothing, prepare
+from bo_sysid.mjcf.touching import can_touch
+
+LEAST = 6
+"""Instants in the shortest window."""
+
+_TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
+_SHORTEST = 1 / 6  # of the full horizon
+_UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
+_LESS = 3  # times shorter at most: what acts slowly is not seen in less
+_OFTEN = 0.9  # quantile of λ over the recordings
+_WINDOWS = 24  # in the search
+_MOST = 10  # times that number at most in the final fits
+_MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
+
+
+def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool = False) -> Problem:
+    """Return windows spread evenly over the recordings.
+
+    Args:
+        evidence: the recordings and the nominal model.
+        horizon: instants in a window.
+        step: of the simulation in [s].
+        everything: for the final fits, which take many more than the search.
+    """
+    whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
+    count = max(int(whole / horizon), 1)
+    stride = max(round(count / _WINDOWS), 1)
+    if everything:
+        most = _MOST_IN_CONTACT if can_touch(evidence.machine.model) else _MOST
+        stride = -(-count // (most * _WINDOWS))
+    return pose(
+        evidence.model,
+        evidence.machine,
+        evidence.recordings,
+        evidence.sigma,
+        evidence.nuisances,
+        horizon=horizon,
+        stride=stride,
+        timestep=step,
+        engine=evidence.engine,
+        laws=evidence.laws,
+    )
+
+
+def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None = None) -> int:
+    """Shorten the windows until little disturbances do not grow to many times their size in them.
+
+    λ = max log|eig A|/h of one step of the linear model of the mechanics is the rate at which the
+    motion leaves a recorded one; where λ ≥ 15/s (a short pendulum upright), 0.3 s multiply what the
+    model lacks by a hundred, and a fit follows those moments alone.
+
+    Args:
+        evidence: the recordings and the nominal model.
+        horizon: instants in a full window.
+        step: of the simulation in [s].
+        at: the set whose mechanics are meant, by default nothing.
+    """
+    problem = windows_of(evidence, max(int(horizon * _SHORTEST), LEAST), step)
+    linear = linearise(problem, at or nothing(problem), problem.windows.start)
+    mechanics = slice(0, 2 * evidence.machine.model.nv)
+    growth = np.abs(np.linalg.eigvals(linear.A[..., mechanics, mechanics])).max(axis=-1)
+    rates = np.log(np.maximum(growth, 1e-12)) / (linear.macro * problem.windows.timestep)
+    rate = float(np.quantile(rates, _OFTEN))
+    most = _UNSTABLE / rate if rate > 0 else np.inf
+    return int(max(min(horizon, most / evidence.machine.sampling), horizon / _LESS, LEAST))
+
+
+def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:
+    """Shorten the windows until the nominal residual is small enough for linear screening."""
+    least = max(int(horizon * _SHORTEST), LEAST)
+    length = horizon
+    while True:
+        prepared = prepare(windows_of(evidence, length, step))
+        problem = prepared.problem
+        r = problem.residual(nothing(problem), prepared.start)
+        rms = float(np.sqrt((project(prepared.linear.Q, r) ** 2).sum() / problem.dof))
+        if rms < _TRACTABLE or length <= least:
+            return prepared, length
+        factor = max(min((_TRACTABLE / rms) ** 0.4, 0.75), 0.4)
+        length = max(int(length * factor), least)
+
+
+def telling(prepared: Prepared, fit: Fit) -> Prepared:
+    """Return as many of all windows as a search takes, and as many that a fit leaves most of.
+
+    What acts once in a recording, such as a limit that is reached, is seen in few windows.
+    """
+    left = (project(prepared.linear.Q, fit.residual) ** 2).sum(axis=1)
+    keep = np.zeros(len(left), bool)
+    keep[np.linspace(0, len(left) - 1, _WINDOWS).round().astype(int)] = True
+    others = np.argsort(np.where(keep, -1.0, left))
+    keep[others[-_WINDOWS:]] = True
+    return prepared.rows(keep)

@@ -1,0 +1,1 @@
+"""Sets of effects: scored by linear algebra, fitted through the simulator, compared by rules."""

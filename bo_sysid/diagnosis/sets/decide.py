@@ -1,0 +1,192 @@
+"""Decide between the sets that were fitted, on the training recordings alone."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import (
+    LOOSE,
+    SetPrior,
+    admissible,
+    criterion,
+    inflation,
+    required,
+)
+from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.problem import ROUGH
+
+_BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
+_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
+# what they leave is far above the sensors' noise
+_CHANCE = 0.5  # of what is left unexplained: sets closer than that it may part by chance
+_TRIFLE = 0.1  # of what a richer effect holds, that it has of its own
+_NEARLY = 0.5  # of the size that a member must have, for a set that stands for the best
+_ROUNDS = 3
+_MOST_EQUIVALENT = 11
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The posterior over the admissible sets.
+
+    Attributes:
+        best: the set that is answered.
+        nominal: the fit of nothing.
+        fits: the admissible sets, most probable first.
+        probability: of each.
+        equivalents: sets that the recordings do not tell from the best.
+    """
+
+    best: Fit
+    nominal: Fit
+    fits: tuple[Fit, ...]
+    probability: Float[np.ndarray, " f"]
+    equivalents: tuple[Fit, ...]
+
+
+def decide(
+    fits: Sequence[Fit], nominal: Fit, prior: SetPrior, Q: Float[np.ndarray, "W R k"], dof: int
+) -> Decision:
+    """Return the posterior over sets.
+
+    Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
+    to the best set; κ grows with the variance of D between blocks where that is larger than the
+    one of two nearly true models. Only sets whose every member is needed are admitted, and those
+    that stand for the best of them as well as it does itself. Where recordings that are nearly
+    explained ask for a richer effect in the place of one of the best, but with less than a name
+    needs, that is answered, the plain one being as probable. Where it is less than half of that the
+    plain one is answered, and a richer one that says something else is as probable.
+    """
+    able = [f for f in fits if np.isfinite(f.cv.sum())]
+    kappa = inflation(fits)
+
+    def cost(fit: Fit) -> float:
+        return criterion(fit, kappa, prior)
+
+    admitted = [f for f in able if admissible(f, nominal, fits)]
+    best = min(admitted, key=cost)
+    nearly = [f for f in able if min(f.unique, default=0.0) > _NEARLY * required(f, nominal)]
+    like = [f for f in nearly if _is_like(f, best, Q, dof, cost(f) - cost(best))]
+    like = [f for f in like if f not in admitted and not _is_richer(f, best, cost)]
+    held = _one_of_each([*admitted, *like], cost)
+    best, score = _scored(held, best, kappa, prior)
+    score = _levelled(held, score, best, prior, Q, dof)
+    plain = best = held[int(np.argmax(score))]
+    richer = [f for f in able if f not in held and _is_richer(f, plain, cost)]
+    asked = [f for f in richer if f in nearly]
+    beside = min(asked or [f for f in richer if _says_more(f)], key=cost, default=None)
+    if beside is not None:
+        best = beside if asked else plain
+        held, score = [beside, *held], np.concatenate([[score.max()], score])
+    order = np.argsort(-score, kind="stable")
+    weight = np.exp(score - score.max())
+    held = [held[i] for i in order]
+    score, weight = score[order], weight[order] / weight.sum()
+    near = [
+        f
+        for k, f in enumerate(held[: _MOST_EQUIVALENT + 1])
+        if f is not best
+        and (f in (plain, beside) or _equivalent(f, best, float(score[0] - score[k]), Q, dof))
+    ]
+    return Decision(best, nominal, tuple(held), weight, tuple(near))
+
+
+def _is_like(fit: Fit, best: Fit, Q: Float[np.ndarray, "W R k"], dof: int, worse: float) -> bool:
+    """Whether a fit stands for the best one: the same predictions, or one member exchanged."""
+    if len(fit.members) != len(best.members):
+        return False
+    shared = len(fit.names & best.names)
+    exchanged = len(best.members) > 1 and shared == len(best.members) - 1
+    return bool(best.members) and (
+        (exchanged and worse < _BAND) or _apart(fit, best, Q, dof) < _SAME
+    )
+
+
+def _is_richer(fit: Fit, best: Fit, cost: Callable[[Fit], float]) -> bool:
+    """Whether a fit is the best one with an effect that holds one of its own, and explains more.
+
+    Only close to the recordings: far from them what a richer effect explains may be anything.
+    """
+    own, held = {c.key for c in best.members}, {c.key for c in fit.members}
+    plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
+    instead = bool(plainer) and plainer == own - held
+    return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - _BAND
+
+
+def _says_more(fit: Fit) -> bool:
+    """Whether what a richer effect has of its own is more than a trifle of what it holds.
+
+    That is a tenth, in units of the magnitudes: what the time step does to friction is less.
+    """
+    held = [(np.abs(x / c.probe), c) for c, x in zip(fit.members, fit.x, strict=True)]
+    return any(c.effect.nested and x[0] > _TRIFLE * x[1:].max() for x, c in held)
+
+
+def _one_of_each(fits: Sequence[Fit], cost: Callable[[Fit], float]) -> list[Fit]:
+    """Return the best of the fits that name the same effects at the same sites."""
+    found: dict[frozenset[tuple[str, str]], Fit] = {}
+    for f in sorted(fits, key=cost):
+        found.setdefault(frozenset(c.key for c in f.members), f)
+    return list(found.values())
+
+
+def _scored(
+    held: Sequence[Fit], best: Fit, kappa: float, prior: SetPrior
+) -> tuple[Fit, Float[np.ndarray, " f"]]:
+    """Return the leader and the log posterior of each fit against it.
+
+    The leader is compared with itself, or after some rounds with the one before it.
+    """
+    for _ in range(_ROUNDS):
+        score = np.array([_log_posterior(f, best, kappa, prior) for f in held])
+        leader = held[int(np.argmax(score))]
+        if leader is best:
+            break
+        best = leader
+    return best, score
+
+
+def _log_posterior(fit: Fit, best: Fit, kappa: float, prior: SetPrior) -> float:
+    D = fit.cv - best.cv
+    spread = float(D.var(ddof=1)) * len(D) if len(D) > 1 else 0.0
+    usual = 4 * kappa * max(abs(float(D.sum())), 1.0)  # of two models near the truth
+    widening = max(1.0, kappa * float(np.sqrt(max(spread / usual, 1.0))))
+    return -0.5 * float(D.sum()) / widening + prior.log(fit)
+
+
+def _levelled(
+    fits: Sequence[Fit],
+    score: Float[np.ndarray, " f"],
+    best: Fit,
+    prior: SetPrior,
+    Q: Float[np.ndarray, "W R k"],
+    dof: int,
+) -> Float[np.ndarray, " f"]:
+    """Return the scores where sets of one size that predict nearly the same differ by their prior.
+
+    Nearly is little beside what all of them leave, E = √(rms² - 1): that is no noise but the
+    model's step or other small physics, and sets whose predictions are d apart may differ in N
+    samples by up to 2 N d E for no better reason than how it happens to lie.
+    """
+    apart = max(_SAME * sqrt(best.excess), min(_CHANCE * sqrt(best.excess), _SAME))
+    level = score[[f is best for f in fits].index(True)] - prior.log(best)
+    same = [len(f.members) == len(best.members) and _apart(f, best, Q, dof) < apart for f in fits]
+    return np.where(same, [level + prior.log(f) for f in fits], score)
+
+
+def _apart(one: Fit, two: Fit, Q: Float[np.ndarray, "W R k"], dof: int) -> float:
+    """Return the rms difference of two fits' predictions in sigma."""
+    difference = project(Q, one.residual - two.residual)
+    return float(np.sqrt((difference**2).sum() / dof))
+
+
+def _equivalent(fit: Fit, best: Fit, gap: float, Q: Float[np.ndarray, "W R k"], dof: int) -> bool:
+    if not fit.members or best.names <= fit.names:
+        return False
+    near = _SAME * (best.rms if best.rms > ROUGH else 1.0)
+    fewer = len(fit.members) <= len(best.members)
+    return gap < _BAND or (_apart(fit, best, Q, dof) < near and fewer)

@@ -1,0 +1,1 @@
+"""Recordings in windows, and what a hypothesis predicts for them."""

@@ -1,0 +1,214 @@
+"""What a diagnosis is made from."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bo_sysid.diagnosis.windows.channel_noise import channel_noise
+from bo_sysid.diagnosis.windows.driven import driven
+from bo_sysid.diagnosis.windows.hypothesis import (
+    Candidate,
+    Hypothesis,
+    candidates,
+    edits_and_parts,
+    parameter_candidates,
+)
+from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.touching import can_touch, ever_touching
+from bo_sysid.mjcf.values import compiled_value
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Controller, Engine, ForceLaw
+
+_WINDOW = 0.3  # [s]
+_APART = 2e-3  # [s] between recorded poses in which geoms may touch
+_CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a diagnosis is made from.
+
+    Attributes:
+        model: the nominal model, without contact where the recordings show none.
+        given: the same as it was given.
+        machine: the scales of its sites.
+        recordings: the training recordings.
+        sigma: noise of each observed channel.
+        nuisances: the study's parameters.
+        candidates: what may be missing.
+        most: most effects at once.
+        window: length of a window in [s].
+        engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
+    """
+
+    model: Model
+    given: Model
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    sigma: dict[str, float]
+    nuisances: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
+    most: int
+    window: float
+    engine: Engine
+    laws: tuple[Controller | ForceLaw, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the model, in words."""
+        said = [
+            f"{joint} is tied to {other}: what acts on one acts on the other, and is named there."
+            for joint, other in self.model.loops.mirrored.items()
+            if joint in self.machine.joints
+        ]
+        following = [j for j in self.model.loops.joints if j not in self.machine.joints]
+        if following:
+            said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
+        if self.model is not self.given:
+            said.append("Nothing of the model touches in these recordings: contact is left out.")
+        return tuple(said)
+
+    @property
+    def rigid(self) -> "Evidence":
+        """The same without candidates that add a joint."""
+        held = tuple(c for c in self.candidates if not c.effect.hidden)
+        return replace(self, candidates=held)
+
+
+def _window(machine: Machine) -> float:
+    """Return the length of a window: short where contact soon decides, else long."""
+    return _CONTACT_WINDOW if can_touch(machine.model) else _WINDOW
+
+
+def make_evidence(
+    model: Model,
+    recordings: Sequence[Recording],
+    *,
+    effects: Sequence[Effect] | None = None,
+    parameters: Sequence[Parameter] = (),
+    noise: Mapping[str, float] | None = None,
+    most: int = 3,
+    threads: int = 0,
+    laws: Sequence[Controller | ForceLaw] = (),
+    known: Sequence[str] = (),
+) -> Evidence:
+    """Measure scales and noise, and list what may be missing.
+
+    Args:
+        model: the nominal model.
+        recordings: the training recordings.
+        effects: what to look for; by default the whole catalogue.
+        parameters: of the study, fitted beside everything.
+        noise: σ by channel or by kind of channel, where known.
+        most: most effects at once.
+        threads: of the simulation, 0 for all cores.
+        laws: controllers and force laws that belong to the nominal model.
+        known: addresses whose values are certain: what would change one is not looked for.
+
+    Raises:
+        RecordingError: no joint's position was recorded, or none moves.
+        ModelError: an address of `known` matches nothing.
+    """
+    given, model = model, _as_it_moved(model, recordings)
+    compiled = model.compile()
+    machine = survey(compiled, driven(compiled, recordings, laws))
+    wanted = tuple(CATALOGUE.values()) if effects is None else effects
+    sigma = channel_noise(recordings, machine, noise or {})
+    offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
+    return Evidence(
+        model,
+        given,
+        machine,
+        tuple(recordings),
+        sigma,
+        parameter_candidates(model, parameters),
+        _possible(model, machine, _felt(model, machine, offered, laws), known),
+        most,
+        _window(machine),
+        Engine(threads),
+        tuple(laws),
+    )
+
+
+def _as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
+    """Return the model without contact, where none of its geoms touched as the machine moved.
+
+    Most robots' geoms can touch, and most motion is free: where impacts decide nothing, windows may
+    be long and slopes tell magnitudes. Where a coordinate was not recorded nothing is known.
+    """
+    compiled = model.compile()
+    if not can_touch(compiled):
+        return model
+    for r in recordings:
+        if not all(n in r.channels for n in model.qpos_channels):
+            return model
+        stamps = np.concatenate([r.channels[n].time for n in model.qpos_channels])
+        time = stamps[np.unique(np.floor(stamps / _APART), return_index=True)[1]]
+        poses = np.stack([r.channels[n].at(time) for n in model.qpos_channels], axis=1)
+        if ever_touching(compiled, poses):
+            return model
+    return model.without_contact()
+
+
+def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Return the candidates without the physics of joints that follow in proportion to another.
+
+    It does what the same does at the other joint: what tells them apart is how MuJoCo's equality
+    gives way, and no machine's.
+    """
+    mirrored = model.loops.mirrored
+    return tuple(
+        c for c in all_of
+        if not (c.effect.family == "physics" and c.site.kind == "joint")
+        or c.site.name not in mirrored
+    )  # fmt: skip
+
+
+def _observed(
+    all_of: Sequence[Candidate], machine: Machine, sigma: Mapping[str, float]
+) -> tuple[Candidate, ...]:
+    """Return the candidates without channels swapped with one that never moves."""
+    return tuple(
+        c for c in all_of
+        if c.effect.id != "channel_swap" or machine.channels[round(float(c.shapes[0]))] in sigma
+    )  # fmt: skip
+
+
+def _felt(
+    model: Model,
+    machine: Machine,
+    all_of: Sequence[Candidate],
+    laws: Sequence[Controller | ForceLaw],
+) -> tuple[Candidate, ...]:
+    """Return the candidates without those that change a control which a law of the study makes."""
+    made = {w.actuator for w in laws if isinstance(w, Controller)}
+    if not made:
+        return tuple(all_of)
+
+    def changes(c: Candidate) -> bool:
+        parts = c.parts(model.spec(), c.point[: c.size], machine)
+        return any(isinstance(p, Filter) and p.actuator in made for p in parts)
+
+    return tuple(c for c in all_of if not changes(c))
+
+
+def _possible(
+    model: Model, machine: Machine, all_of: Sequence[Candidate], known: Sequence[str]
+) -> tuple[Candidate, ...]:
+    """Return the candidates that leave every known number of the model as it is."""
+    targets = [t for address in known for t in resolve(model, address)]
+    if not targets:
+        return tuple(all_of)
+    nominal = [compiled_value(machine.model, t) for t in targets]
+    kept = []
+    for c in all_of:
+        hypothesis = Hypothesis((c,), (c.point[: c.size],))
+        edited = model.compile(edits_and_parts(hypothesis, machine)[0])
+        if [compiled_value(edited, t) for t in targets] == nominal:
+            kept.append(c)
+    return tuple(kept)

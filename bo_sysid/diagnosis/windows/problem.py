@@ -1,0 +1,311 @@
+"""The recordings cut into windows, and what a hypothesis predicts for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.shown import observe
+from bo_sysid.diagnosis.windows.timestep import refined
+from bo_sysid.effects import Filter, Machine, Part
+from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.effects.readings import readings
+from bo_sysid.mjcf import Loops, Model
+from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
+from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.lockstep import force_laws
+from bo_sysid.simulation.windows import Layout, Windows
+
+BLOCKS = 20
+ROUGH = 3.0  # [sigma] of predictions that are far from the recordings
+_SPEEDS = (0.0, -0.1, 0.1, -0.3, 0.3, -1.0, 1.0)  # of the joints', tried for an added one
+_FAR = 1e7  # residuals are cut off here, in sigma
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What a hypothesis does over all windows.
+
+    Attributes:
+        trajectory: the nominal model's coordinates, as its encoders show them.
+        whole: all coordinates of the edited model.
+        parts: of the hypothesis that MJCF cannot express.
+        windows: at the time step of the simulation.
+        model: the edited model.
+        coordinates: how the two trajectories belong together.
+        ctrl: `W x S x nu` controls after filters, as handed to the simulation.
+    """
+
+    trajectory: Trajectory
+    whole: Trajectory
+    parts: tuple[Part, ...]
+    windows: Windows
+    model: mujoco.MjModel
+    coordinates: Coordinates
+    ctrl: Float[np.ndarray, "W S nu"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Windows of recordings, in units of the sensor noise.
+
+    Attributes:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: what was recorded, for filters over whole inputs.
+        windows: cut from them, observing position and velocity channels.
+        layout: where the model keeps the channels.
+        weight: `W x H x c` one over the standard deviation of each observation, 0 where there is
+            none.
+        block: `W` number of the block of time that each window belongs to.
+        nuisances: the study's parameters.
+        correction: `W x R` projected difference that a finer time step makes, or None.
+        engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
+        loops: closed chains of the nominal model, on which starts lie.
+    """
+
+    model: Model
+    machine: Machine
+    recordings: tuple[Recording, ...]
+    windows: Windows
+    layout: Layout
+    weight: Float[np.ndarray, "W H c"]
+    block: Int[np.ndarray, " W"]
+    nuisances: tuple[Candidate, ...]
+    correction: Float[np.ndarray, "W R"] | None
+    engine: Engine
+    laws: tuple[Controller | ForceLaw, ...]
+    loops: Loops
+
+    @property
+    def count(self) -> int:
+        """Number R of observations in a window."""
+        return int(self.windows.observed.shape[1] * self.windows.observed.shape[2])
+
+    @property
+    def dof(self) -> int:
+        """Observations minus fitted starts."""
+        return max(int((self.weight > 0).sum() - self.start_size * len(self.windows)), 1)
+
+    @property
+    def start_size(self) -> int:
+        """Numbers that a start has: positions and speeds of the joints that are free."""
+        return int(2 * (self.machine.model.nv - len(self.loops.dofs)))
+
+    def moved(self, start: State, change: Float[np.ndarray, "W n"]) -> State:
+        """Return starts moved along their tangent space, loops closed."""
+        return start.moved(self.machine.model, change).closed(self.loops)
+
+    def rows(self, keep: np.ndarray) -> "Problem":
+        """Return the problem with some of its windows, blocks numbered anew."""
+        windows = self.windows.rows(keep)
+        return replace(
+            self,
+            windows=windows,
+            weight=self.weight[keep],
+            block=_blocks(len(windows)),
+            correction=None if self.correction is None else self.correction[keep],
+        )
+
+    def beginning(self, instants: int) -> "Problem":
+        """Return the problem with the first instants of every window."""
+        own = slice(0, instants * len(self.windows.channels))
+        return replace(
+            self,
+            windows=self.windows.beginning(instants),
+            weight=self.weight[:, :instants],
+            correction=None if self.correction is None else self.correction[:, own],
+        )
+
+    def compiled(
+        self, hypothesis: Hypothesis, timestep: float | None = None
+    ) -> tuple[mujoco.MjModel, list[Part]]:
+        """Return the model of a hypothesis and the parts that MJCF cannot express."""
+        edits, parts = edits_and_parts(hypothesis, self.machine)
+        return self.model.compile(edits, timestep=timestep or self.windows.timestep), parts
+
+    def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
+        """Return the windows' controls after the filters among `parts`."""
+        return self._filtered(parts, windows, windows.ctrl, windows.time)
+
+    def _after(self, parts: Sequence[Part], windows: Windows, start: State) -> State:
+        """Return starts that remember the controls before them at the windows' time step."""
+        past = windows.start.past
+        if past is None:
+            return start
+        before = windows.time - past.shape[1] * windows.timestep
+        return replace(start, past=self._filtered(parts, windows, past, before))
+
+    def _filtered(
+        self,
+        parts: Sequence[Part],
+        windows: Windows,
+        recorded: Float[np.ndarray, "W S nu"],
+        start: Float[np.ndarray, " W"],
+    ) -> Float[np.ndarray, "W S nu"]:
+        """Return controls of S steps from `start` on after the filters among `parts`."""
+        filters = [p for p in parts if isinstance(p, Filter)]
+        if not filters:
+            return recorded
+        ctrl = recorded.copy()
+        for actuator in dict.fromkeys(f.actuator for f in filters):
+            column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
+            for i, recording in enumerate(self.recordings):
+                own = windows.recording == i
+                channel = recording.channels[f"ctrl.{actuator}"]
+                for f in filters:
+                    if f.actuator == actuator:
+                        channel = f.change(channel, windows.timestep)
+                ctrl[own, :, column] = control_steps(
+                    channel, start[own], ctrl.shape[1], windows.timestep
+                )
+        return ctrl
+
+    def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
+        """Simulate all windows; `finer` divides the time step."""
+        windows = self.windows if finer == 1 else refined(self.windows, finer)
+        model, parts = self.compiled(hypothesis, windows.timestep)
+        ctrl, start = self.controls(parts, windows), self._after(parts, windows, start)
+        coordinates = Coordinates.between(self.machine.model, model, parts)
+        torque = self._transmitted(hypothesis, start, ctrl, coordinates)
+        whole = self.engine.rollout(
+            model,
+            with_loaded_bristles(model, coordinates.expand(start, torque), ctrl[:, 0]),
+            ctrl,
+            laws=(*self.laws, *force_laws(parts)),
+            signals=windows.signals,
+        )
+        return Simulated(
+            coordinates.reduce(whole), whole, tuple(parts), windows, model, coordinates, ctrl
+        )
+
+    def _transmitted(
+        self, hypothesis: Hypothesis, start: State, ctrl: np.ndarray, coordinates: Coordinates
+    ) -> Float[np.ndarray, "W nv"] | None:
+        """Return the torques that hold added joints at the start, None where there are none."""
+        if not coordinates.second:
+            return None
+        model, parts = self.compiled(hypothesis.rigid)
+        whole = Coordinates.between(self.machine.model, model, parts).expand(start, None)
+        return transmitted(model, whole, ctrl[:, 0])
+
+    def starts(self, hypothesis: Hypothesis, start: State, *, moving: bool = False) -> list[State]:
+        """Return other starts, where joints that a hypothesis adds begin elsewhere.
+
+        Args:
+            hypothesis: may add joints.
+            start: of the nominal coordinates.
+            moving: also with speeds of their own.
+        """
+        if not any(c.effect.hidden for c in hypothesis.members):
+            return []
+        model, parts = self.compiled(hypothesis)
+        coordinates = Coordinates.between(self.machine.model, model, parts)
+        torque = self._transmitted(
+            hypothesis, start, self.controls(parts, self.windows), coordinates
+        )
+        if torque is None:
+            return []
+        fast = max(j.speed for j in self.machine.joints.values())
+        speeds = [fast * share for share in (_SPEEDS if moving else (0.0,))]
+        return [replace(start, added=a) for a in coordinates.elsewhere(torque, speeds)]
+
+    def loose(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis has a joint that moves in a gap."""
+        model, parts = self.compiled(hypothesis)
+        return Coordinates.between(self.machine.model, model, parts).loose
+
+    def residual(
+        self, hypothesis: Hypothesis, start: State, finer: int = 1
+    ) -> Float[np.ndarray, "W R"]:
+        """Return recorded minus predicted for every observation, in sigma."""
+        s = self.simulate(hypothesis, start, finer)
+        shown = observe(self.layout, s.windows, s.trajectory, s.parts)
+        r = self.weighted(np.where(self.seen(s.parts), s.windows.residual(shown), 0.0))
+        if self.correction is not None and hypothesis.numerics:
+            r = r - hypothesis.numerics * self.correction
+        return r
+
+    def seen(self, parts: Sequence[Part]) -> Bool[np.ndarray, "W H c"]:
+        """Return which observations count: none of what a delayed reading has from before its log.
+
+        How the machine moved before a recording began is not known.
+        """
+        seen, windows = self.weight > 0, self.windows
+        for reading in readings(parts).values():
+            if reading.delay and reading.channel in windows.channels:
+                began = np.array([r.span[0] for r in self.recordings])[windows.recording]
+                at = windows.time[:, None] + (windows.step + windows.fraction) * windows.timestep
+                known = at - began[:, None] >= reading.delay
+                seen[..., windows.channels.index(reading.channel)] &= known
+        return seen
+
+    def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
+        """Return values in sigma, one row a window; what is not finite counts as far away."""
+        scaled = np.nan_to_num(values * self.weight, nan=_FAR, posinf=_FAR, neginf=-_FAR)
+        return np.asarray(np.clip(scaled, -_FAR, _FAR)).reshape(len(values), -1)
+
+
+def pose(
+    model: Model,
+    machine: Machine,
+    recordings: Sequence[Recording],
+    sigma: dict[str, float],
+    nuisances: Sequence[Candidate],
+    *,
+    horizon: int,
+    stride: int = 1,
+    timestep: float | None = None,
+    engine: Engine,
+    laws: Sequence[Controller | ForceLaw] = (),
+) -> Problem:
+    """Cut recordings into windows.
+
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: to cut.
+        sigma: noise of each observed channel; others are not observed.
+        nuisances: the study's parameters.
+        horizon: instants in a window.
+        stride: every how many-th of the disjoint windows to keep.
+        timestep: of the simulation in [s]; by default the model's.
+        engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
+    """
+    windows = cut(
+        model,
+        recordings,
+        horizon=horizon,
+        timestep=timestep,
+        signals=(*machine.inputs, ELAPSED),
+        controlled=[w.actuator for w in laws if isinstance(w, Controller)],
+    )
+    windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
+    scale = np.array([sigma[n] for n in windows.channels])
+    weight = np.isfinite(windows.observed) / scale
+    return Problem(
+        model=model,
+        machine=machine,
+        recordings=tuple(recordings),
+        windows=windows,
+        layout=Layout.of(model, machine.model),
+        weight=weight,
+        block=_blocks(len(windows)),
+        nuisances=tuple(nuisances),
+        correction=None,
+        engine=engine,
+        laws=tuple(laws),
+        loops=model.loops,
+    )
+
+
+def _blocks(count: int) -> Int[np.ndarray, " W"]:
+    return np.arange(count) * min(BLOCKS, count) // max(count, 1)

@@ -1,0 +1,188 @@
+"""Windows whose starts are fitted, with the discretisation of the simulator as a nuisance.
+
+A plant moves continuously, the model in steps; that difference looks like half a step of sensor
+delay on every joint and was the main source of false names. It is one column for all windows: the
+projected difference between a finer step and the model's, with one coefficient.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
+from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.settling import better_of, settle
+from bo_sysid.diagnosis.windows.starts import caught_up, first_starts
+from bo_sysid.diagnosis.windows.timestep import FINER
+from bo_sysid.errors import ModelError
+from bo_sysid.mjcf.touching import can_touch, touching
+from bo_sysid.simulation import State
+
+_ROUNDS = 3
+_WORTH_A_ROUND = 1e-3  # of the squared residual, what a round must gain
+_DRAWS = 6  # starts drawn to see where contact decides
+_SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
+_NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
+_CHAOTIC = 4.0  # medians of the correction, from which it may decide a window
+_DECIDES = 0.5  # of what the hypothesis leaves, that one which does is beyond them
+_TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
+_DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
+_NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A problem with settled starts.
+
+    Attributes:
+        problem: with its correction, without windows that the time step decides.
+        start: starts fitted to the hypothesis at which it was prepared.
+        linear: that hypothesis linearised there.
+        correction_rms: size of the correction in sigma.
+        step_rms: the same without what other starts can make up for, as a forecast meets it.
+    """
+
+    problem: Problem
+    start: State
+    linear: Linear
+    correction_rms: float
+    step_rms: float
+
+    def rows(self, keep: Bool[np.ndarray, " W"]) -> "Prepared":
+        """Return some of the windows, as they were prepared among all."""
+        linear = self.linear.rows(keep)
+        return replace(self, problem=linear.problem, start=linear.start, linear=linear)
+
+
+def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None = None) -> Prepared:
+    """Fit the starts of a hypothesis, by default of nothing, and add the correction there.
+
+    Args:
+        problem: the windows.
+        at: the hypothesis.
+        known: starts that were fitted to it before.
+    """
+    at = at or nothing(problem)
+    _require_finite(problem, at, problem.windows.start)
+    first = [] if known is None else [known]
+    if known is None:
+        first = first_starts(problem, at)
+    elif problem.loose(at):  # in a gap no step leads from one arrival to another
+        first = [*first_starts(problem, at)[:1], *first]
+    linear, contact = settled(problem, at, first), can_touch(problem.machine.model)
+    if contact:
+        start, _ = caught_up(problem, at, linear.start)
+        linear = linear if start is linear.start else linearise(problem, at, start)
+        linear = linear.observing(weighted_by_chaos(linear))
+    change = _by_a_finer_step(linear)
+    if contact:
+        linear, change = _weighted_by_step(linear, change)
+    correction = project(linear.Q, change)
+    keep = _undecided(linear, correction)
+    linear, correction = linear.rows(keep), correction[keep]
+    problem, start = linear.problem, linear.start
+    rms, unfitted = (float(np.sqrt((c**2).sum() / problem.dof)) for c in (correction, change[keep]))
+    if rms > _NEGLIGIBLE:
+        problem = replace(problem, correction=correction)
+        linear = replace(linear, problem=problem)
+    return Prepared(problem, start, linear, rms, unfitted)
+
+
+def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
+    """Return the model linearised at the starts that leave least of each window.
+
+    Args:
+        problem: the windows.
+        at: the hypothesis.
+        first: starts from each of which they are settled.
+    """
+    found: tuple[State, Float[np.ndarray, "W R"]] | None = None
+    for start in first:
+        linear, r = linearise(problem, at, start), problem.residual(at, start)
+        for _ in range(_ROUNDS):
+            moved, rn = settle(problem, linear, at, start, 1, _SHARES, r=r)
+            if (rn**2).sum() > (1 - _WORTH_A_ROUND) * (r**2).sum():
+                break
+            start, r = moved, rn
+            linear = linearise(problem, at, start)
+        found = (start, r) if found is None else better_of(*found, start, r)[:2]
+    assert found is not None  # noqa: S101 - there is always a first start
+    return linear if len(first) == 1 else linearise(problem, at, found[0])
+
+
+def _require_finite(problem: Problem, at: Hypothesis, start: State) -> None:
+    diverged = problem.simulate(at, start).trajectory.diverged
+    if diverged.mean() > _DIVERGED:
+        raise ModelError(
+            f"{problem.model.source}: the simulation diverges in {int(diverged.sum())} of "
+            f"{len(diverged)} windows of the recordings; check the model's units, its time step "
+            f"({problem.windows.timestep:g} s) and the signs and units of the controls"
+        )
+
+
+def nothing(problem: Problem) -> Hypothesis:
+    """Return the hypothesis that nothing is missing, parameters as in the model."""
+    zeros = tuple(np.zeros(c.size) for c in problem.nuisances)
+    return Hypothesis(nuisances=problem.nuisances, nuisance_x=zeros)
+
+
+def in_contact(problem: Problem) -> bool:
+    """Whether geoms touch at the beginning of more than a few windows."""
+    return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
+
+
+def weighted_by_chaos(linear: Linear) -> Problem:
+    """Return the problem with less weight where contact decides.
+
+    The start is moved within its own uncertainty; what of the change of the predictions is not
+    linear is a variance of every sample, added to the sensor's. Windows in which a contact is made
+    or not by chance lose their weight by themselves.
+    """
+    problem, at, start = linear.problem, linear.hypothesis, linear.start
+    nv, r = problem.machine.model.nv, problem.residual(at, start)
+    J = linear.J[..., : 2 * nv]
+    N = np.einsum("wri,wrj->wij", J, J)
+    ridge = 1e-6 * np.trace(N, axis1=1, axis2=2)[:, None, None] * np.eye(2 * nv) / (2 * nv)
+    root = np.linalg.cholesky(np.linalg.inv(N + ridge + 1e-12 * np.eye(2 * nv)))
+    rng = np.random.default_rng(0)
+    squares = np.zeros_like(r)
+    for _ in range(_DRAWS):
+        move = np.einsum("wij,wj->wi", root, rng.normal(size=(len(start), 2 * nv)))
+        moved = problem.residual(at, problem.moved(start, move))
+        squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
+    variance = (squares / _DRAWS).reshape(problem.weight.shape)
+    return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
+
+
+def _weighted_by_step(
+    linear: Linear, change: Float[np.ndarray, "W R"]
+) -> tuple[Linear, Float[np.ndarray, "W R"]]:
+    """Return the linear model, and what a finer step changes, with less weight where that decides.
+
+    One share of the correction holds for all of a smooth motion, not for impacts: half of what a
+    finer step changes there is a standard deviation of every sample, added to the sensor's.
+    """
+    light = 1.0 / np.sqrt(1.0 + (_NOT_SHARED * project(linear.Q, change)) ** 2)
+    weight = linear.problem.weight * light.reshape(linear.problem.weight.shape)
+    return linear.observing(replace(linear.problem, weight=weight)), change * light
+
+
+def _undecided(linear: Linear, correction: Float[np.ndarray, "W R"]) -> Bool[np.ndarray, " W"]:
+    """Return the windows that the time step does not decide.
+
+    Where motion reverses under friction a finer step changes more than where it goes on. That is no
+    reason to drop a window where the hypothesis leaves much more, there or in most of them.
+    """
+    r = project(linear.Q, linear.residual)
+    size, left = (np.sqrt((e**2).mean(axis=1)) for e in (correction, r))
+    left = np.maximum(left, max(float(np.median(left)), 1.0))
+    return np.asarray(size < _CHAOTIC * np.median(size) + _DECIDES * left)
+
+
+def _by_a_finer_step(linear: Linear) -> Float[np.ndarray, "W R"]:
+    """Return the difference that a finer time step makes to a hypothesis."""
+    fine = linear.problem.residual(linear.hypothesis, linear.start, finer=FINER)
+    return np.asarray(linear.residual - fine)
