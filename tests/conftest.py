@@ -1,8 +1,9 @@
-"""What every test is kept from: effects that another one registered."""
+"""What every test begins with: the catalogue as it is, and types that are checked."""
 
 from collections.abc import Iterator
 
 import pytest
+import typechecking
 
 from bo_sysid.effects import registry
 
@@ -13,3 +14,8 @@ def _own_catalogue() -> Iterator[None]:
     yield
     registry._EFFECTS.clear()
     registry._EFFECTS.update(before)
+
+
+@pytest.fixture(autouse=True)
+def _types_checked() -> None:
+    typechecking.renew()
