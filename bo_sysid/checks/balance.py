@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from bo_sysid.mjcf import Loops
@@ -84,6 +84,7 @@ class Dynamics:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         model.actuator_forcelimited[:] = 0
         self._data = mujoco.MjData(model)
+        self._inputs = self._data.ctrl, self._data.act, self._data.actuator_force
         self._fixed = bool(np.isin(model.actuator_trntype, ALONG_JOINT).all())
 
     def terms(
@@ -99,15 +100,14 @@ class Dynamics:
         needed, inertial = np.zeros((n, nv)), np.zeros((n, nv))
         bias, gain, moment = np.zeros((n, nu)), np.zeros((n, nu)), np.zeros((n, nu, nv))
         controlled = model.actuator_ctrlnum == 1  # friction may be an actuator without a control
-        product = np.zeros(nv)
+        at, force = (data.qpos, data.qvel, data.qacc), data.qfrc_inverse  # looked up once: views
         for k in range(n):
-            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+            at[0][:], at[1][:], at[2][:] = qpos[k], qvel[k], qacc[k]
             mujoco.mj_inverse(model, data)
-            needed[k] = data.qfrc_inverse
-            mujoco.mj_mulM(model, data, product, qacc[k])
-            inertial[k] = product
+            needed[k] = force
+            mujoco.mj_mulM(model, data, inertial[k], qacc[k])
             if nu:
-                bias[k], gain[k] = (f[controlled] for f in self._forces())
+                self._forces(controlled, bias[k], gain[k])
                 if k == 0 or not self._fixed:
                     dense = self._moment()[controlled]
                 moment[k] = dense
@@ -164,15 +164,17 @@ class Dynamics:
             out[k] = data.qfrc_inverse
         return out
 
-    def _forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the actuators' forces at zero control, and their change per control."""
-        model, data = self.model, self._data
-        data.ctrl[:], data.act[:] = 0.0, 0.0
-        mujoco.mj_fwdActuation(model, data)
-        zero = data.actuator_force.copy()
-        data.ctrl[:], data.act[:] = 1.0, 1.0
-        mujoco.mj_fwdActuation(model, data)
-        return zero, data.actuator_force - zero
+    def _forces(
+        self, controlled: Bool[np.ndarray, " a"], bias: np.ndarray, gain: np.ndarray
+    ) -> None:
+        """Write the actuators' forces at zero control, and their change per control."""
+        ctrl, act, force = self._inputs
+        ctrl[:] = act[:] = 0.0
+        mujoco.mj_fwdActuation(self.model, self._data)
+        bias[:] = force[controlled]
+        ctrl[:] = act[:] = 1.0
+        mujoco.mj_fwdActuation(self.model, self._data)
+        gain[:] = force[controlled] - bias
 
     def _moment(self) -> np.ndarray:
         data = self._data
@@ -194,11 +196,15 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
         terms: of the hypothesis about the measured channels.
         actuated: `D x n x nv` forces of the actuators.
     """
-    needed, count = terms.needed, len(actuated)
-    columns = np.empty((count, 3, *needed.shape))
-    columns[:, 0], columns[:, 1], columns[:, 2] = actuated, -terms.velocity, -terms.dry
-    gram = np.einsum("danj,dbnj->djab", columns, columns)
-    right = np.einsum("danj,nj->dja", columns, needed)
+    needed = terms.needed
+    friction = -np.stack([terms.velocity, terms.dry])
+    gram = np.empty((*actuated.shape[::2], 3, 3))
+    gram[..., 0, 0] = np.einsum("dnj,dnj->dj", actuated, actuated)
+    gram[..., 0, 1:] = gram[..., 1:, 0] = np.einsum("dnj,bnj->djb", actuated, friction)
+    gram[..., 1:, 1:] = np.einsum("anj,bnj->jab", friction, friction)
+    right = np.empty((*actuated.shape[::2], 3))
+    right[..., 0] = np.einsum("dnj,nj->dj", actuated, needed)
+    right[..., 1:] = np.einsum("bnj,nj->jb", friction, needed)
     square = (needed**2).sum(axis=0)
     left = _left(square, gram, right, _bounded(gram, right))
     total = (terms.inertial**2 + terms.rest**2).sum(axis=0) + gram[..., 0, 0]
