@@ -27,15 +27,23 @@ from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
-from bo_sysid.runs import Run
+from bo_sysid.runs import Run, versions
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import require_scales
-from bo_sysid.study.inputs import held_notes, load_holdout, load_model, load_train, study_effects
+from bo_sysid.study.inputs import (
+    fingerprints,
+    held_notes,
+    load_holdout,
+    load_model,
+    load_train,
+    study_effects,
+)
 
 _STAGES = 6
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
@@ -150,7 +158,8 @@ def diagnose(
     Raises:
         UserError: the study, its model or its recordings are wrong.
     """
-    evidence = gather(study, load_train(study, strict=strict))
+    kept = _kept(study, run, strict)
+    evidence = gather(study, load_train(study, strict=strict), kept)
     tell = _Teller(progress)
     outside = [f.sentence for f in range_flags(evidence.machine.model, evidence.recordings)]
     if outside:
@@ -187,8 +196,17 @@ def diagnose(
         run.write_frame("holdout.parquet", result.errors)
         run.write_frame("sessions.parquet", result.sessions)
         _pictures(run, result)
+        kept.clear()
     tell(result.verdict)
     return result
+
+
+def _kept(study: Study, run: Run | None, strict: bool) -> Kept:
+    """Return the long fits that a killed diagnosis of the same files left in a run."""
+    if run is None:
+        return NOTHING_KEPT
+    files = fingerprints(study, recorded=True)
+    return Kept.of(run, {"files": files, "versions": versions(), "strict": strict})
 
 
 def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
@@ -223,7 +241,7 @@ def _pictures(run: Run, result: Diagnosis) -> None:
     run.write_json("summary.json", said)
 
 
-def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
+def gather(study: Study, recordings: tuple[Recording, ...], kept: Kept = NOTHING_KEPT) -> Evidence:
     """Return what a diagnosis is made from: scales, noise, candidates."""
     model = load_model(study)
     require_scales(study, model)
@@ -237,6 +255,7 @@ def gather(study: Study, recordings: tuple[Recording, ...]) -> Evidence:
         threads=threads(),
         laws=study_laws(study, model),
         known=study.diagnosis.known,
+        kept=kept,
     )
 
 

@@ -1,7 +1,7 @@
 """Values that enter and leave a simulation: starts of windows and trajectories."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import mujoco
 import numpy as np
@@ -62,6 +62,17 @@ class State:
             joined("added"),
             joined("past"),
         )
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, np.ndarray]) -> "State":
+        """Return the states that have these `arrays`; others are left alone."""
+        return cls(**{f.name: arrays[f.name] for f in fields(cls) if f.name in arrays})
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What is known, by name."""
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in known.items() if value is not None}
 
     def repeat(self, times: int) -> "State":
         """Return the whole set of states `times` times over, `times * W` rows."""

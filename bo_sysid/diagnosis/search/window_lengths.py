@@ -49,6 +49,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         timestep=step,
         engine=evidence.engine,
         laws=evidence.laws,
+        kept=evidence.kept,
     )
 
 

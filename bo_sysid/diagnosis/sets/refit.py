@@ -6,7 +6,7 @@ response to the start, accepted window by window.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -115,7 +115,33 @@ def refit(
     problem, effort = frame.problem, effort or Effort()
     space, guess = _Space.of(problem, members), guess or frame.hypothesis
     theta = space.vector(_with_parameters(problem, space, x, guess), guess)
-    first, r = first_start(problem, space.hypothesis(theta), start or frame.start)
+    begin = start or frame.start
+    made_from = (
+        problem.identity, frame.hypothesis.identity, frame.Q, frame.start_gain,
+        space.hypothesis(theta).identity, tuple(begin.arrays.items()), columns, astuple(effort),
+    )  # fmt: skip
+
+    def fitted() -> dict[str, np.ndarray]:
+        point, S = _fitted(frame, space, theta, begin, columns, effort)
+        return {"theta": point.theta, "residual": point.r, "jacobian": S, **point.start.arrays}
+
+    found = problem.kept.arrays(made_from, fitted)
+    labels = groups if groups is not None else (None,) * len(members)
+    hypothesis, start = space.hypothesis(found["theta"]), State.of(found)
+    return assess(problem, frame.Q, hypothesis, labels, start, found["residual"], found["jacobian"])
+
+
+def _fitted(
+    frame: Linear,
+    space: _Space,
+    theta: Float[np.ndarray, " p"],
+    start: State,
+    columns: Float[np.ndarray, "W R p"] | None,
+    effort: Effort,
+) -> tuple["_Point", np.ndarray]:
+    """Return what a fit comes to from magnitudes and starts, and its Jacobian."""
+    problem = frame.problem
+    first, r = first_start(problem, space.hypothesis(theta), start)
     begin, r = settle(problem, frame, space.hypothesis(theta), first, 2, r=r)
     point = _Point(theta, begin, r, project(frame.Q, r))
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
@@ -125,9 +151,7 @@ def refit(
     at = space.hypothesis(point.theta)
     if can_touch(problem.machine.model) or (effort.final and held_joints(problem, at)):
         point, S = _caught_up(frame, space, point, S, effort)
-    labels = groups if groups is not None else (None,) * len(members)
-    hypothesis = space.hypothesis(point.theta)
-    return assess(problem, frame.Q, hypothesis, labels, point.start, point.r, S)
+    return point, S
 
 
 def _with_parameters(

@@ -14,6 +14,7 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
+from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
@@ -44,6 +45,7 @@ class Evidence:
         window: length of a window in [s].
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
+        kept: long fits of a diagnosis that was killed.
     """
 
     model: Model
@@ -57,6 +59,7 @@ class Evidence:
     window: float
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...] = ()
+    kept: Kept = NOTHING_KEPT
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -96,6 +99,7 @@ def make_evidence(
     threads: int = 0,
     laws: Sequence[Controller | ForceLaw] = (),
     known: Sequence[str] = (),
+    kept: Kept = NOTHING_KEPT,
 ) -> Evidence:
     """Measure scales and noise, and list what may be missing.
 
@@ -109,6 +113,7 @@ def make_evidence(
         threads: of the simulation, 0 for all cores.
         laws: controllers and force laws that belong to the nominal model.
         known: addresses whose values are certain: what would change one is not looked for.
+        kept: long fits of a diagnosis that was killed.
 
     Raises:
         RecordingError: no joint's position was recorded, or none moves.
@@ -132,6 +137,7 @@ def make_evidence(
         _window(machine),
         Engine(threads),
         tuple(laws),
+        kept,
     )
 
 

@@ -64,6 +64,14 @@ class Candidate:
         return self.effect.id, self.site.name
 
     @property
+    def identity(self) -> tuple[object, ...]:
+        """Everything that a fit of it hangs on, for `Kept`."""
+        return (
+            *self.key, self.site.kind, self.point, self.secant, self.rubs,
+            self.low, self.high, self.probe,
+        )  # fmt: skip
+
+    @property
     def takes(self) -> frozenset[tuple[str, str]]:
         """What no other candidate of a set can have: its key, the place of a joint that it adds."""
         return frozenset({self.key, *([("joint", self.site.name)] if self.effect.hidden else [])})
@@ -155,6 +163,12 @@ class Hypothesis:
     nuisances: tuple[Candidate, ...] = ()
     nuisance_x: tuple[Float[np.ndarray, " _"], ...] = ()
     numerics: float = 0.0
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """Members, parameters and magnitudes, for `Kept`."""
+        held = tuple(c.identity for c in (*self.members, *self.nuisances))
+        return held, self.x, self.nuisance_x, self.numerics
 
     @property
     def free(self) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
@@ -69,6 +71,7 @@ class Problem:
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
         loops: closed chains of the nominal model, on which starts lie.
+        kept: long fits of a diagnosis that was killed.
     """
 
     model: Model
@@ -83,6 +86,16 @@ class Problem:
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...]
     loops: Loops
+    kept: Kept = NOTHING_KEPT
+
+    @cached_property
+    def identity(self) -> tuple[object, ...]:
+        """What a fit hangs on beside files and versions, for `Kept`."""
+        w = self.windows
+        return (
+            float(w.timestep), w.channels, w.recording, w.time, w.start.qpos, w.start.qvel,
+            self.weight, self.block, self.correction,
+        )  # fmt: skip
 
     @property
     def count(self) -> int:
@@ -265,6 +278,7 @@ def pose(
     timestep: float | None = None,
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
+    kept: Kept = NOTHING_KEPT,
 ) -> Problem:
     """Cut recordings into windows.
 
@@ -279,6 +293,7 @@ def pose(
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
+        kept: long fits of a diagnosis that was killed.
     """
     windows = cut(
         model,
@@ -304,6 +319,7 @@ def pose(
         engine=engine,
         laws=tuple(laws),
         loops=model.loops,
+        kept=kept,
     )
 
 

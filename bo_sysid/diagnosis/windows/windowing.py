@@ -67,12 +67,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     """
     at = at or nothing(problem)
     _require_finite(problem, at, problem.windows.start)
-    first = [] if known is None else [known]
-    if known is None:
-        first = first_starts(problem, at)
-    elif problem.loose(at):  # in a gap no step leads from one arrival to another
-        first = [*first_starts(problem, at)[:1], *first]
-    linear, contact = settled(problem, at, first), can_touch(problem.machine.model)
+    linear, contact = _begun(problem, at, known), can_touch(problem.machine.model)
     if contact:
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
@@ -89,6 +84,24 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         problem = replace(problem, correction=correction)
         linear = replace(linear, problem=problem)
     return Prepared(problem, start, linear, rms, unfitted)
+
+
+def _begun(problem: Problem, at: Hypothesis, known: State | None) -> Linear:
+    """Return a hypothesis linearised at its starts, which a killed diagnosis may have left."""
+    made: list[Linear] = []
+
+    def fitted() -> dict[str, np.ndarray]:
+        first = [] if known is None else [known]
+        if known is None:
+            first = first_starts(problem, at)
+        elif problem.loose(at):  # in a gap no step leads from one arrival to another
+            first = [*first_starts(problem, at)[:1], *first]
+        made.append(settled(problem, at, first))
+        return made[0].start.arrays
+
+    of = () if known is None else tuple(known.arrays.items())
+    found = problem.kept.arrays((problem.identity, at.identity, of), fitted)
+    return made[0] if made else linearise(problem, at, State.of(found))
 
 
 def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
