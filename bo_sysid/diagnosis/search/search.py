@@ -55,6 +55,7 @@ class Search:
     doing: Callable[[str], None] = lambda text: None
     _screen: Screen | None = None
     _framed: float = np.inf  # rms of the fit at which the frame was taken
+    _inside: tuple[Fit, Linear] | None = None  # the last set inside others, linearised there
 
     @classmethod
     def on(
@@ -167,12 +168,18 @@ class Search:
         best = min(inside, key=lambda f: f.rss)
         known = {set_key([c]): x for c, x in zip(best.members, best.x, strict=True)}
         x = [known.get(set_key([c]), np.zeros(c.size)) for c in fit.members]
-        frame = linearise(self.prepared.problem, best.hypothesis, best.start)
         made = refit(
-            frame, fit.members, x, groups=labels, start=best.start, guess=best.hypothesis,
-            effort=effort,
+            self._frame_of(best), fit.members, x, groups=labels, start=best.start,
+            guess=best.hypothesis, effort=effort,
         )  # fmt: skip
         return made if made.rss < fit.rss else fit
+
+    def _frame_of(self, fit: Fit) -> Linear:
+        """Return the model linearised at a fit; one after the other asks for it at the same one."""
+        if self._inside is None or self._inside[0] is not fit:
+            frame = linearise(self.prepared.problem, fit.hypothesis, fit.start)
+            self._inside = fit, frame
+        return self._inside[1]
 
     def _afresh(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
         """Fit on with the model linearised at the fit itself, where it is far from the data.
