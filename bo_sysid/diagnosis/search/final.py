@@ -116,9 +116,7 @@ def _shaped_alike(final: Search, leader: Fit) -> None:
         members = [own.get(c.key, c) for c in f.members]
         exchanged = len(f.members) == len(own) == shared + 1
         if exchanged and set_key(members) not in final.fits:
-            final.refit(
-                members, f.x, start=f.start, guess=f.hypothesis, effort=FINAL,
-            )  # fmt: skip
+            final.refit(members, f.x, start=f.start, guess=f.hypothesis, effort=FINAL)
 
 
 def _polish(final: Search, leader: Fit, polished: set[Names]) -> None:

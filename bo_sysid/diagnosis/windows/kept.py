@@ -5,6 +5,7 @@ answer, whatever it was doing when it was killed.
 """
 
 import hashlib
+import json
 import shutil
 import time
 import zipfile
@@ -29,24 +30,20 @@ class Kept:
 
     Args:
         folder: where they are; None keeps nothing.
+        made_from: everything that they depend on beside what `arrays` is given.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, folder: Path | None = None, made_from: Mapping[str, Any] | None = None):
         self._folder = folder
+        self._made_from = dict(made_from or {})
 
     @classmethod
     def of(cls, run: Run, made_from: Mapping[str, Any]) -> "Kept":
-        """Return what a run kept, which is dropped where it was made from something else.
-
-        Args:
-            run: of a diagnosis.
-            made_from: everything that results depend on beside what `arrays` is given.
-        """
+        """Return what a run kept, which is dropped where it was made from something else."""
         stamp = f"{FOLDER}/{_STAMP}"
-        kept = cls(run.path(FOLDER))
+        kept = cls(run.path(FOLDER), made_from)
         if not run.has(stamp) or run.read_json(stamp) != made_from:
             kept.clear()
-            run.write_json(stamp, made_from)
         return kept
 
     def arrays(self, inputs: tuple[object, ...], make: Callable[[], Arrays]) -> Arrays:
@@ -68,14 +65,21 @@ class Kept:
         began = time.perf_counter()
         made = make()
         if time.perf_counter() - began > _LONG:
-            with atomic(path) as beside:
-                np.savez(beside, **made)  # type: ignore[arg-type]
+            self._keep(path, made)
         return made
 
     def clear(self) -> None:
         """Drop everything."""
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _keep(self, path: Path, made: Arrays) -> None:
+        stamp = path.with_name(_STAMP)
+        if not stamp.is_file():
+            with atomic(stamp) as beside:
+                beside.write_text(json.dumps(self._made_from), encoding="utf-8")
+        with atomic(path) as beside:
+            np.savez(beside, **made)  # type: ignore[arg-type]
 
 
 NOTHING_KEPT = Kept()
