@@ -294,3 +294,19 @@ def test_a_file_of_effects_may_hold_dataclasses(tmp_path) -> None:
     (tmp_path / "mine.py").write_text(head + text + own)
     (made,) = load_effects(tmp_path / "mine.py")
     assert made.id == "worn_spot"
+
+
+@pytest.mark.parametrize("periods", [1.3, 5.0, 9.6, 16.5, 30.5, 47.5])
+def test_a_periodic_force_in_the_stroke_of_a_slide_is_seen_at_a_point_of_the_grid(
+    machine: Machine, periods: float
+) -> None:
+    """Whatever its period, one of the grid explains a third of it: enough to be refined from."""
+    points = CATALOGUE["cogging"].extent(Site("joint", "rail"), machine).grid
+    q = np.linspace(-0.1, 0.1, 4001)  # the stroke that was recorded, at one speed
+    wave = np.sin(2 * np.pi * periods / 0.2 * q + 0.7)
+    explained = 0.0
+    for *_, k in points:
+        A = np.stack([np.sin(k * q), np.cos(k * q), np.ones_like(q)], axis=1)
+        left = wave - A @ np.linalg.lstsq(A, wave, rcond=None)[0]
+        explained = max(explained, 1 - (left @ left) / (wave @ wave))
+    assert explained > 1 / 3
