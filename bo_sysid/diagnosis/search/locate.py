@@ -24,6 +24,7 @@ _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
 _CARRIED = 4
+_ASTRAY = 9.0  # [sigma] of a set with an added joint that no final fit brings near the recordings
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which it needs others
 
@@ -63,9 +64,15 @@ def locate(
     located = _located(evidence, tell, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
     if follows(leading) or follows(located.decision.best):
-        tell(f"without added joints: {_said(leading)}")
-        located = _located(evidence.rigid, tell, doing)
+        located = _without_added_joints(evidence, leading, tell, doing)
     return located
+
+
+def _without_added_joints(
+    evidence: Evidence, leading: Fit, tell: Callable[[str], None], doing: Callable[[str], None]
+) -> Located:
+    tell(f"without added joints: {_said(leading)}")
+    return _located(evidence.rigid, tell, doing)
 
 
 def _located(
@@ -73,6 +80,8 @@ def _located(
 ) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
     search, horizon, step = _searched(evidence, tell, doing)
+    if follows(search.best) and search.best.rms > _ASTRAY:
+        return _without_added_joints(evidence, search.best, tell, doing)
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
