@@ -1,4 +1,4 @@
-"""In contact, time step and magnitudes are those that forecast the training recordings best.
+"""How well hypotheses forecast the training recordings; in contact, magnitudes that do it best.
 
 A start that is fitted inside a window takes over what an impact tells, and windows in which the
 start or the step decides have next to no weight: what is left there are broad valleys. A forecast
@@ -18,8 +18,9 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.windows.timestep import shares
+from bo_sysid.diagnosis.windows.windowing import in_contact
 
-_WINDOWS = 24  # of the training recordings
+_WINDOWS, _MORE_WINDOWS = 24, 120  # of the training recordings in contact, elsewhere
 _FLOOR = 1e-2  # [sigma²] of a window that leaves nothing
 _LITTLE = 0.05  # share by which a coarser time step may leave more
 _SWEEPS, _EVALUATIONS = 2, 16  # of step and magnitudes in turn; forecasts of all windows in each
@@ -41,16 +42,23 @@ class PredictionError:
             evidence.model, evidence.machine, evidence.recordings, evidence.sigma, past=PAST,
             ahead=AHEAD, timestep=timestep, engine=evidence.engine, laws=evidence.laws,
         )  # fmt: skip
-        self._problem = problem.rows(problem.windows.evenly(_WINDOWS))
+        self._touching = in_contact(problem)
+        count = _WINDOWS if self._touching else _MORE_WINDOWS
+        self._problem = problem.rows(problem.windows.evenly(count))
 
     def __call__(self, hypothesis: Hypothesis) -> float:
-        """Return the geometric mean over windows of the rms of a forecast, in sigma.
+        """Return the rms of a forecast over all windows, in contact its geometric mean, in sigma.
 
         Geometric, since a few windows end on the other side of an impact whatever is supposed, and
-        would decide an arithmetic one.
+        would decide an arithmetic one. Elsewhere windows in which a machine rests would decide the
+        geometric one: that of an arm whose friction grows with its load leaves less there if it
+        has too much friction everywhere, and twice as much on the whole.
         """
         squares = (forecast(self._problem, self._past, hypothesis).residual ** 2).sum(axis=(1, 2))
-        squares /= np.maximum((self._problem.weight[:, self._past :] > 0).sum(axis=(1, 2)), 1)
+        seen = (self._problem.weight[:, self._past :] > 0).sum(axis=(1, 2))
+        if not self._touching:
+            return float(np.sqrt(squares.sum() / max(seen.sum(), 1)))
+        squares /= np.maximum(seen, 1)
         return float(np.exp(0.5 * np.log(squares + _FLOOR).mean()))
 
     def stepped(self, hypothesis: Hypothesis) -> Hypothesis:
