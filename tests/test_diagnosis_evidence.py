@@ -48,3 +48,24 @@ def test_a_recording_that_ended_at_once_is_named(samples: int) -> None:
     aborted = Recording.from_arrays(time, name="run_7", **motion)
     with pytest.raises(RecordingError, match=rf"run_7: {samples} samples .* leave the recording"):
         evidence_of(SWING + NOISE[0], NOISE[1], aborted)
+
+
+def test_channels_that_are_not_compared_have_no_faults() -> None:
+    """Velocities are recorded, but positions alone are compared with what is predicted."""
+    recording = Recording.from_arrays(
+        TIME, qpos={"a": SWING + NOISE[0], "b": SWING + NOISE[1]}, ctrl={"m": np.cos(TIME)},
+        qvel={"a": np.gradient(SWING, TIME)},
+    )  # fmt: skip
+    effects = [CATALOGUE[i] for i in ("sensor_delay", "sensor_scale")]
+    found = make_evidence(Model.from_xml(TWO), [recording], effects=effects, threads=1)
+    assert {c.site.name for c in found.candidates} == {"qpos.a", "qpos.b"}
+
+
+def test_what_a_constant_command_gives_no_size_is_not_looked_for() -> None:
+    recording = Recording.from_arrays(
+        TIME, qpos={"a": SWING + NOISE[0], "b": NOISE[1]}, ctrl={"m": np.full_like(TIME, 0.3)}
+    )
+    effects = [CATALOGUE[i] for i in ("actuator_deadzone", "back_emf", "actuator_gain")]
+    found = make_evidence(Model.from_xml(TWO), [recording], effects=effects, threads=1)
+    assert "actuator_deadzone" not in {c.effect.id for c in found.candidates}
+    assert all(c.probe.any() for c in found.candidates)

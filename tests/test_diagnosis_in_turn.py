@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, followed, orders
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Machine, survey
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation.stepper import Stepper
 
 LAG, DEAD = 0.05, 0.1
@@ -110,3 +110,34 @@ def test_a_stepper_applies_all_that_changes_a_command(tmp_path: Path, machine: M
     expected = np.maximum(1.0 - np.exp(-after / LAG) - DEAD, 0.0)
     assert np.abs(force[:steps]).max() == 0.0
     assert force[steps:] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("effects", "x"),
+    [
+        (("command_rate",), (0.2,)),
+        (("actuator_lag", "actuator_deadzone"), (1.5, DEAD)),
+        (("actuator_deadzone", "command_rate", "actuator_lag"), (DEAD, 0.15, 0.7)),
+    ],
+)
+def test_a_stepper_keeps_the_state_of_slow_filters(
+    tmp_path: Path, machine: Machine, effects: tuple[str, ...], x: tuple[float, ...]
+) -> None:
+    """A command is answered for longer than the commands are remembered."""
+    members = held(machine, *effects)
+    h = Hypothesis(members, tuple(np.array([v]) for v in x))
+    write_model(arm(), machine, h, tmp_path, timestep=0.002)
+    simulation = Stepper(tmp_path / MODEL, tmp_path / BESIDE)
+    shoulder = simulation.model.joint("shoulder").dofadr[0]
+    command = np.where((np.arange(2500) > 200) & (np.arange(2500) < 2000), 1.0, 0.0)
+    force = np.empty_like(command)
+    for k, u in enumerate(command):
+        simulation.data.ctrl[0] = u
+        simulation.step()
+        force[k] = simulation.data.qfrc_actuator[shoulder]
+    time = 0.002 * np.arange(2500)
+    whole = Channel(time, command, hold="zero")
+    for c, v in zip(members, x, strict=True):
+        (acting,) = c.parts(arm().spec(), np.array([v]), machine)
+        whole = acting.change(whole, 0.002)
+    assert force == pytest.approx(whole.at(time + 1e-9), abs=2e-3)

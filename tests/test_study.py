@@ -176,6 +176,23 @@ def test_resolved_for_another_folder_names_the_same_files(folder: Path) -> None:
     assert resolve == [p.resolve() for p in study.train_files]
 
 
+@pytest.mark.parametrize("named", ["arm-*.csv", "arm-1.csv", "arm [1].csv", "../st[1]/arm*1.csv"])
+def test_a_folder_with_brackets_is_no_part_of_a_pattern(tmp_path: Path, named: str) -> None:
+    folder, run = tmp_path / "st[1]", tmp_path / "runs [a-z]*" / "r"
+    for place in (folder, tmp_path / "st1", run):
+        place.mkdir(parents=True)
+    for name in ("arm-1.csv", "arm-2.csv", "arm [1].csv"):
+        (folder / name).write_text(LOG)
+    (folder / "arm.xml").write_text(ARM)
+    study = Study.from_dict({"model": "arm.xml", "recordings": {"train": named}}, folder)
+    moved = study.resolved(relative_to=run)
+    again = Study.from_dict(moved, run)
+    assert again.model.file == "../../st[1]/arm.xml"
+    assert [p.resolve() for p in again.train_files] == [p.resolve() for p in study.train_files]
+    back = Study.from_dict(again.resolved(relative_to=tmp_path), tmp_path)
+    assert [p.resolve() for p in back.train_files] == [p.resolve() for p in study.train_files]
+
+
 def test_globs_are_expanded_in_order(folder: Path) -> None:
     study = load(folder)
     assert [p.name for p in study.train_files] == ["arm-1.csv", "arm-2.csv"]
@@ -216,6 +233,12 @@ def test_a_file_for_training_and_holdout_is_refused(folder: Path, spelled: str) 
     study = load(folder, recordings__holdout=[spelled])
     with pytest.raises(StudyError, match=r"holdout: \S+.csv is among the files of train"):
         _ = study.holdout_files
+
+
+def test_a_holdout_that_is_not_there_is_said_before_anything_is_computed(folder: Path) -> None:
+    study = load(folder, recordings__holdout=["data/nothere.csv"])
+    with pytest.raises(StudyError, match=r"holdout.*nothere"):
+        load_train(study)
 
 
 def test_a_file_that_is_named_twice_is_read_once(folder: Path) -> None:

@@ -37,7 +37,7 @@ def scaled(evidence: Evidence, h: Hypothesis, delays: Sequence[float]) -> Iterat
 def refined(evidence: Evidence, h: Hypothesis) -> Hypothesis:
     """Return the hypothesis with the constants that suit its delay, of three digits."""
     for name, wire in h.wires.items():
-        if wire.unit == FREE:
+        if wire.unit == FREE and name in evidence.motors:
             gain = max(_gain(evidence, h, name, [h.delay]), 0.0) or 1.0
             scale = float(f"{gain * wire.scale:.3g}")
             h = replace(h, wires={**h.wires, name: replace(wire, scale=scale)})
@@ -50,7 +50,7 @@ def in_words(
     """Return by channel what one unit gives, of those with a constant of their own."""
     told = {}
     for name, wire in h.wires.items():
-        if wire.unit == FREE:
+        if wire.unit == FREE and name in evidence.motors:
             joint = evidence.driven(name)
             force = wire.scale * float(np.abs(_per_unit(evidence, h, name)).mean())
             unit = recordings[0].channels[wire.source].unit or "unit"

@@ -95,11 +95,6 @@ class Traces:
         """Number n of instants."""
         return sum(map(len, self.instants))
 
-    @property
-    def seconds(self) -> float:
-        """Length of all recordings together, in s."""
-        return sum(float(g[-1] - g[0]) for g in self._grids)
-
     @cached_property
     def _grids(self) -> tuple[Float[np.ndarray, " G"], ...]:
         return tuple(_grid(r, self.measured, self.width) for r in self.recordings)

@@ -5,6 +5,7 @@ that ``--help`` and errors of input answer at once.
 """
 
 import argparse
+import io
 import os
 import sys
 import traceback
@@ -50,7 +51,7 @@ VERBS = (
 )
 """The verbs, in the order of the help."""
 
-RESUMED = ("identify", "learn", "compare", "record", "conceal", "reveal")
+RESUMED = ("identify", "diagnose", "learn", "compare", "record", "conceal", "reveal")
 """Verbs that go on where they were interrupted."""
 
 DONE, DEFECT, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -90,7 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         else, with a traceback where it is a defect.
     """
     for stream in (sys.stdout, sys.stderr):
-        stream.reconfigure(errors="replace")  # type: ignore[union-attr] # names may hold any letter
+        if isinstance(stream, io.TextIOWrapper):  # not in a notebook
+            stream.reconfigure(errors="replace")  # names may hold any letter
     args = None
     try:
         args = make_parser().parse_args(argv)

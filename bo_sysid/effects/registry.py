@@ -165,6 +165,8 @@ def applicable(effect: Effect, machine: Machine) -> tuple[Site, ...]:
 def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
     """Return how large an effect can be at a site, None where it does not apply.
 
+    Nor does one where nothing that was recorded gives it a size, as of a command that never varies.
+
     Raises:
         StudyError: the effect's function raises, or tells of other components than the effect has.
     """
@@ -181,6 +183,8 @@ def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
             f"effect {effect.id!r} at {site}: its extent has {len(extent.probe)} numbers; it needs "
             f"one for each component, {', '.join(c.name for c in effect.components)}"
         )
+    if extent is not None and effect.linear and not any(extent.probe[: effect.linear]):
+        return None
     return extent
 
 

@@ -1,5 +1,6 @@
 """Stepping one simulation in plain MuJoCo with what stands beside its model file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,7 @@ from bo_sysid.recording import Channel
 from bo_sysid.simulation.lockstep import LockStep, force_laws, steps_held
 
 _MEMORY = 2.0  # [s] of commands that filters look back on
+_ROUNDING = 1e-6  # of a step: stamps that are sums of steps are not exactly multiples of one
 
 
 class Stepper:
@@ -45,6 +47,8 @@ class Stepper:
         self._laws = force_laws(parts)
         self._time: list[float] = []
         self._past: list[np.ndarray] = []
+        self._state: dict[tuple[int, int], float] = {}  # of a control's filters at the oldest
+        self._made: dict[tuple[int, int], Channel] = {}  # what each filter made of it last
         self._step = 0
         self._held: np.ndarray = np.zeros(self.model.nv)
         self._lockstep: LockStep | None = None
@@ -59,9 +63,14 @@ class Stepper:
         for i, filters in self._filters.items():
             values = np.array([c[i] for c in self._past])
             channel = Channel(np.array(self._time), values, "", "", "zero")
-            for f in filters:
-                channel = f.change(channel, m.opt.timestep)
-            d.ctrl[i] = channel.at(np.array([d.time]))[0]
+            for k, f in enumerate(filters):
+                if (i, k) in self._state:  # it was there one step before the oldest
+                    before = channel.time[0] - m.opt.timestep
+                    time = np.concatenate([[before], channel.time])
+                    begun = np.concatenate([[self._state[i, k]], channel.values])
+                    channel = replace(channel, time=time, values=begun)
+                channel = self._made[i, k] = f.change(channel, m.opt.timestep)
+            d.ctrl[i] = channel.at(np.array([d.time + _ROUNDING * m.opt.timestep]))[0]
         d.qfrc_applied[:] = applied + self._forces()
         mujoco.mj_step(m, d)
         d.ctrl[:], d.qfrc_applied[:] = commanded, applied
@@ -83,6 +92,7 @@ class Stepper:
         self._signals = {ELAPSED: np.zeros((1, 1))}
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
         self._time, self._past = [], []
+        self._state, self._made = {}, {}
         self._step = 0
 
     def _remember(self, commanded: np.ndarray) -> None:
@@ -92,4 +102,8 @@ class Stepper:
         self._time.append(now)
         self._past.append(commanded)
         while self._time[-1] - self._time[0] > _MEMORY:
+            # an output is the mean over a step: between two of them it is that of their middle
+            for place, made in self._made.items():
+                at = np.array(self._time[:2]) + _ROUNDING * self.model.opt.timestep
+                self._state[place] = float(made.at(at).mean())
             del self._time[0], self._past[0]

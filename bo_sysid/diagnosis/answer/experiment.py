@@ -14,7 +14,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
-from bo_sysid.diagnosis.answer.findings import named
+from bo_sysid.diagnosis.answer.findings import named, spoken
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
@@ -22,6 +22,7 @@ from bo_sysid.diagnosis.sets.refit import Effort, refit
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated, pose
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.windowing import prepare
+from bo_sysid.effects import Site
 from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.excite.limits import Limits
 from bo_sysid.recording import Recording
@@ -138,7 +139,9 @@ def _rivals(decision: Decision) -> tuple[Fit, ...]:
 
 
 def _about_unknown(unexplained: Unexplained) -> Experiment:
-    where = "the machine" if unexplained.kind == "world" else f"the {unexplained.site}"
+    where = "the machine"
+    if unexplained.kind == "joint" and unexplained.site is not None:
+        where = spoken(Site("joint", unexplained.site))
     ways = [_VARY[d] for d in unexplained.depends_on] or ["vary one thing at a time"]
     if unexplained.much:
         ways = ["move one joint at a time, slowly and fast", "do so with a known weight added"]

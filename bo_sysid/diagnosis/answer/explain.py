@@ -323,4 +323,4 @@ def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
         return fit
     keep = np.flatnonzero(kept)
     members, x = tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
-    return located.search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)
+    return located.search.refit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)

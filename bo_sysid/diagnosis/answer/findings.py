@@ -218,6 +218,11 @@ def spoken(site: Site) -> str:
     return name if name.startswith(site.kind) else f"{site.kind} {site.name}"
 
 
+def plural(kind: str) -> str:
+    """Return what several sites of a kind are called."""
+    return {"joint": "joints", "actuator": "actuators", "body": "bodies"}.get(kind, "sites")
+
+
 def amount(quantity: Quantity) -> str:
     """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
     half = 0.5 * (quantity.interval[1] - quantity.interval[0])
@@ -321,5 +326,4 @@ def _group_words(label: str | None, candidate: Candidate, fit: Fit) -> str | Non
     if label is None:
         return None
     count = sum(g == label for g in fit.groups)
-    plural = {"joint": "joints", "actuator": "actuators", "body": "bodies"}
-    return f"{candidate.effect.noun} on {count} {plural.get(candidate.site.kind, 'sites')}"
+    return f"{candidate.effect.noun} on {count} {plural(candidate.site.kind)}"

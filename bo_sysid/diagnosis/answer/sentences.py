@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from bo_sysid.diagnosis.answer.argmin import ArgminSets
-from bo_sysid.diagnosis.answer.findings import Finding, amount, spoken
+from bo_sysid.diagnosis.answer.findings import Finding, amount, plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
@@ -114,9 +114,8 @@ def set_words(fit: Fit) -> str:
     words: list[str] = []
     for candidate, group in zip(fit.members, fit.groups, strict=True):
         noun = candidate.effect.noun
-        kind = candidate.site.kind
-        where = (
-            f" at {fit.groups.count(group)} {kind}s" if group else f" at {spoken(candidate.site)}"
-        )
+        count = fit.groups.count(group)
+        many = f"{count} {plural(candidate.site.kind)}"
+        where = f" at {many}" if group else f" at {spoken(candidate.site)}"
         words.append(noun if candidate.site.kind == "world" else noun + where)
     return " + ".join(dict.fromkeys(words))

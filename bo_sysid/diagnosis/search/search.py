@@ -34,7 +34,7 @@ _AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this s
 
 @dataclass
 class Search:
-    """Fits found so far on one set of windows; the only mutable value of the diagnosis.
+    """Fits found so far on one set of windows; it grows as sets are fitted.
 
     Attributes:
         prepared: the windows.

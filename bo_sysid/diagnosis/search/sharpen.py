@@ -4,7 +4,7 @@ from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import enrich, vary
-from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset
 from bo_sysid.diagnosis.sets.shapes import UNIFORM, Place, profile, ranges, reshaped_members
 
@@ -53,8 +53,10 @@ def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -
     def rss(value: float) -> float:
         nonlocal best
         members = reshaped_members(best, {at: value})
+        known = set_key(members) in search.fits
         made = search.refit(members, best.x, start=best.start, guess=best.hypothesis)
-        del search.fits[made.key]
+        if not known:  # a value on the way to the best one
+            del search.fits[made.key]
         best = min(best, made, key=lambda f: f.rss)
         return made.rss
 

@@ -178,11 +178,14 @@ def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
 def _observed(
     all_of: Sequence[Candidate], machine: Machine, sigma: Mapping[str, float]
 ) -> tuple[Candidate, ...]:
-    """Return the candidates without channels swapped with one that never moves."""
-    return tuple(
-        c for c in all_of
-        if c.effect.id != "channel_swap" or machine.channels[round(float(c.shapes[0]))] in sigma
-    )  # fmt: skip
+    """Return the candidates without channels that are not compared, or swapped with such a one."""
+
+    def compared(c: Candidate) -> bool:
+        swapped = c.effect.id == "channel_swap"
+        other = machine.channels[round(float(c.shapes[0]))] if swapped else c.site.name
+        return c.site.kind != "channel" or {c.site.name, other} <= sigma.keys()
+
+    return tuple(filter(compared, all_of))
 
 
 def _felt(

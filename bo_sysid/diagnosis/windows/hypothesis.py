@@ -66,8 +66,9 @@ class Candidate:
     @property
     def identity(self) -> tuple[object, ...]:
         """Everything that a fit of it hangs on, for `Kept`."""
+        components = tuple(c.name for c in self.effect.components)  # those of a learned law differ
         return (
-            *self.key, self.site.kind, self.point, self.secant, self.rubs,
+            *self.key, components, self.site.kind, self.point, self.secant, self.rubs,
             self.low, self.high, self.probe,
         )  # fmt: skip
 

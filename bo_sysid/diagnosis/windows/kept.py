@@ -60,7 +60,7 @@ class Kept:
             try:
                 with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
                     return dict(found)
-            except (ValueError, OSError, zipfile.BadZipFile):
+            except (ValueError, OSError, EOFError, zipfile.BadZipFile):
                 path.unlink()  # damaged
         began = time.perf_counter()
         made = make()
