@@ -1,10 +1,9 @@
 """Verbs whose finished runs are told again instead of being computed again."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bo_sysid.runs import Run
-from bo_sysid.runs.run import versions
 
 if TYPE_CHECKING:
     from bo_sysid.study import Study
@@ -29,13 +28,9 @@ def once(
     Raises:
         UserError: the study, its model or its recordings are wrong.
     """
-    from bo_sysid.study.inputs import fingerprints, holdout_hashes
+    from bo_sysid.study.inputs import holdout_hashes, made_from
 
-    now: dict[str, Any] = {
-        "files": fingerprints(study, recorded=True),
-        "versions": versions(),
-        "strict": strict,
-    }
+    now = made_from(study, strict=strict)
     there = all(run.has(name) for name in (_FINISHED, *results))
     if run.ended and there and run.read_json(_FINISHED) == now | {"held": holdout_hashes(study)}:
         print(

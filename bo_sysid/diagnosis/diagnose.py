@@ -32,16 +32,16 @@ from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
 from bo_sysid.recording import Recording
-from bo_sysid.runs import Run, versions
+from bo_sysid.runs import Run
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.check import require_scales
 from bo_sysid.study.inputs import (
-    fingerprints,
     held_notes,
     load_holdout,
     load_model,
     load_train,
+    made_from,
     study_effects,
 )
 
@@ -203,10 +203,7 @@ def diagnose(
 
 def _kept(study: Study, run: Run | None, strict: bool) -> Kept:
     """Return the long fits that a killed diagnosis of the same files left in a run."""
-    if run is None:
-        return NOTHING_KEPT
-    files = fingerprints(study, recorded=True)
-    return Kept.of(run, {"files": files, "versions": versions(), "strict": strict})
+    return NOTHING_KEPT if run is None else Kept.of(run, made_from(study, strict=strict))
 
 
 def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:

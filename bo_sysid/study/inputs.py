@@ -13,6 +13,7 @@ from bo_sysid.errors import UserError, nearest
 from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recordings
+from bo_sysid.runs import versions
 from bo_sysid.study.study import Study
 
 TRAINED_SHARE = 0.75  # of the time of each recording, where the study names no hold-out
@@ -155,6 +156,17 @@ def fingerprints(study: Study, *, recorded: bool) -> dict[str, str]:
     if recorded:
         files |= {os.path.relpath(file, study.folder): file for file in study.train_files}
     return {"the model": load_model(study).sha256, **{n: _content(f) for n, f in files.items()}}
+
+
+def made_from(study: Study, *, strict: bool) -> dict[str, Any]:
+    """Return all that a result depends on beside the study's text and the hold-out.
+
+    Args:
+        study: names the files.
+        strict: whether messy recordings are refused.
+    """
+    files = fingerprints(study, recorded=True)
+    return {"files": files, "versions": versions(), "strict": strict}
 
 
 def holdout_hashes(study: Study) -> dict[str, str]:
