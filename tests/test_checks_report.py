@@ -67,6 +67,15 @@ def test_how_a_joint_moved() -> None:
     assert "mm: nothing can be said about it" in flag.sentence
 
 
+def test_a_short_log_is_looked_at_or_refused() -> None:
+    model, fast = Model.from_xml(SLIDE).compile(), 0.001 * np.arange(8)  # less than the filter
+    (speed,) = excitation([Recording.from_arrays(fast, qpos={"x": 3 * fast})], model)["speed"]
+    assert speed == pytest.approx(3.0)
+    short = Recording.from_arrays(TIME[:5], name="short", qpos={"x": TIME[:5]})
+    with pytest.raises(RecordingError, match=r"short: 5 samples of qpos.x .* at least 6 are need"):
+        excitation([short], model)
+
+
 @pytest.mark.parametrize(("angle", "flagged"), [("degree", True), ("radian", False)])
 def test_a_range_in_the_wrong_unit_is_named_and_disturbs_nothing(angle: str, flagged: bool) -> None:
     compiler = f'<compiler angle="{angle}"/>'
@@ -320,6 +329,22 @@ def test_forces_that_are_not_explained_are_said(
     assert (share <= SUSPICIOUS) == explained
     assert ("nothing to correct" in text) == explained
     assert (f"{100 * share:.0f} % of the forces at x are not explained" in text) == (not explained)
+
+
+@pytest.mark.parametrize(
+    ("model", "told"),
+    [
+        ({"file": "slide.xml", "unrecorded": {"x": None}}, "log: no position was recorded"),
+        ("slide.xml", r"did you mean 'qvel.x'\? To hold the joint still instead: model"),
+    ],
+)
+def test_a_log_without_positions_is_refused(tmp_path: Path, model: object, told: str) -> None:
+    speeds = Recording.from_arrays(TIME, qvel={"x": np.cos(TIME)}, ctrl={"m": np.sin(TIME)})
+    speeds.to_frame().to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "slide.xml").write_text(SLIDE)
+    study = Study.from_dict({"model": model, "recordings": {"train": "log.csv"}}, tmp_path)
+    with pytest.raises(RecordingError, match=told):
+        check(study)
 
 
 def test_predictions_of_a_check_have_the_forces_beside_the_model(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -241,6 +242,15 @@ def test_check_keeps_every_picture_in_its_folder(folder: Path, say: Say) -> None
     assert other.endswith("-ESCAPED.png")
 
 
+def test_check_names_pictures_of_logs_with_long_names(folder: Path, say: Say) -> None:
+    long = "ა" * 80  # of three bytes each
+    for name in (f"{long}a.csv", f"{long}b.csv"):
+        (folder / name).write_text(LOG)
+    code, _, err = say("check", "arm.yaml", "--set", f"recordings.train=['{long}*']", "--out", "c")
+    assert (code, err) == (0, "")
+    assert sorted(len(p.stem.rstrip("-2")) for p in (folder / "c").glob("*.png")) == [53, 53]
+
+
 def test_check_refuses_messy_recordings_when_strict(folder: Path, say: Say) -> None:
     rows = LOG.splitlines()
     (folder / "log.csv").write_text("\n".join(rows[:20] + rows[30:]) + "\n")
@@ -294,6 +304,37 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err
+
+
+@pytest.mark.parametrize("name", ["identification", "learning", "comparison", "diagnosis"])
+def test_report_names_an_answer_that_is_damaged_and_shows_the_rest(
+    folder: Path, say: Say, name: str
+) -> None:
+    with Run.open(folder / "run", {}, "identify") as run:
+        run.write_json(f"{name}.json", {"name": "arm"})
+    code, out, err = say("report", "run")
+    assert code == 2
+    assert re.search(rf"{name}\.json: damaged|(iterations|summary)\.parquet: missing", err)
+    assert "Traceback" not in err
+    assert out == f"Page: {Path('run') / 'report.html'}\n"
+    assert say("report", "run", "--text")[:2] == (2, "")
+
+
+@pytest.mark.parametrize("port", ["-5", "65536", "99999"])
+def test_report_refuses_what_is_no_port(folder: Path, say: Say, port: str) -> None:
+    Run.open(folder / "run", {}, "identify").close("finished")
+    code, out, err = say("report", "run", "--serve", "--port", port)
+    assert (code, out) == (2, "")
+    assert f"--port {port}: must be from 0 (any that is free) to 65535" in err
+
+
+def test_report_names_a_port_that_is_taken(folder: Path, say: Say) -> None:
+    Run.open(folder / "run", {}, "identify").close("finished")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        code, _, err = say("report", "run", "--serve", "--port", str(port))
+    assert code == 2
+    assert f"--port {port}: Address already in use; name another one" in err
 
 
 def test_schema_is_one_that_takes_the_study(say: Say) -> None:

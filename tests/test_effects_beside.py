@@ -21,6 +21,7 @@ from bo_sysid.effects.beside import (
 )
 from bo_sysid.errors import ModelError
 from bo_sysid.identify.problem import make_problem
+from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
@@ -222,6 +223,37 @@ def test_what_was_edited_wrongly_is_named_with_its_file(
     file.write_text(json.dumps(content))
     with pytest.raises(ModelError, match=rf"model\.json: ({said})"):
         read_beside(file, arm().compile()).parts(arm())
+
+
+@pytest.mark.parametrize(
+    ("placed", "laws", "said"),
+    [
+        ([("asymmetric_damping", ELBOW, (0.02,))], [], "no joint 'elbow'; did you mean 'ellbow'"),
+        ([("actuator_deadzone", Site("actuator", "elbow"), (0.05,))], [], "no actuator 'elbow'"),
+        ([("sensor_scale", Site("channel", "qpos.elbow"), (0.1,))], [], "no channel 'qpos.elbow'"),
+        ([], [("elbow", {"position 3": 0.4})], "no joint 'elbow'"),
+        ([], [("shoulder", {"elbow 3": 0.4})], "no joint 'elbow'"),
+        ([], [("shoulder", {"shoulder^1": 0.4})], "no actuator 'shoulder'; did you mean 'sholder'"),
+        ([], [("shoulder", {"elbow 3": 0.0, "force at time 2": 0.1})], None),
+    ],
+)
+def test_what_another_model_has_is_named_with_the_nearest(machine, placed, laws, said) -> None:
+    text = ARM.read_text()
+    for old, new in (
+        ('"elbow"', '"ellbow"'),
+        ('motor name="shoulder"', 'motor name="sholder"'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    other = Model.from_xml(text, name="other")
+    made = Beside(
+        machine, tuple(Placed(*p) for p in placed), tuple(LearnedLaw(*w) for w in laws), "m.json"
+    )
+    if said is None:
+        made.parts(other)
+    else:
+        with pytest.raises(ModelError, match=rf"m\.json: the model other has {said}"):
+            made.parts(other)
 
 
 def magnet(q: np.ndarray) -> np.ndarray:

@@ -244,6 +244,7 @@ def test_a_rule_of_none_values_is_the_default_rule():
         ({"qpos.b": {"from": "theta", "missing": "skipp"}}, "did you mean 'skip'"),
         ({"pos.b": {"from": "theta"}}, "columns: pos.b.*did you mean 'qpos'"),
         ({"qpos": {"from": "theta"}}, "columns: qpos: a channel is called"),
+        ({"qpos.left b": {"from": "theta"}}, "no white space: rename the joint .* to 'left_b'"),
     ],
 )
 def test_a_wrong_rule_is_refused_with_the_nearest_right_one(columns, match):

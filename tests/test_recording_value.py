@@ -43,7 +43,13 @@ def test_the_value_held_is_that_of_the_last_stamp():
 
 @pytest.mark.parametrize(
     ("name", "match"),
-    [("qposs.a", "did you mean 'qpos'"), ("qpos", "<kind>.<name>"), ("qpos.a b", "<kind>.<name>")],
+    [
+        ("qposs.a", "did you mean 'qpos'"),
+        ("qpos", "<kind>.<name>; the name is missing, as in 'qpos.elbow'"),
+        ("qpos.left elbow", "no white space: rename the joint in the model .* to 'left_elbow'$"),
+        ("ctrl.m 1.3", "rename the actuator in the model .* to 'm_1'$"),
+        ("aux.bus voltage", "no white space: write 'bus_voltage'$"),
+    ],
 )
 def test_channel_names_follow_the_convention(name, match):
     with pytest.raises(RecordingError, match=match):

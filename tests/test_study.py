@@ -179,10 +179,11 @@ def test_resolved_for_another_folder_names_the_same_files(folder: Path) -> None:
 @pytest.mark.parametrize("named", ["arm-*.csv", "arm-1.csv", "arm [1].csv", "../st[1]/arm*1.csv"])
 def test_a_folder_with_brackets_is_no_part_of_a_pattern(tmp_path: Path, named: str) -> None:
     folder, run = tmp_path / "st[1]", tmp_path / "runs [a-z]*" / "r"
-    for place in (folder, tmp_path / "st1", run):
-        place.mkdir(parents=True)
-    for name in ("arm-1.csv", "arm-2.csv", "arm [1].csv"):
-        (folder / name).write_text(LOG)
+    run.mkdir(parents=True)
+    for place in (folder, tmp_path / "st1"):
+        place.mkdir()
+        for name in ("arm-1.csv", "arm-2.csv", "arm [1].csv"):
+            (place / name).write_text(LOG)
     (folder / "arm.xml").write_text(ARM)
     study = Study.from_dict({"model": "arm.xml", "recordings": {"train": named}}, folder)
     moved = study.resolved(relative_to=run)

@@ -21,6 +21,7 @@ from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.errors import RecordingError
 from bo_sysid.execution import Report, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import Parameter
@@ -86,6 +87,7 @@ def check(study: Study, *, strict: bool = False, progress: Report = silent) -> C
     summary = check_study(study, strict=strict)
     model = load_model(study)
     read = load_train(study, strict=strict)
+    _require_positions(model, read)
     laws: Laws = {name: (study_law(study, name), a.uses) for name, a in study.actuators.items()}
     wraps = find_wraps(read)
     whole = unwrapped(read, wraps)
@@ -120,6 +122,19 @@ def check(study: Study, *, strict: bool = False, progress: Report = silent) -> C
         step,
         right,
         study.recordings.dataset,
+    )
+
+
+def _require_positions(model: Model, recordings: Sequence[Recording]) -> None:
+    """Refuse recordings of which none says where any joint was."""
+    if any(r.of_kind("qpos") for r in recordings):
+        return
+    names, has = ", ".join(r.name for r in recordings), (n for r in recordings for n in r.channels)
+    raise RecordingError(
+        f"{names}: no position was recorded, and a check needs one at least, of "
+        f"{', '.join(model.qpos_channels)}; recorded: {', '.join(dict.fromkeys(has))}. Say which "
+        "column it is, for instance recordings: columns: "
+        f"{{{model.qpos_channels[0]}: {{from: …, unit: deg}}}}"
     )
 
 

@@ -8,12 +8,14 @@ import pandas as pd
 from scipy.signal import welch
 
 from bo_sysid.checks.flags import Flag
+from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
 from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.noise import MOVES
 
+_FEWEST = 5  # samples on an even grid that tell how a joint moved
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
@@ -33,6 +35,9 @@ def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.Dat
 
     Columns: recording, joint, range, speed (root mean square), fastest, reversals, low_hz and
     high_hz (between them lie 90 % of the power of the speed), noise, unit.
+
+    Raises:
+        RecordingError: a recording is too short to tell.
     """
     rows = []
     for r in recordings:
@@ -42,17 +47,22 @@ def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.Dat
             if channel is not None:
                 slides = int(joint.type[0]) == SLIDE
                 unit = channel.unit or ("m" if slides else "rad")
-                moved = {**_moved(channel), "unit": unit}
-                rows.append({"recording": r.name, "joint": joint.name, **moved})
+                moved = _moved(channel, r.name, joint.name)
+                rows.append({"recording": r.name, "joint": joint.name, **moved, "unit": unit})
     return pd.DataFrame(rows, columns=_MOTION)
 
 
-def _moved(channel: Channel) -> dict[str, object]:
+def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
     dt = float(np.median(np.diff(channel.time)))
     grid = np.arange(channel.time[0], channel.time[-1], dt)
+    if len(grid) < _FEWEST:
+        raise RecordingError(
+            f"{recording}: {len(channel.time)} samples of qpos.{joint} tell nothing of how it "
+            f"moves; at least {_FEWEST + 1} are needed; leave the recording out"
+        )
     q = np.interp(grid, channel.time, channel.values)
     noise = noise_sigma(channel.time, channel.values)
-    width = max(round(0.02 / dt), 1)
+    width = int(np.clip(round(0.02 / dt), 1, len(q) // 2))
     smooth = np.convolve(q, np.ones(width) / width, mode="valid")
     speed = np.diff(smooth) / dt
     frequency, power = welch(speed, 1 / dt, nperseg=min(len(speed), round(8 / dt) or 1))

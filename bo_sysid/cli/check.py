@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bo_sysid.checks.check import Checked
     from bo_sysid.study import Study
 
-_LONGEST = 80  # letters of a recording's name in that of its picture
+_LONGEST = 160  # bytes of a recording's name in that of its picture, of the 255 of a file's name
 
 
 def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
@@ -116,9 +116,10 @@ def _titles(names: Sequence[str]) -> list[str]:
     taken = {"render"}  # the picture of --render
     titles = []
     for name in names:
-        plain = re.sub(r"[^\w.-]+", "-", name).strip("-.")[:_LONGEST] or "recording"
-        numbered = (f"{plain}-{k}" for k in itertools.count(2))
-        title = next(t for t in itertools.chain([plain], numbered) if t.lower() not in taken)
+        plain = re.sub(r"[^\w.-]+", "-", name).strip("-.").encode()[:_LONGEST]
+        short = plain.decode(errors="ignore") or "recording"  # of a letter that was cut, nothing
+        numbered = (f"{short}-{k}" for k in itertools.count(2))
+        title = next(t for t in itertools.chain([short], numbered) if t.lower() not in taken)
         taken.add(title.lower())
         titles.append(title)
     return titles

@@ -39,9 +39,15 @@ def run(args: argparse.Namespace) -> None:
         return
     path = None if args.text else page_of(args.folder)
 
+    from bo_sysid.errors import RunError
     from bo_sysid.report.text import run_text
 
-    print(run_text(args.folder))
+    try:
+        print(run_text(args.folder))
+    except RunError:
+        if path is not None:  # it has the rest
+            print(f"Page: {path}")
+        raise
     if path is not None:
         print(f"\nPage: {path}")
     elif not args.text:

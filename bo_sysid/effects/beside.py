@@ -75,18 +75,22 @@ class Beside:
             effects: all that there are, by id.
 
         Raises:
-            ModelError: an effect, a site or a term is not known, or magnitudes are missing.
+            ModelError: an effect, a site or a term is not known or not in the model, or magnitudes
+                are missing.
         """
         spec = model.spec()  # edits are in the model's file already: this copy is thrown away
-        made = [part for placed in self.effects for part in self._placed(spec, placed, effects)]
-        return (*made, *map(self._force, self.laws))
+        made = [
+            part for placed in self.effects for part in self._placed(model, spec, placed, effects)
+        ]
+        return (*made, *(self._force(model, law) for law in self.laws))
 
     def _placed(
-        self, spec: mujoco.MjSpec, placed: Placed, effects: Mapping[str, Effect]
+        self, model: Model, spec: mujoco.MjSpec, placed: Placed, effects: Mapping[str, Effect]
     ) -> tuple[Part, ...]:
         effect, site = effects[self._known("effect", placed.effect, effects)], placed.site
         self._known("kind of site", site.kind, (effect.kind,))
         self._known(site.kind, site.name, self.machine.names(site.kind))
+        self._in_model(model, site.kind, site.name)
         if len(placed.x) != len(effect.components):
             raise ModelError(
                 f"{self.source}: {effect.id} at {site} has {len(placed.x)} magnitudes; it needs "
@@ -97,11 +101,15 @@ class Beside:
         # with the file's step, finer than the one it was written for, nothing may seem to remain
         return remaining or effect.parts(spec, site, x, self.machine)
 
-    def _force(self, law: LearnedLaw) -> Force:
+    def _force(self, model: Model, law: LearnedLaw) -> Force:
         joint = self._known("joint", law.joint, self.machine.joints)
+        self._in_model(model, "joint", joint)
         terms = {t.name: t for t in features(joint, self.machine)}
-        for name in law.weights:
-            self._known(f"term of a law on {joint}", name, terms)
+        for name, weight in law.weights.items():
+            read = terms[self._known(f"term of a law on {joint}", name, terms)].of.name
+            group, _, element = read.partition(".")
+            if weight and group in _READ:  # a term of time reads nothing of the model
+                self._in_model(model, _READ[group], element)
         weights = np.array([law.weights.get(n, 0.0) for n in terms])
         scale = self.machine.joints[joint].force
         return Force(joint, learned_force(tuple(terms.values()), weights, scale), law.hold)
@@ -110,6 +118,17 @@ class Beside:
         if name not in valid:
             raise ModelError(f"{self.source}: unknown {what} {name!r}; {nearest(name, valid)}")
         return name
+
+    def _in_model(self, model: Model, kind: str, name: str) -> None:
+        """Require that the model has what the file names; the file may be another model's."""
+        valid = _names(model, kind)
+        if name not in valid:
+            hint = nearest(name, valid) or "it has none at all"
+            raise ModelError(
+                f"{self.source}: the model {model.source} has no {kind} {name!r}; "
+                f"{hint}{'' if hint.endswith('?') else '.'} Name the file that was written with "
+                f"this model, or rename the {kind} in the model or everywhere in the file"
+            )
 
     def write(self, path: Path) -> None:
         """Write the file that `read_beside` reads."""
@@ -134,6 +153,21 @@ class Beside:
         with atomic(path) as unfinished:
             unfinished.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
+
+def _names(model: Model, kind: str) -> tuple[str, ...]:
+    """Return the names of a model's sites of one kind."""
+    return {
+        "joint": model.joints,
+        "actuator": model.actuators,
+        "body": model.bodies,
+        "geom": model.geoms,
+        "channel": (*model.qpos_channels, *model.qvel_channels, *model.sensor_channels),
+        "world": ("world",),
+    }[kind]
+
+
+_READ = {"qpos": "joint", "qvel": "joint", "ctrl": "actuator", "load": "actuator"}
+"""By what the variable of a learned law's term begins with, the kind of what it is read from."""
 
 _TABLES: Mapping[str, type[Any]] = {
     "joints": JointScale,

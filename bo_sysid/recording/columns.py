@@ -3,7 +3,6 @@
 They stand in a study under ``columns:`` and ``clocks:``. A rule is validated when it is made.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import pi
@@ -13,13 +12,12 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.recording.units import require_scale, unit_of_kind
-from bo_sysid.recording.value import KINDS, Hold
+from bo_sysid.recording.value import KINDS, Hold, wrong_name
 
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
 _NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed")
 _BITS = (8, 16, 32)  # bits of integers
-_CHANNEL = re.compile(rf"({'|'.join(KINDS)})\.\S+")
 
 
 @dataclass(frozen=True)
@@ -74,11 +72,8 @@ class ColumnRule:
         """
         where = f"columns: {channel}"
         kind = channel.split(".", 1)[0]
-        if channel != "time" and not _CHANNEL.fullmatch(channel):
-            raise RecordingError(
-                f"{where}: a channel is called 'time' or <kind>.<name>; kind: "
-                f"{nearest(kind, KINDS)}"
-            )
+        if channel != "time" and (wrong := wrong_name(channel)):
+            raise RecordingError(f"{where}: a channel is called 'time' or <kind>.<name>; {wrong}")
         if not isinstance(rule, ColumnRule):
             arguments = _arguments(where, rule, [f.name for f in fields(cls)])
             try:

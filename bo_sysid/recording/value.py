@@ -15,6 +15,12 @@ from bo_sysid.errors import RecordingError, nearest
 
 KINDS = ("qpos", "qvel", "act", "ctrl", "goal", "sensor", "aux")
 HELD_KINDS = frozenset({"act", "ctrl", "goal", "aux"})
+_NAMED = {
+    **dict.fromkeys(("qpos", "qvel"), "joint"),
+    **dict.fromkeys(("act", "ctrl", "goal"), "actuator"),
+    "sensor": "sensor",
+}  # what of a model a channel is named after
+_INDEX = re.compile(r"\.\d+$")
 _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 
 UNUSED = "Columns not used: "
@@ -95,11 +101,9 @@ class Recording:
         if not self.channels:
             raise RecordingError(f"{self.name}: a recording needs at least one channel")
         for name in self.channels:
-            if not _NAME.fullmatch(name):
-                prefix = name.split(".", 1)[0]
+            if wrong := wrong_name(name):
                 raise RecordingError(
-                    f"{self.name}: channel {name!r} must be named <kind>.<name>; kind: "
-                    f"{nearest(prefix, KINDS)}"
+                    f"{self.name}: channel {name!r} must be named <kind>.<name>; {wrong}"
                 )
         object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
 
@@ -224,6 +228,22 @@ class Recording:
             min(float(c.time[0]) for c in self.channels.values()),
             max(float(c.time[-1]) for c in self.channels.values()),
         )
+
+
+def wrong_name(name: str) -> str:
+    """Return what to change in the name of a channel; empty where it follows the convention."""
+    if _NAME.fullmatch(name):
+        return ""
+    kind, _, element = name.partition(".")
+    if kind not in KINDS:
+        return f"kind: {nearest(kind, KINDS)}"
+    if not element.strip():
+        return f"the name is missing, as in '{kind}.elbow'"
+    plain = repr("_".join(_INDEX.sub("", element).split()))
+    remedy = f"write {plain}"
+    if kind in _NAMED:
+        remedy = f"rename the {_NAMED[kind]} in the model and its columns, for instance to {plain}"
+    return f"names may hold no white space: {remedy}"
 
 
 def _frozen(values: ArrayLike) -> np.ndarray:

@@ -6,10 +6,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from bo_sysid.errors import RunError
+from bo_sysid.errors import RunError, UserError
 from bo_sysid.report.page import NAME, page
 
 HOST = "127.0.0.1"
+_LARGEST = 65535  # number of a port
 
 
 def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
@@ -21,8 +22,10 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
 
     Raises:
         RunError: the folder is no run.
-        OSError: the port is taken.
+        UserError: the number is none of a port, or the port is taken or not to be had.
     """
+    if not 0 <= port <= _LARGEST:
+        raise UserError(f"--port {port}: must be from 0 (any that is free) to {_LARGEST}")
     page(folder)  # tells at once what is wrong with the folder
 
     class Handler(BaseHTTPRequestHandler):
@@ -64,7 +67,12 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
             self.end_headers()
             self.wfile.write(content)
 
-    return ThreadingHTTPServer((HOST, port), Handler)
+    try:
+        return ThreadingHTTPServer((HOST, port), Handler)
+    except OSError as error:
+        raise UserError(
+            f"--port {port}: {error.strerror or error}; name another one, or 0 for any that is free"
+        ) from None
 
 
 def version(folder: Path) -> str:

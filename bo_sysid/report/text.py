@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from bo_sysid.errors import RunError
 from bo_sysid.runs import read_frame, read_json, read_record
 from bo_sysid.study.check import Check
 
@@ -23,23 +24,9 @@ def run_text(folder: str | Path) -> str:
     folder = Path(folder)
     record = read_record(folder)
     head = f"{folder}: {record['command']}, {record['status']}"
-    if (folder / "identification.json").is_file():
-        return "\n".join([head, identification_text(read_json(folder, "identification.json"))])
-    if (folder / "learning.json").is_file():
-        from bo_sysid.report.learning import learning_text
-
-        return "\n".join([head, learning_text(read_json(folder, "learning.json"), folder)])
-    if (folder / "comparison.json").is_file():
-        from bo_sysid.report.comparison import comparison_text
-
-        return "\n".join([head, comparison_text(read_json(folder, "comparison.json"), folder)])
-    if (folder / "diagnosis.json").is_file():
-        from bo_sysid.report.diagnosis_text import diagnosis_text
-
-        told = read_json(folder, "diagnosis.json")
-        summary = _if_there(folder, "summary.json", read_json)
-        sessions = _if_there(folder, "sessions.parquet", read_frame)
-        return f"{head}\n{diagnosis_text(told, summary, sessions)}"
+    for name, say in _ANSWERS.items():
+        if (folder / name).is_file():
+            return f"{head}\n{_said(say, folder, name)}"
     if (folder / "evaluations.parquet").is_file():
         frame = read_frame(folder, "evaluations.parquet")
         return (
@@ -50,6 +37,52 @@ def run_text(folder: str | Path) -> str:
     if record["command"] == "record" and recorded:
         return f"{head}\nRecordings of the plant: {', '.join(recorded)}. Study: {_study(folder)}."
     return f"{head}\nNothing was computed yet."
+
+
+def _said(say: Callable[[Any, Path], str], folder: Path, name: str) -> str:
+    """Return the words of an answer; where it is not as it is written, the file is named."""
+    told = read_json(folder, name)
+    try:
+        return say(told, folder)
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
+        said = f"{type(error).__name__}: {error}"
+        raise RunError(
+            f"{folder / name}: damaged, not as this version writes it ({said}); run the command "
+            "again, with another --out"
+        ) from None
+
+
+def _identified(told: Any, _: Path) -> str:
+    return identification_text(told)
+
+
+def _learned(told: Any, folder: Path) -> str:
+    from bo_sysid.report.learning import learning_text
+
+    return learning_text(told, folder)
+
+
+def _compared(told: Any, folder: Path) -> str:
+    from bo_sysid.report.comparison import comparison_text
+
+    return comparison_text(told, folder)
+
+
+def _diagnosed(told: Any, folder: Path) -> str:
+    from bo_sysid.report.diagnosis_text import diagnosis_text
+
+    summary = _if_there(folder, "summary.json", read_json)
+    sessions = _if_there(folder, "sessions.parquet", read_frame)
+    return diagnosis_text(told, summary if isinstance(summary, dict) else None, sessions)
+
+
+_ANSWERS: Mapping[str, Callable[[Any, Path], str]] = {
+    "identification.json": _identified,
+    "learning.json": _learned,
+    "comparison.json": _compared,
+    "diagnosis.json": _diagnosed,
+}
+"""The files that hold what a run found, each with what puts it into words."""
 
 
 def _study(folder: Path) -> str:

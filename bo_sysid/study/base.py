@@ -1,5 +1,6 @@
 """What all sections of a study file have in common."""
 
+import glob
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,9 +39,31 @@ class Relocation:
             return path
         return Path(os.path.relpath(self.source / path, self.target)).as_posix()
 
+    def pattern(self, pattern: str) -> str:
+        """Return a file or pattern as it is seen from `target`.
+
+        What stands before a pattern is no part of it: a folder there may be called ``st[1]``.
+        """
+        if (
+            os.path.isabs(pattern)
+            or not glob.has_magic(pattern)
+            or (self.source / pattern).exists()  # such as "run [1].csv", which is no pattern
+        ):
+            return self(pattern)
+        folder, parts = self.source, list(Path(os.path.normpath(pattern)).parts)
+        while parts and parts[0] == "..":
+            folder, parts = folder.parent, parts[1:]
+        before = glob.escape(Path(os.path.relpath(folder, self.target)).as_posix())
+        return Path(before, *parts).as_posix()
+
 
 def _relocate(path: str, info: Any) -> str:  # info: pydantic.SerializationInfo
     return info.context(path) if isinstance(info.context, Relocation) else path
+
+
+def _relocate_pattern(pattern: str, info: Any) -> str:
+    moves = isinstance(info.context, Relocation)
+    return info.context.pattern(pattern) if moves else pattern
 
 
 def _relocate_code(reference: str, info: Any) -> str:
@@ -75,6 +98,9 @@ Seed = Annotated[int, Field(ge=0), BeforeValidator(_no_bool)]
 Name = Annotated[str, Field(min_length=1)]
 
 FilePath = Annotated[str, Field(min_length=1), PlainSerializer(_relocate)]
+"""A path relative to the study file."""
+
+Pattern = Annotated[str, Field(min_length=1), PlainSerializer(_relocate_pattern)]
 """A path or glob relative to the study file."""
 
 CodePath = Annotated[str, BeforeValidator(_code), PlainSerializer(_relocate_code)]
@@ -86,7 +112,7 @@ Names = Annotated[
     BeforeValidator(_as_list, json_schema_input_type=str | tuple[Name, ...]),
 ]
 Paths = Annotated[
-    tuple[FilePath, ...],
+    tuple[Pattern, ...],
     Field(min_length=1),
-    BeforeValidator(_as_list, json_schema_input_type=str | tuple[FilePath, ...]),
+    BeforeValidator(_as_list, json_schema_input_type=str | tuple[Pattern, ...]),
 ]

@@ -183,14 +183,14 @@ def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, st
     silent = {f"qpos.{j}" for j in model.unrecorded}
     for name in (*model.qpos_channels, *model.ctrl_channels):
         if name not in recording.channels and name not in unrecorded and name not in silent:
-            remedy = ""
-            if name.startswith("qpos."):
-                joint = name.removeprefix("qpos.")
-                remedy = _remedy(model, recording, joint)
-            raise RecordingError(
+            said = (
                 f"{recording.name}: no channel {name!r}, which the model needs; "
-                f"{recording.hint(name)}{remedy}"
+                f"{recording.hint(name)}"
             )
+            if name.startswith("qpos."):
+                end = "" if said.endswith("?") else "."
+                said += f"{end} {_remedy(model, recording, name.removeprefix('qpos.'))}"
+            raise RecordingError(said)
 
 
 def _remedy(model: Model, recording: Recording, joint: str) -> str:
@@ -200,11 +200,11 @@ def _remedy(model: Model, recording: Recording, joint: str) -> str:
     if joint in following:
         nothing = ", ".join(f"{n}: null" for n in following)
         return (
-            ". It follows from the recorded joints through the model's equalities: model: "
+            "It follows from the recorded joints through the model's equalities: model: "
             f"{{file: …, unrecorded: {{{nothing}}}}}"
         )
     return (
-        f". To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to let it move "
+        f"To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to let it move "
         f"unmeasured: unrecorded: {{{joint}: null}}"
     )
 
