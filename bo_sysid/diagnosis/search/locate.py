@@ -24,7 +24,7 @@ _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
 _CARRIED = 4
-_ASTRAY = 9.0  # [sigma] of a set with an added joint that no final fit brings near the recordings
+_ASTRAY = 9.0  # [sigma] of the leading set, from which no final fit brings an added joint near
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which it needs others
 
@@ -93,11 +93,22 @@ def _located(
         search = carried(search, telling(final.prepared, final.best), _CARRIED)
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+    if final.best.rms > _ASTRAY:
+        if follows(final.best):
+            return _without_added_joints(evidence, final.best, tell, doing)
+        _leave_out_added_joints(final)
     compare(final, search.best)
     let_hold(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
+
+
+def _leave_out_added_joints(final: Search) -> None:
+    """Leave out all sets with an added joint, and do not try others: none would be an answer."""
+    final.candidates = [c for c in final.candidates if not c.effect.hidden]
+    for key in [k for k, f in final.fits.items() if any(c.effect.hidden for c in f.members)]:
+        del final.fits[key]
 
 
 def _searched(
