@@ -20,6 +20,7 @@ from bo_sysid.study.inputs import (
     load_holdout,
     load_model,
     load_train,
+    require_holdout,
 )
 from bo_sysid.study.sections import Clock, Column
 
@@ -239,7 +240,7 @@ def test_a_file_for_training_and_holdout_is_refused(folder: Path, spelled: str) 
 def test_a_holdout_that_is_not_there_is_said_before_anything_is_computed(folder: Path) -> None:
     study = load(folder, recordings__holdout=["data/nothere.csv"])
     with pytest.raises(StudyError, match=r"holdout.*nothere"):
-        load_train(study)
+        require_holdout(study)
 
 
 def test_a_file_that_is_named_twice_is_read_once(folder: Path) -> None:

@@ -42,6 +42,7 @@ from bo_sysid.study.inputs import (
     load_model,
     load_train,
     made_from,
+    require_holdout,
     study_effects,
 )
 
@@ -158,6 +159,7 @@ def diagnose(
     Raises:
         UserError: the study, its model or its recordings are wrong.
     """
+    require_holdout(study)
     kept = _kept(study, run, strict)
     evidence = gather(study, load_train(study, strict=strict), kept)
     tell = _Teller(progress)

@@ -93,20 +93,26 @@ def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
 def read_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
     """Return the recordings of `load_train` as the machine told them, see `corrected`.
 
-    Files that are set aside must be there, so that a wrong name is not said at the end of long
-    work; nothing of them is read.
-
     Raises:
         RecordingError: a file cannot be read or is wrong.
         StudyError: a pattern matches no file.
     """
     if study.recordings.dataset is not None:
         return load_dataset(study.recordings.dataset).train
-    held = study.holdout_files
     whole = read_files(study, study.train_files, strict)
-    if held:
+    if study.recordings.holdout is not None:
         return whole
     return tuple(_part(r, train=True) for r in whole)
+
+
+def require_holdout(study: Study) -> None:
+    """Refuse a hold-out that is not there, before long work; nothing of it is read.
+
+    Raises:
+        StudyError: a pattern matches no file, or a file is used for training as well.
+    """
+    if study.recordings.dataset is None:
+        _ = study.holdout_files
 
 
 def load_holdout(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
