@@ -24,7 +24,6 @@ _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
 _CARRIED = 4
-_ASTRAY = 9.0  # [sigma] of the leading set, from which no final fit brings an added joint near
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which it needs others
 
@@ -64,15 +63,9 @@ def locate(
     located = _located(evidence, tell, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
     if follows(leading) or follows(located.decision.best):
-        located = _without_added_joints(evidence, leading, tell, doing)
+        tell(f"without added joints: {_said(leading)}")
+        located = _located(evidence.rigid, tell, doing)
     return located
-
-
-def _without_added_joints(
-    evidence: Evidence, leading: Fit, tell: Callable[[str], None], doing: Callable[[str], None]
-) -> Located:
-    tell(f"without added joints: {_said(leading)}")
-    return _located(evidence.rigid, tell, doing)
 
 
 def _located(
@@ -80,8 +73,6 @@ def _located(
 ) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
     search, horizon, step = _searched(evidence, tell, doing)
-    if follows(search.best) and search.best.rms > _ASTRAY:
-        return _without_added_joints(evidence, search.best, tell, doing)
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
@@ -93,22 +84,11 @@ def _located(
         search = carried(search, telling(final.prepared, final.best), _CARRIED)
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
-    if final.best.rms > _ASTRAY:
-        if follows(final.best):
-            return _without_added_joints(evidence, final.best, tell, doing)
-        _leave_out_added_joints(final)
     compare(final, search.best)
     let_hold(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
-
-
-def _leave_out_added_joints(final: Search) -> None:
-    """Leave out all sets with an added joint, and do not try others: none would be an answer."""
-    final.candidates = [c for c in final.candidates if not c.effect.hidden]
-    for key in [k for k, f in final.fits.items() if any(c.effect.hidden for c in f.members)]:
-        del final.fits[key]
 
 
 def _searched(
