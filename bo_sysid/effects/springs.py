@@ -11,11 +11,7 @@ from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
 _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
-_STROKES = (
-    1,
-    1.5,
-    *range(2, 49),
-)  # of cogging in the range of a slide; linear motors have up to 50
+_STROKES = (1, 1.5, *range(2, 49))  # the same in the range of a slide; linear motors have up to 50
 _FINER = (0.94, 0.97, 0.985, 1.015, 1.03, 1.06)
 _ONE_PERIOD = 3.0  # [rad] of phase that the joint must sweep
 _NO_SPRING = 1e-3  # of the springs that make it up: a sum that rests nowhere
