@@ -304,6 +304,11 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err
+    with Run.open(folder / "run", {}, "identify") as run:
+        run.write_frame("evaluations.parquet", pd.DataFrame({"entropy": [0.5]}))
+    code, _, err = say("report", "run")
+    assert code == 2
+    assert "evaluations.parquet: damaged, without 'deviation'" in err
 
 
 @pytest.mark.parametrize("name", ["identification", "learning", "comparison", "diagnosis"])

@@ -51,7 +51,6 @@ class ActuatorScale:
 
     Attributes:
         name: of the actuator.
-        index: its number.
         joint: the hinge or slide joint it drives, None where it acts on something else.
         gear: ratio of force along the joint and actuator force; 1 without a joint, where the force
             is the actuator's own.
@@ -69,7 +68,6 @@ class ActuatorScale:
     """
 
     name: str
-    index: int
     joint: str | None
     gear: float
     pushes: bool

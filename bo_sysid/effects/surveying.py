@@ -127,7 +127,6 @@ def _actuator(
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
     return ActuatorScale(
         name=name,
-        index=a,
         joint=joint,
         gear=gear,
         pushes=_pushes(model, a),

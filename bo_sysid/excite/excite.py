@@ -33,7 +33,6 @@ class Excitation:
         parameters: one row a parameter: name, unit, sigma and of_range as predicted.
         predicted: what the nominal model does under them.
         limits: least and largest value of each of its channels; infinite where there is none.
-        widest: the largest predicted standard deviation, in units of its range.
         used: largest share of a limit that is used, over the drawn parameter vectors.
         energy: mean square of the controls about rest in units of their half ranges.
         notes: what was assumed.
@@ -43,7 +42,6 @@ class Excitation:
     parameters: pd.DataFrame
     predicted: Recording
     limits: Mapping[str, tuple[float, float]]
-    widest: float
     used: float
     energy: float
     notes: tuple[str, ...]
@@ -107,7 +105,6 @@ def excite(
         found.table(),
         predicted,
         limits.of_channels(model.compile()),
-        float(found.sigma.max()),
         trial.violation(controls, trial.machines, 0.0),
         float(trial.energy(controls)),
         tuple(notes),

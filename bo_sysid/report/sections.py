@@ -208,7 +208,7 @@ def search(found: Found) -> Section | None:
     """The search: deviation and entropy per evaluation."""
     if not found.has("evaluations.parquet"):
         return None
-    evaluations = read_frame(found.folder, "evaluations.parquet")
+    evaluations = read_frame(found.folder, "evaluations.parquet", ["deviation"])
     if evaluations.empty:
         return None
     words = "The deviation of every candidate that was tried, and what is left to be known."

@@ -28,7 +28,7 @@ def run_text(folder: str | Path) -> str:
         if (folder / name).is_file():
             return f"{head}\n{_said(say, folder, name)}"
     if (folder / "evaluations.parquet").is_file():
-        frame = read_frame(folder, "evaluations.parquet")
+        frame = read_frame(folder, "evaluations.parquet", ["deviation"])
         return (
             f"{head}\n{len(frame)} evaluations so far, lowest deviation "
             f"{frame['deviation'].min():.4g}. The same command goes on."

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,8 +66,8 @@ def read_json(folder: str | Path, name: str) -> Any:
         raise RunError(f"{path}: damaged, not JSON ({error})") from None
 
 
-def read_frame(folder: str | Path, name: str) -> "pd.DataFrame":
-    """Read a Parquet file of a run folder.
+def read_frame(folder: str | Path, name: str, columns: Collection[str] = ()) -> "pd.DataFrame":
+    """Read a Parquet file of a run folder, which must have some columns.
 
     Raises:
         RunError: it is missing or damaged.
@@ -76,9 +76,13 @@ def read_frame(folder: str | Path, name: str) -> "pd.DataFrame":
 
     path = written(Path(folder), name)
     try:
-        return pd.read_parquet(path)
+        frame = pd.read_parquet(path)
     except (ValueError, OSError) as error:
         raise RunError(f"{path}: damaged, not Parquet ({error})") from None
+    missing = [c for c in columns if c not in frame]
+    if missing:
+        raise RunError(f"{path}: damaged, without {', '.join(map(repr, missing))}")
+    return frame
 
 
 def inside(folder: Path, name: str) -> Path:

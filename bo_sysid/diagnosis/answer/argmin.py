@@ -41,12 +41,10 @@ class ArgminSets:
     Attributes:
         sets: the carried sets, most probable first.
         bootstrap: P_boot of each.
-        evaluations: of the deviation.
     """
 
     sets: tuple[Fit, ...]
     bootstrap: Float[np.ndarray, " s"]
-    evaluations: int
 
     @property
     def best(self) -> Fit:
@@ -73,7 +71,7 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
     """
     sets = decision.fits[:_SETS]
     if len(sets) < 2:
-        return ArgminSets(sets, np.ones(len(sets)), 0)
+        return ArgminSets(sets, np.ones(len(sets)))
     keep = problem.windows.evenly(_WINDOWS)
     part = problem.rows(keep)
     candidates, owner = _candidates(sets)
@@ -98,7 +96,7 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
         np.bincount(part.block).astype(float),
     )
     share = np.bincount(owner, weights=belief.probabilities, minlength=len(sets))
-    return ArgminSets(sets, _shared(sets, Q, problem.dof, share), len(history))
+    return ArgminSets(sets, _shared(sets, Q, problem.dof, share))
 
 
 def _shared(

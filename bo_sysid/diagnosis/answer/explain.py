@@ -93,7 +93,6 @@ class Outcome:
 
     Attributes:
         fit: the set whose names hold.
-        nominal: the fit of nothing.
         refitted: the nominal model with the study's parameters fitted.
         repaired: the hypothesis that the repaired model is made from.
         unexplained: what it says of the unknown.
@@ -107,7 +106,6 @@ class Outcome:
     """
 
     fit: Fit
-    nominal: Fit
     refitted: Hypothesis
     repaired: Hypothesis
     unexplained: Unexplained
@@ -137,9 +135,7 @@ def explain(located: Located) -> Outcome:
             unexplained = _said(found)
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
-    return Outcome(
-        fit, nominal, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone
-    )
+    return Outcome(fit, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone)
 
 
 def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
