@@ -112,6 +112,27 @@ def test_belief_narrows_where_bootstrap_does_not():
     assert np.diff(credible_interval(candidates, belief.probabilities)[:, 0])[0] < 0.3 * width
 
 
+def test_a_faint_minimum_is_where_bootstraps_of_every_candidate_have_it():
+    """Δ varies by 2 % of a floor that noise makes; which blocks are drawn moves it by more."""
+    rng = np.random.default_rng(0)
+    candidates = np.linspace(-1, 1, 101)[:, None]
+    blocks = 40
+    level = 1 + 0.05 * rng.normal(size=blocks)
+    centre = 0.1 + 0.2 * rng.normal(size=blocks)
+    everywhere = level + 0.02 * (candidates - centre) ** 2
+    weights = np.ones(blocks)
+    drawn = resample(np.zeros(blocks, dtype=int), 20_000, rng)
+    winners = (everywhere @ drawn.T).argmin(axis=0)
+    truth = np.bincount(winners, minlength=101) / len(drawn)
+    rows = np.arange(0, 101, 10)
+    surrogate = surrogate_of(candidates, rows, everywhere[rows], weights)
+    found = bootstrap_argmin(surrogate, candidates, rows, everywhere[rows], weights, samples=8192)
+    assert 0.5 * np.abs(found.probabilities - truth).sum() < 0.08
+    low, high = credible_interval(candidates, found.probabilities)[:, 0]
+    wanted = credible_interval(candidates, truth)[:, 0]
+    assert (low, high) == pytest.approx(tuple(wanted), abs=0.021)
+
+
 def test_sessions_that_differ_widen_the_interval():
     rng = np.random.default_rng(5)
     candidates = np.linspace(-1, 1, 161)[:, None]

@@ -55,6 +55,21 @@ def test_the_search_finds_the_minimum_in_a_tenth_of_the_evaluations(grid: Candid
     assert len(set(outcome.history.rows)) == len(outcome.history)  # none twice
 
 
+@pytest.mark.parametrize("share", [1e-1, 1e-3, 1e-5])
+def test_a_faint_minimum_is_found_as_fast_as_a_deep_one(grid: CandidateSet, share: float) -> None:
+    """Where noise makes most of Δ it varies by a small share over B, and is no less smooth."""
+    low, high = grid.bounds
+    u = (grid.points - low) / (high - low)
+    values = 1 + share * ((u - np.array([0.35, 0.7])) ** 2).sum(axis=1)
+
+    def evaluate(row: int) -> Evaluation:
+        return Evaluation(values[[row]], np.full((1, 8), values[row]), np.zeros(1))
+
+    outcome = search(grid, evaluate, Rules("argmin-entropy", StopRule(20)), History.empty(8))
+    assert outcome.belief.best == int(values.argmin())
+    assert outcome.reason.value == "converged"
+
+
 def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None:
     # P_boot along x/1 + y/2 = 1, half of it: the sum is known, neither summand is
     u = grid.points / np.array([1.0, 2.0])

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 KERNELS: tuple[Kernel, ...] = ("matern", "rbf")
 POWERS = (0.0, 0.5, 1.0)
 MEMBERS = 8
-NOISE = 1e-6  # variance of log Δ on fixed data: rounding, not noise
+NOISE = 1e-6  # variance of the standardised values: Δ on fixed data has none, whatever its range
 LENGTHSCALE_MEDIAN = 0.7  # of the prior, in units of the box, times √d
 LENGTHSCALE_STD = 0.8
 OUTPUTSCALE_MEDIAN = 1.0
@@ -179,7 +179,7 @@ def _fit(
     y = warp(deviations)
     shift, scale = _standard(y)
     x = encoded(points, bounds, categories)
-    noise = np.full(len(y), NOISE * max(1.0, scale**2) / scale**2)
+    noise = np.full(len(y), NOISE)
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
     evidences = {k: Evidence(k, squared, (y - shift) / scale, noise) for k in KERNELS}
     draws, weights, log_evidence = sample_hyperparameters(
