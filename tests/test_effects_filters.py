@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.effects.filters import lagged, limited
-from bo_sysid.recording import Channel
+from bo_sysid.recording import Channel, control_steps
 
 SENT = np.array([0.0, 1.0, 3.0])  # commands are sent when they change
 
@@ -21,3 +21,20 @@ def test_commands_of_a_wide_range_and_a_slow_rate_stay_within_reason() -> None:
     """A rate at which the command is never reached asks for no endless grid."""
     step = Channel(SENT, np.array([0.0, 0.0, 1e6]), hold="zero")
     assert len(limited(step, 1e-3, 1e-3).time) < 1e5
+
+
+@pytest.mark.parametrize(("dt", "off"), [(0.002, 1e-4), (0.005, 4e-4)])
+def test_a_lag_of_jittered_commands_does_not_depend_on_the_step(dt: float, off: float) -> None:
+    """In units of the lag of 4 ms: what differs from its output at 10 µs, along its change."""
+    rng = np.random.default_rng(0)
+    stamps = 0.01 * np.arange(600) + rng.uniform(0.0, 0.003, 600)
+    control = Channel(stamps, np.sin(4 * np.pi * stamps), "", "", "zero")
+
+    def out(lag: float, step: float) -> np.ndarray:
+        return control_steps(lagged(control, lag, step), 1 + 0.002 * np.arange(2000), 1, 0.002)[
+            :, 0
+        ]
+
+    slope = (out(4.5e-3, 1e-5) - out(3.5e-3, 1e-5)) / 1e-3
+    error = out(4e-3, dt) - out(4e-3, 1e-5)
+    assert abs(slope @ error / (slope @ slope)) < off

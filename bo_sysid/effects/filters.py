@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from bo_sysid.recording import Channel
+from bo_sysid.recording import Channel, control_steps
 
 _FASTEST = 1e-5  # [s] a lag below acts as none
 _LONGEST = 60.0  # [s] that a filter is followed after the last command
@@ -76,7 +76,11 @@ def _ramped(u: Float[np.ndarray, " S"], most: float) -> Float[np.ndarray, " S"]:
 def _gridded(
     channel: Channel, dt: float, settles: float
 ) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"]]:
-    """Return a channel on a grid that goes on after its last stamp for `settles` in [s]."""
-    end = channel.time[-1] + min(settles, _LONGEST)
-    time = np.arange(channel.time[0], end + 1.5 * dt, dt)
-    return time, channel.at(time + 1e-6 * dt)
+    """Return the mean of a channel over each step of a grid that begins with its first stamp.
+
+    The grid goes on after the last stamp for `settles` in [s]. Stamps may lie anywhere between its
+    points, as in every log with jitter: a command that changes within a step counts for its part.
+    """
+    begin, end = channel.time[0], channel.time[-1] + min(settles, _LONGEST)
+    steps = int(np.ceil((end - begin) / dt + 0.5)) + 1
+    return begin + dt * np.arange(steps), control_steps(channel, channel.time[:1], steps, dt)[0]
