@@ -186,6 +186,29 @@ def test_threads_are_all_cores_unless_told_otherwise() -> None:
         LocalEngine(0)
 
 
+def test_processes_import_nothing_from_the_folder_they_are_started_in(tmp_path: Path) -> None:
+    """Also not in their first imports: a study's folder may hold any file."""
+    (tmp_path / "socket.py").write_text("open('imported', 'w')")
+    (tmp_path / "multiprocessing.py").write_text("open('imported', 'w')")
+    program = (
+        "import math; from bo_sysid.execution import LocalEngine\n"
+        "if __name__ == '__main__':\n"
+        "    print([o.result for o in LocalEngine(1).run(math.sqrt, {'a': 4})])\n"
+    )
+    (tmp_path / "elsewhere").mkdir()
+    script = tmp_path / "elsewhere" / "program.py"
+    script.write_text(program)
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-P", str(script)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "[2.0]"
+    assert not (tmp_path / "imported").exists()
+
+
 def test_limits_linear_algebra_and_torch() -> None:
     import torch
 

@@ -29,6 +29,15 @@ def test_a_mark_is_red_where_the_joint_is(tmp_path: Path) -> None:
     assert red > 1.5 * blue
 
 
+def test_rendering_imports_nothing_from_the_folder_it_is_started_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numpy.py").write_text("open('imported', 'w')")
+    monkeypatch.chdir(tmp_path)
+    rendered(ARM, POSE, [], tmp_path / "plain.png")
+    assert not (tmp_path / "imported").exists()
+
+
 def test_a_model_that_cannot_be_read_is_not_rendered(tmp_path: Path) -> None:
     (tmp_path / "out.png").write_text("of an earlier run")
     assert rendered(tmp_path / "none.xml", {}, [], tmp_path / "out.png") is None

@@ -18,6 +18,7 @@ from bo_sysid.errors import JobError, StudyError
 from bo_sysid.execution.jobs import Engine, Outcome, answer
 from bo_sysid.execution.threads import threads
 
+_SAFE_PATH = "PYTHONSAFEPATH"
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -76,7 +77,8 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         here, there = context.Pipe()
         process = context.Process(target=_work, args=(there,), daemon=True)
-        process.start()
+        with _safe_path():
+            process.start()
         there.close()  # so that the end of the process is the end of the connection
         return cls(process, here)
 
@@ -105,6 +107,23 @@ class _Worker:
         self.process.terminate()
         self.process.join()
         self.process.close()
+
+
+@contextlib.contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let processes that start meanwhile import nothing from the folder that they are started in.
+
+    They take over this process's path, but only after their first imports.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 def _fail(said: str) -> None:

@@ -62,7 +62,7 @@ def _drawn(backend: str, asked: Path) -> bool:
     """Return whether a process of its own could render with one kind of OpenGL."""
     try:
         done = subprocess.run(  # noqa: S603 - this Python, this module
-            [sys.executable, "-m", __name__, str(asked)],
+            [sys.executable, "-P", "-m", __name__, str(asked)],  # nothing from the folder we are in
             env={**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend},
             capture_output=True,
             timeout=_SECONDS,
