@@ -290,6 +290,14 @@ def test_a_plan_deals_evenly_and_conceals_nothing_often_enough(tmp_path):
     assert len({d.seed for d in draws}) == 200
 
 
+def test_a_suite_without_effects_of_groups_has_no_groups() -> None:
+    chosen = {"effects": ["payload"], "cases": 20, "seed": 1, "groups": 0.5}
+    assert "payload" not in GROUPED
+    draws = plan(load_suite(FOLDER / "quick.yaml", chosen))
+    assert len(draws) == 20
+    assert not any(d.grouped for d in draws)
+
+
 def test_without_a_seed_nobody_draws_the_same_plan_again(tmp_path):
     loaded = load_suite(written(tmp_path, seed=None))
     one, other = plan(loaded), plan(loaded)

@@ -108,6 +108,20 @@ def test_a_class_counts_up_to_three_members():
     assert mark(truth(DRY), large)["confident_wrong"]
 
 
+def test_an_equivalent_excuses_its_own_finding_alone():
+    """A second wrong name beside one that offers what is concealed stays a wrong name."""
+    both = truth(DRY, concealed("payload", "hand", kind="body"))
+    offers = finding(
+        "actuator_deadzone", "elbow", p=0.99, others=[[entry("dry_friction", "elbow")]]
+    )
+    assert not mark(both, answer(offers))["wrong_name"]
+    assert mark(both, answer(offers, finding("cogging", "elbow")))["confident_wrong"]
+    half = finding(
+        "cogging", "elbow", others=[[entry("dry_friction", "elbow"), entry("armature", "elbow")]]
+    )
+    assert mark(both, answer(half))["confident_wrong"]
+
+
 def test_an_equivalent_may_replace_its_finding_or_the_whole_answer():
     told = [
         finding("payload", "hand", kind="body", others=[[entry("armature", "elbow")]]),

@@ -142,21 +142,28 @@ def _set_marks(
     ]
     second = next((a for a in alternatives if a != found), None)
     size = class_size(told["findings"])
-    allowed = frozenset().union(*classes) if size <= MOST_IN_CLASS else found
+    few = size <= MOST_IN_CLASS
     wrong = [
         f
         for f in told["findings"]
-        if named([f]) and not named([f]) <= concealed and not (concealed & (allowed - found))
+        if not named([f]) <= concealed and not (few and _offers(f, concealed))
     ]
     return {
         "top1": found == concealed,
         "top2": concealed in (found, second),
         "class_size": size,
-        "in_class": size <= MOST_IN_CLASS and concealed in classes,
+        "in_class": few and concealed in classes,
         "detected": bool(found) or told["verdict"] == "unknown-physics",
         "wrong_name": bool(wrong),
         "confident_wrong": any(float(f.get("probability") or 0.0) >= CONFIDENT for f in wrong),
     }
+
+
+def _offers(finding: Mapping[str, Any], concealed: Named) -> bool:
+    """Return whether a finding itself is told as equivalent to what was concealed, or to a part."""
+    return any(
+        named(other) and named(other) <= concealed for other in finding.get("equivalents", ())
+    )
 
 
 def _unknown_marks(truth: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:

@@ -105,9 +105,9 @@ class _Dealer:
         suite = self._suite
         found: list[tuple[int, str, tuple[str, ...], bool]] = []
         known = tier != 4
-        pairs, groups = (
-            round(share * count) if known else 0 for share in (suite.pairs, suite.groups)
-        )
+        pairs = round(suite.pairs * count) if known else 0
+        able = known and any(i in GROUPED for i in self._loaded.ids(tier))
+        groups = round(suite.groups * count) if able else 0
         for k in range(count):
             grouped = k < groups
             id = self._kind(
