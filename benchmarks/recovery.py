@@ -19,8 +19,8 @@ from bo_sysid.plants.build import build_plant, record
 from bo_sysid.simulation import cut
 from bo_sysid.simulation.of_study import make_simulator
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.overview import candidate_set
 
 STUDIES = Path(__file__).parents[1] / "studies"
 NAMES = ("cheetah", "hopper", "swimmer")

@@ -46,8 +46,8 @@ from bo_sysid.execution import Progress
 from bo_sysid.report.comparison import write_comparison_figures
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.overview import candidate_set
 
 ROOT = Path(__file__).parent.parent
 SEED_RULE = "argmin-entropy"

@@ -140,8 +140,8 @@ def test_a_study_says_which_parameter_has_no_order() -> None:
     study = Study.from_dict(
         {"model": suite, "recordings": {"train": ["none.csv"]}, "parameters": entries}
     )
-    from bo_sysid.study.check import candidate_set
     from bo_sysid.study.inputs import load_model
+    from bo_sysid.study.overview import candidate_set
 
     candidates = candidate_set(study, study.parameter_set(load_model(study)))
     assert list(candidates.categories) == [1]

@@ -29,7 +29,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
-from bo_sysid.study.check import check
+from bo_sysid.study.overview import overview
 
 LEVEL, BEND, MASS = 2.0, 1e-3, 0.5
 SLIDE = f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="implicitfast"/><worldbody>
@@ -211,7 +211,7 @@ def test_the_repaired_study_goes_on_with_friction_that_bends(tmp_path: Path) -> 
     (parameter,) = repaired.parameters
     assert parameter.low < 0.1 < parameter.high
     assert set(parameter.address) == {f"actuator[shoulder_friction].biasprm[{k}]" for k in (3, 4)}
-    assert check(repaired).parameters.nominal.iloc[0] == pytest.approx(0.1, rel=0.02)
+    assert overview(repaired).parameters.nominal.iloc[0] == pytest.approx(0.1, rel=0.02)
 
 
 def evidence_of(

@@ -9,8 +9,8 @@ import pytest
 from bo_sysid.errors import ModelError, RecordingError, StudyError
 from bo_sysid.mjcf import Model
 from bo_sysid.study import Study
-from bo_sysid.study.check import check
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.overview import overview
 
 ARM = """
 <mujoco>
@@ -57,11 +57,11 @@ def test_a_log_without_a_joint_says_how_to_hold_it(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("time,qpos.elbow,ctrl.e\n" + rows)
     study = Study.from_dict({"model": "arm.xml", "recordings": {"train": "log.csv"}}, tmp_path)
     with pytest.raises(RecordingError, match=r"no channel 'qpos.finger'.*hold: \[finger\]"):
-        check(study)
+        overview(study)
     source = {"file": "arm.xml", "hold": ["finger"]}
     study = Study.from_dict({"model": source, "recordings": {"train": "log.csv"}}, tmp_path)
     assert load_model(study).joints == ("elbow",)
-    assert check(study).channels["channel"].tolist() == ["qpos.elbow", "qvel.elbow", "ctrl.e"]
+    assert overview(study).channels["channel"].tolist() == ["qpos.elbow", "qvel.elbow", "ctrl.e"]
 
 
 def test_tasks_of_dm_control_hold_nothing() -> None:

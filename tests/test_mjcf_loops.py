@@ -14,7 +14,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.loops import Loops
 from bo_sysid.report.robot import Posed
 from bo_sysid.starter.init import init
-from bo_sysid.study.check import check
+from bo_sysid.study.overview import overview
 
 # a parallelogram: the coupler keeps its direction, the rocker turns as the crank does
 PARALLELOGRAM = """
@@ -148,7 +148,7 @@ def test_what_a_closed_chain_lacks_is_found_from_its_motor_alone(tmp_path: Path)
 
 def test_a_log_without_passive_joints_says_that_they_follow(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"unrecorded: \{pin: null, follower: null\}"):
-        check(_study(tmp_path, "bar.xml"))
+        overview(_study(tmp_path, "bar.xml"))
 
 
 def test_a_joint_that_is_tied_is_not_held(tmp_path: Path) -> None:

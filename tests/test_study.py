@@ -13,7 +13,6 @@ from bo_sysid.plants.build import study_task
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.study import Study, inputs, schema
 from bo_sysid.study.base import Section
-from bo_sysid.study.check import check, require_scales
 from bo_sysid.study.inputs import (
     fingerprints,
     load_function,
@@ -22,6 +21,7 @@ from bo_sysid.study.inputs import (
     load_train,
     require_holdout,
 )
+from bo_sysid.study.overview import overview, require_scales
 from bo_sysid.study.sections import Clock, Column
 
 STUDIES = [
@@ -315,7 +315,7 @@ def test_what_is_certain_must_be_a_number_of_the_model(folder: Path) -> None:
         certain = {"known": ["joint[elbow].damping", known]}
         study = minimal(folder, recordings=logs, diagnosis=certain)
         with pytest.raises(StudyError, match=expected):
-            check(study)
+            overview(study)
 
 
 def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
@@ -350,7 +350,7 @@ def test_scales_of_what_is_not_measured_are_refused(
         require_scales(study, load_model(study))
     study = load(folder, **{keys[section]: scales})
     with pytest.raises(StudyError, match=expected):
-        check(study)
+        overview(study)
     with pytest.raises(StudyError, match=expected):
         make_problem(study)
 

@@ -22,16 +22,15 @@ from bo_sysid.checks.sensitivity import in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.errors import RecordingError
-from bo_sysid.execution import Report, silent
+from bo_sysid.execution import OnProgress, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
-from bo_sysid.study.check import Check
-from bo_sysid.study.check import check as check_study
 from bo_sysid.study.inputs import load_model, load_train
+from bo_sysid.study.overview import Overview, overview
 
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
@@ -56,7 +55,7 @@ class Checked:
         dataset: name of the public data set that the study reads; its rules are its own.
     """
 
-    summary: Check
+    summary: Overview
     flags: tuple[Flag, ...]
     wiring: Wiring
     columns: Mapping[str, Rule]
@@ -73,7 +72,7 @@ class Checked:
         return as_yaml(self.columns, self.clocks)
 
 
-def check(study: Study, *, strict: bool = False, progress: Report = silent) -> Checked:
+def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) -> Checked:
     """Check a study: wiring, clocks, excitation, identifiability, noise; nothing is fitted.
 
     Args:
@@ -84,7 +83,7 @@ def check(study: Study, *, strict: bool = False, progress: Report = silent) -> C
     Raises:
         UserError: something is wrong or does not fit together.
     """
-    summary = check_study(study, strict=strict)
+    summary = overview(study, strict=strict)
     model = load_model(study)
     read = load_train(study, strict=strict)
     _require_positions(model, read)

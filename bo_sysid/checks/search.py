@@ -24,7 +24,7 @@ from bo_sysid.checks.hypothesis import (
     Wire,
 )
 from bo_sysid.checks.motors import scaled
-from bo_sysid.execution import Progress, Report, silent
+from bo_sysid.execution import OnProgress, Progress, silent
 
 SUSPICIOUS = 0.08
 """J of a degree of freedom from which on its channels are doubted."""
@@ -40,7 +40,7 @@ _MOST = 4  # faults at once
 
 
 def search(
-    evidence: Evidence, first: Hypothesis, progress: Report = silent
+    evidence: Evidence, first: Hypothesis, progress: OnProgress = silent
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Return the hypothesis that the recordings support, with the fewest faults, and its twins.
 

@@ -18,7 +18,7 @@ from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, speed_flags, twin_flags, wire_flags
-from bo_sysid.execution import Report, silent
+from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
 
 _SURE_ZERO = 6.0  # standard deviations that a zero must differ from nothing
@@ -51,7 +51,7 @@ def find_wiring(
     model: mujoco.MjModel,
     recordings: Sequence[Recording],
     laws: Laws | None = None,
-    progress: Report = silent,
+    progress: OnProgress = silent,
 ) -> Wiring:
     """Find out what the channels of some recordings are.
 
@@ -122,7 +122,7 @@ def _turned(evidence: Evidence, joints: Iterable[str]) -> Hypothesis:
 
 
 def _searched(
-    coarse: Evidence, fine: Evidence, first: Hypothesis, progress: Report
+    coarse: Evidence, fine: Evidence, first: Hypothesis, progress: OnProgress
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Return the hypothesis that is believed, with its zeros, and what may be instead."""
     tried, twins = search(coarse, first, progress)

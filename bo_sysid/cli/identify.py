@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> None:
     """Identify, and print what was found."""
     study = load_study(args)
 
-    from bo_sysid.study.check import check
+    from bo_sysid.study.overview import overview
 
-    check(study, strict=args.strict)  # wrong input is told before torch is loaded
+    overview(study, strict=args.strict)  # wrong input is told before torch is loaded
     with open_run(args, study, "identify") as run:
         compute = partial(identify_into, run, study, strict=args.strict)
         once(run, study, compute, _RESULTS, strict=args.strict)

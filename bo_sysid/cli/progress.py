@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from bo_sysid.execution import Progress, Report
+from bo_sysid.execution import OnProgress, Progress
 
 EVERY = 5.0
 """Least time between two lines, in s."""
@@ -15,7 +15,7 @@ STILL = 60.0
 
 
 @contextlib.contextmanager
-def shown(title: str) -> Iterator[Report]:
+def shown(title: str) -> Iterator[OnProgress]:
     """Yield what a long computation, called `title`, reports its progress to."""
     if sys.stderr.isatty():
         with _bar(title) as report:
@@ -90,7 +90,7 @@ class Lines:
 
 
 @contextlib.contextmanager
-def _bar(title: str) -> Iterator[Report]:
+def _bar(title: str) -> Iterator[OnProgress]:
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -22,7 +22,7 @@ from bo_sysid.compare.gathered import (
 from bo_sysid.compare.plan import Plan, keys_of, record_name
 from bo_sysid.compare.statistics import agreement, costs, paired, summary
 from bo_sysid.errors import RecordingError, RunError
-from bo_sysid.execution import Report, silent
+from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import load_dataset
 from bo_sysid.runs import Run, read_json
 from bo_sysid.study import Study
@@ -61,7 +61,7 @@ def compare(
     study: Study,
     run: Run | None = None,
     *,
-    progress: Report = silent,
+    progress: OnProgress = silent,
     trust_code: bool = False,
     strict: bool = False,
 ) -> Comparison:

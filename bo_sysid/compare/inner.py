@@ -22,8 +22,8 @@ from bo_sysid.deviation.measure import Blocks
 from bo_sysid.identify.search import History, Rules, SearchOutcome, believe, search
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.overview import candidate_set
 
 BLIND = ("full-grid", "random", "sobol")
 """Acquisitions that do not look at the belief; it is computed at every fifth evaluation alone."""

@@ -11,11 +11,11 @@ from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, tabulate
 from bo_sysid.errors import RunError
-from bo_sysid.execution import Outcome, Progress, Report, map_jobs, open_engine
+from bo_sysid.execution import OnProgress, Outcome, Progress, map_jobs, open_engine
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.overview import candidate_set
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Plan:
     run: Run
     arms: tuple[Arm, ...]
     problems: tuple[Posed, ...]
-    progress: Report
+    progress: OnProgress
 
     def carried_out(self) -> dict[Key, dict[str, Any]]:
         """Run what was not run yet, and return the records of all."""

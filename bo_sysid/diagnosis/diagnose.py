@@ -30,12 +30,11 @@ from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
-from bo_sysid.execution import Progress, Report, limit_threads, silent, threads
+from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
-from bo_sysid.study.check import require_scales
 from bo_sysid.study.inputs import (
     held_notes,
     load_holdout,
@@ -45,6 +44,7 @@ from bo_sysid.study.inputs import (
     require_holdout,
     study_effects,
 )
+from bo_sysid.study.overview import require_scales
 
 _STAGES = 6
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
@@ -146,7 +146,7 @@ class Diagnosis:
 
 @limit_threads(1)  # BLAS threads that spin while they wait slow the simulation down
 def diagnose(
-    study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
+    study: Study, run: Run | None = None, *, progress: OnProgress = silent, strict: bool = False
 ) -> Diagnosis:
     """Find out which physics the model of a study lacks, and prove it on recordings set aside.
 
@@ -261,7 +261,7 @@ def gather(study: Study, recordings: tuple[Recording, ...], kept: Kept = NOTHING
 class _Teller:
     """Counts the stages of a diagnosis for its progress."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: OnProgress) -> None:
         self._report, self._done = report, 0
 
     def __call__(self, text: str) -> None:

@@ -3,7 +3,7 @@
 from bo_sysid.execution.cluster import RayEngine
 from bo_sysid.execution.jobs import Engine, Outcome
 from bo_sysid.execution.local import LocalEngine, map_jobs
-from bo_sysid.execution.progress import Progress, Report, silent
+from bo_sysid.execution.progress import OnProgress, Progress, silent
 from bo_sysid.execution.threads import cores, limit_threads, threads, use_threads
 from bo_sysid.execution.where import ENGINES, open_engine
 
@@ -11,10 +11,10 @@ __all__ = [
     "ENGINES",
     "Engine",
     "LocalEngine",
+    "OnProgress",
     "Outcome",
     "Progress",
     "RayEngine",
-    "Report",
     "cores",
     "limit_threads",
     "map_jobs",

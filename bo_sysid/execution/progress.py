@@ -21,7 +21,7 @@ class Progress:
     passing: bool = False
 
 
-Report = Callable[[Progress], None]
+OnProgress = Callable[[Progress], None]
 """What a long computation calls with its progress; only the command line prints."""
 
 

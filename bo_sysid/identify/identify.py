@@ -9,7 +9,7 @@ import pandas as pd
 from bo_sysid.arrays import Point, Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
-from bo_sysid.execution import Progress, Report, silent, threads
+from bo_sysid.execution import OnProgress, Progress, silent, threads
 from bo_sysid.identify.errors import compared, instants_needed, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
@@ -20,15 +20,15 @@ from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
-from bo_sysid.study.check import described
 from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
+from bo_sysid.study.overview import described
 
 
 def identify(
     study: Study,
     run: Run | None = None,
     *,
-    progress: Report = silent,
+    progress: OnProgress = silent,
     strict: bool = False,
 ) -> Identification:
     """Find the candidate that predicts the recordings best, and how sure one can be.
@@ -115,7 +115,7 @@ def _write_answer(
 
 
 def _searched(
-    problem: Problem, journal: Journal, progress: Report
+    problem: Problem, journal: Journal, progress: OnProgress
 ) -> tuple[CandidateSet, Points, SearchOutcome]:
     """Search B and, where the study says so, finer sets around the mass of P.
 
@@ -168,7 +168,7 @@ class _Teller:
     """Keeps and reports the history of one level of the search."""
 
     journal: Journal
-    progress: Report
+    progress: OnProgress
     level: int
     candidates: CandidateSet
     spent: int

@@ -14,8 +14,8 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_signals
 from bo_sysid.study import Study
-from bo_sysid.study.check import candidate_set, require_known, require_scales
 from bo_sysid.study.inputs import load_model, load_train
+from bo_sysid.study.overview import candidate_set, require_known, require_scales
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from bo_sysid.execution import Progress, Report, threads
+from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import share_beyond
@@ -36,7 +36,7 @@ _SETTLED = 0.95  # probability of the chosen candidate from which on the belief 
 class Teller:
     """Tells the progress of the loop: four phases an iteration."""
 
-    report: Report
+    report: OnProgress
     of: int
 
     def __call__(self, number: int, phase: int, message: str) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.errors import RunError, UserError
-from bo_sysid.execution import Report, limit_threads, silent
+from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iterate import Teller, iterate
@@ -58,7 +58,7 @@ class Learning:
 
 
 def learn(
-    study: Study, run: Run | None = None, *, progress: Report = silent, strict: bool = False
+    study: Study, run: Run | None = None, *, progress: OnProgress = silent, strict: bool = False
 ) -> Learning:
     """Learn a policy with few real trajectories.
 
@@ -92,7 +92,7 @@ def learn(
             return learn(study, own, progress=progress, strict=strict)
 
 
-def _learned(study: Study, run: Run, progress: Report, strict: bool) -> Learning:
+def _learned(study: Study, run: Run, progress: OnProgress, strict: bool) -> Learning:
     scene = Scene.of(study)
     _require_unchanged(study, run)
     source = open_source(scene, run, strict=strict)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import UserError
-from bo_sysid.execution import Report
+from bo_sysid.execution import OnProgress
 from bo_sysid.learn.scene import Scene
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
@@ -30,7 +30,7 @@ class Repair:
 
 
 def repaired(
-    scene: Scene, run: Run, training: Mapping[str, Any], number: int, progress: Report
+    scene: Scene, run: Run, training: Mapping[str, Any], number: int, progress: OnProgress
 ) -> Repair:
     """Diagnose what was recorded, and return the study to go on with.
 

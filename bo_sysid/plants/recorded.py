@@ -5,7 +5,7 @@ from pathlib import Path
 
 import yaml
 
-from bo_sysid.execution import Progress, Report, silent
+from bo_sysid.execution import OnProgress, Progress, silent
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.plant import Trajectory
@@ -20,7 +20,7 @@ _MADE_OF = "recorded.json"
 """What the recordings of a run were made of: hashes of files, versions."""
 
 
-def record_into(run: Run, study: Study, name: str, progress: Report = silent) -> Path:
+def record_into(run: Run, study: Study, name: str, progress: OnProgress = silent) -> Path:
     """Write recordings of the study's plant into a run folder.
 
     Those that an interrupted call left are kept where nothing that they depend on has changed.

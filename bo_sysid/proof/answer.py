@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError, StudyError
-from bo_sysid.execution import Engine, Progress, Report, map_jobs, silent
+from bo_sysid.execution import Engine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.seal import digest, file_digest, write_json
 from bo_sysid.runs import Run, read_json, versions
@@ -54,7 +54,7 @@ def answer(
     first: int | None = None,
     engine: Engine | None = None,
     limit: float = LIMIT,
-    progress: Report = silent,
+    progress: OnProgress = silent,
 ) -> None:
     """Diagnose the cases of a run that have no answer yet.
 

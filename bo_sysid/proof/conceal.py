@@ -25,7 +25,7 @@ import numpy as np
 import yaml
 
 from bo_sysid.errors import RunError, StudyError
-from bo_sysid.execution import LocalEngine, Progress, Report, map_jobs, silent, threads
+from bo_sysid.execution import LocalEngine, OnProgress, Progress, map_jobs, silent, threads
 from bo_sysid.proof.case import Case, NoCase, draw_case
 from bo_sysid.proof.plan import Draw, plan
 from bo_sysid.proof.seal import Seal, digest, file_digest, write_json
@@ -99,7 +99,7 @@ def conceal(
     *,
     overrides: Mapping[str, Any] | None = None,
     seals: str | Path | None = None,
-    progress: Report = silent,
+    progress: OnProgress = silent,
 ) -> dict[str, Any]:
     """Draw the cases of a suite into a run folder; an interrupted call goes on.
 

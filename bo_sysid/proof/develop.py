@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import StudyError
-from bo_sysid.execution import Progress, Report, map_jobs, silent
+from bo_sysid.execution import OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.case import draw_case
 from bo_sysid.proof.conceal import write_case
 from bo_sysid.proof.plan import Draw, plan
@@ -26,7 +26,7 @@ def develop(
     *,
     cases: Collection[int] | None = None,
     overrides: Mapping[str, Any] | None = None,
-    progress: Report = silent,
+    progress: OnProgress = silent,
 ) -> Iterator[tuple[Study, dict[str, Any]]]:
     """Yield the study of each case with its answer; cases that are on the disk are not drawn anew.
 

@@ -5,7 +5,7 @@ import pandas as pd
 from bo_sysid.checks.check import Checked
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.search import SUSPICIOUS
-from bo_sysid.report.text import check_text, table
+from bo_sysid.report.text import overview_text, table
 
 _TITLES = {
     "wrong": "To be corrected before anything is fitted:",
@@ -17,7 +17,7 @@ _MOST = 12  # remarks of one level that are shown
 
 def checked_text(found: Checked) -> str:
     """Return all that was checked, the most serious last, where the eye is."""
-    parts = [check_text(found.summary)]
+    parts = [overview_text(found.summary)]
     if len(found.motion):
         parts += ["", "How the joints moved (speed: root mean square):", table(_motion(found))]
     if len(found.wiring.delays):

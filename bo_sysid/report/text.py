@@ -8,7 +8,7 @@ import pandas as pd
 
 from bo_sysid.errors import RunError
 from bo_sysid.runs import read_frame, read_json, read_record
-from bo_sysid.study.check import Check
+from bo_sysid.study.overview import Overview
 
 _FEW = 12  # notes that are shown; all are in the run folder
 
@@ -118,7 +118,7 @@ def identification_text(summary: Mapping[str, Any]) -> str:
     return "\n".join([*parts, *notes_text(summary["notes"])])
 
 
-def check_text(found: Check) -> str:
+def overview_text(found: Overview) -> str:
     """Return what a study is made of, in words and tables."""
     several = "s" if len(found.recordings) > 1 else ""
     channels = found.channels.rename(columns={"interval": "interval [ms]"})

@@ -26,8 +26,8 @@ from bo_sysid.simulation.lockstep import (
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.simulator import MujocoSimulator
 from bo_sysid.study import Study
-from bo_sysid.study.check import require_actuators
 from bo_sysid.study.inputs import load_function, load_parts
+from bo_sysid.study.overview import require_actuators
 
 
 def make_simulator(

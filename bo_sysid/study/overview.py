@@ -1,4 +1,4 @@
-"""What a study's model, recordings and parameters are, before anything is fitted."""
+"""What a study is made of: its model, recordings and parameters, before anything is fitted."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ MEASURED = ("qpos", "qvel", "sensor")
 
 
 @dataclass(frozen=True)
-class Check:
+class Overview:
     """What a study is made of.
 
     Attributes:
@@ -47,7 +47,7 @@ class Check:
     notes: tuple[str, ...]
 
 
-def check(study: Study, *, strict: bool = False) -> Check:
+def overview(study: Study, *, strict: bool = False) -> Overview:
     """Load what a study names, and match recordings and parameters with the model.
 
     Args:
@@ -70,7 +70,7 @@ def check(study: Study, *, strict: bool = False) -> Check:
     unrecorded |= {f"ctrl.{n}": f"computed by {a.law}" for n, a in study.actuators.items()}
     for recording in recordings:
         _require_all(model, recording, unrecorded)
-    return Check(
+    return Overview(
         study.name,
         model.source,
         float(model.compile().opt.timestep),
