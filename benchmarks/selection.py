@@ -38,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from common import Cases, benchmark
 
-from bo_sysid.compare.arms import Posed, problems_of, remade
+from bo_sysid.compare.arms import ComparedProblem, problems_of, remade
 from bo_sysid.compare.compare import Comparison, compare, so_far
 from bo_sysid.compare.statistics import bootstrap, share
 from bo_sysid.compare.table import Table
@@ -205,7 +205,7 @@ def without(found: Comparison, quick: bool, cases: Cases) -> dict[str, Any]:
     }
 
 
-def pointwise(problem: Posed, path: pd.DataFrame, quick: bool) -> list[dict[str, Any]]:
+def pointwise(problem: ComparedProblem, path: pd.DataFrame, quick: bool) -> list[dict[str, Any]]:
     """Return max P of one Gaussian process after every fourth evaluation of a search."""
     seed = int(path["seed"].iloc[0])
     study = remade(problem.seeded(seed), str(problem.study.folder))

@@ -18,7 +18,7 @@ from learning import pendulum
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
-from bo_sysid.compare.arms import Arm, Posed, arms_of, problems_of
+from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
 from bo_sysid.compare.compare import Comparison, compare, so_far
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
@@ -40,7 +40,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Comparison
 
 
 def seeded(folder: Path, seed: int) -> tuple[Study, Table]:
-    posed = Posed("small", Study.from_dict(small(), folder))
+    posed = ComparedProblem("small", Study.from_dict(small(), folder))
     data = posed.seeded(seed)
     return Study.from_dict(data, folder), tabulate(TableJob(data, str(folder), seed))
 
@@ -111,7 +111,7 @@ def test_a_blind_arm_settles_by_the_studys_rule(
 ) -> None:
     stop = {"entropy": 0.3, "last": 5}
     study = small(search={"budget": 25, "stop": stop})
-    data = Posed("small", Study.from_dict(study, tmp_path)).seeded(seed)
+    data = ComparedProblem("small", Study.from_dict(study, tmp_path)).seeded(seed)
     table = tabulate(TableJob(data, str(tmp_path), seed))
     arm = Arm("random", "random", "argmax", "timeout", 1)
     job = SearchJob(data, str(tmp_path), arm, seed, seed, table)
@@ -128,13 +128,15 @@ def test_a_blind_arm_settles_by_the_studys_rule(
 def test_a_drawn_plant_has_one_of_the_categories(tmp_path: Path) -> None:
     mass, damping = small()["parameters"]
     kind = {**damping, "low": 0.0, "high": 0.2, "steps": 3, "ordered": False}
-    posed = Posed("small", Study.from_dict(small(parameters=[mass, kind]), tmp_path))
+    posed = ComparedProblem("small", Study.from_dict(small(parameters=[mass, kind]), tmp_path))
     drawn = [posed.seeded(seed)["plant"]["parameters"] for seed in range(60)]
     counts = pd.Series([round(d["damping"], 12) for d in drawn]).value_counts()
     assert set(counts.index) == {0.0, 0.1, 0.2}
     assert counts.min() >= 10
     # the others stay what they were
-    same = Posed("small", Study.from_dict(small(), tmp_path)).seeded(4)["plant"]["parameters"]
+    same = ComparedProblem("small", Study.from_dict(small(), tmp_path)).seeded(4)["plant"][
+        "parameters"
+    ]
     assert drawn[4]["mass"] == same["mass"]
 
 

@@ -15,7 +15,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.proof import conceal
 from bo_sysid.proof.case import NoCase, draw_case
 from bo_sysid.proof.draft import REALISED, Draft, Place, Scales
-from bo_sysid.proof.machine import Excitation, load_machine
+from bo_sysid.proof.machine import MotionCommand, load_machine
 from bo_sysid.proof.oracle import true_magnitudes
 from bo_sysid.proof.physics import Law, nominal_physics
 from bo_sysid.proof.plan import GROUPED, Draw, plan
@@ -76,7 +76,7 @@ def test_where_nothing_is_concealed_the_size_is_zero(machines):
 def roll(machine, plant, seconds):
     dt, n = machine.file.timestep, machine.compiled.nv
     steps = round(seconds / dt)
-    motion = Excitation(machine, seconds, np.random.default_rng(5), np.zeros((steps, n)))
+    motion = MotionCommand(machine, seconds, np.random.default_rng(5), np.zeros((steps, n)))
     return plant.roll(motion, steps, dt)
 
 

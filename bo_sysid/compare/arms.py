@@ -38,7 +38,7 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class Posed:
+class ComparedProblem:
     """A problem of a comparison.
 
     Attributes:
@@ -112,7 +112,7 @@ def arms_of(study: Study) -> tuple[Arm, ...]:
     return tuple(found.values())
 
 
-def problems_of(study: Study, *, trust_code: bool) -> tuple[Posed, ...]:
+def problems_of(study: Study, *, trust_code: bool) -> tuple[ComparedProblem, ...]:
     """Return the problems of a comparison: the study itself, then those that it names.
 
     Args:
@@ -122,7 +122,7 @@ def problems_of(study: Study, *, trust_code: bool) -> tuple[Posed, ...]:
     Raises:
         StudyError: a study is missing or wrong, or two have one name.
     """
-    problems = [Posed(slug(study.name), study)]
+    problems = [ComparedProblem(slug(study.name), study)]
     for i, path in enumerate(study.compare.problems or ()):
         file = study.file(path, ("compare", "problems", i))
         other = Study.load(file, trust_code=trust_code)
@@ -131,13 +131,13 @@ def problems_of(study: Study, *, trust_code: bool) -> tuple[Posed, ...]:
                 ("compare", "problems", i),
                 f"{path} is called {other.name!r}, as another problem; give it another name",
             )
-        problems.append(Posed(slug(other.name), other))
+        problems.append(ComparedProblem(slug(other.name), other))
     for problem in problems:
         _require_uncertain(problem)
     return tuple(problems)
 
 
-def _require_uncertain(problem: Posed) -> None:
+def _require_uncertain(problem: ComparedProblem) -> None:
     if not problem.study.parameters:
         raise problem.study.error(
             ("parameters",), "compare needs at least one uncertain parameter; the study has none"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from bo_sysid.compare.arms import Arm, Posed, arms_of, problems_of
+from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
 from bo_sysid.compare.gathered import (
     INNER_UNITS,
     OUTER_UNITS,
@@ -94,7 +94,9 @@ def compare(
     return found
 
 
-def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str, str]]:
+def _available(
+    problems: tuple[ComparedProblem, ...],
+) -> tuple[tuple[ComparedProblem, ...], dict[str, str]]:
     """Return the problems whose recordings there are, and why others are left out.
 
     Raises:
@@ -114,7 +116,7 @@ def _available(problems: tuple[Posed, ...]) -> tuple[tuple[Posed, ...], dict[str
     return tuple(kept), skipped
 
 
-def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
+def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
     """Refuse to go on with a run whose problems were others.
 
     Raises:
@@ -137,7 +139,7 @@ def _require_unchanged(run: Run, problems: tuple[Posed, ...]) -> None:
     run.write_json(PROBLEMS, {**there, **now})
 
 
-def _require_clean(problems: tuple[Posed, ...]) -> None:
+def _require_clean(problems: tuple[ComparedProblem, ...]) -> None:
     """Refuse messy recordings.
 
     Raises:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bo_sysid.compare.arms import Arm, Posed, slug
+from bo_sysid.compare.arms import Arm, ComparedProblem, slug
 from bo_sysid.compare.gathered import Key
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
@@ -33,7 +33,7 @@ class Plan:
     study: Study
     run: Run
     arms: tuple[Arm, ...]
-    problems: tuple[Posed, ...]
+    problems: tuple[ComparedProblem, ...]
     progress: OnProgress
 
     def carried_out(self) -> dict[Key, dict[str, Any]]:
@@ -133,15 +133,17 @@ class Plan:
                 f"kept; the same command tries these again. {first.key}: {first.error}",
             )
 
-    def _seeded(self, problem: Posed, seed: int) -> dict[str, Any]:
+    def _seeded(self, problem: ComparedProblem, seed: int) -> dict[str, Any]:
         return problem.seeded(seed, self.study.compare.truth)
 
-    def _small(self, problem: Posed) -> bool:
+    def _small(self, problem: ComparedProblem) -> bool:
         parameters = problem.study.parameter_set(load_model(problem.study))
         return len(candidate_set(problem.study, parameters)) <= self.study.compare.table
 
 
-def keys_of(study: Study, arms: tuple[Arm, ...], problems: tuple[Posed, ...]) -> Iterator[Key]:
+def keys_of(
+    study: Study, arms: tuple[Arm, ...], problems: tuple[ComparedProblem, ...]
+) -> Iterator[Key]:
     """Yield every run, seed by seed: what is finished of a killed comparison is paired.
 
     Arms with fewer seeds take long, and come last.
@@ -163,13 +165,13 @@ def record_name(key: Key) -> str:
     return f"records/{key.problem}/{slug(key.arm)}/{key.seed:03d}.json"
 
 
-def _table(problem: Posed, seed: int) -> str:
+def _table(problem: ComparedProblem, seed: int) -> str:
     return f"tables/{problem.name}/{_data_seed(problem, seed):03d}.npz"
 
 
-def _data_seed(problem: Posed, seed: int) -> int:
+def _data_seed(problem: ComparedProblem, seed: int) -> int:
     return seed if problem.fresh else 0
 
 
-def _folder(problem: Posed) -> str:
+def _folder(problem: ComparedProblem) -> str:
     return str(problem.study.folder.resolve())

@@ -34,7 +34,7 @@ _NOT_THE_ANSWER = {"run.json", ".lock"}
 
 
 @dataclass(frozen=True)
-class Job:
+class AnswerJob:
     """What a process needs to answer one case.
 
     Attributes:
@@ -83,7 +83,7 @@ def answer(
             f"{run.folder}: the seals of {len(late)} cases without an answer were opened "
             f"({late[0]} first); an answer that is given now does not count"
         )
-    jobs = {n: Job(run.folder.resolve(), n, limit) for n in names}
+    jobs = {n: AnswerJob(run.folder.resolve(), n, limit) for n in names}
     step = len(done)
     for outcome in map_jobs(answer_case, jobs, engine=engine, done=done):
         job = jobs[outcome.key]
@@ -144,7 +144,7 @@ def record_of(name: str) -> str:
     return f"{ANSWERS}/{name}.json"
 
 
-def answer_case(job: Job) -> None:
+def answer_case(job: AnswerJob) -> None:
     """Diagnose one case and freeze the answer, an error included."""
     from bo_sysid.diagnosis import diagnose
 
@@ -175,7 +175,7 @@ def _ended_after(seconds: float, trace: Path) -> Iterator[None]:
     trace.unlink()
 
 
-def _frozen_as_hung(job: Job) -> bool:
+def _frozen_as_hung(job: AnswerJob) -> bool:
     """Freeze a case as unanswered where its time was over; return whether it was."""
     trace = job.folder / ANSWERS / job.name / _HUNG
     if not trace.is_file() or not trace.stat().st_size:

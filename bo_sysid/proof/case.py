@@ -17,7 +17,7 @@ from bo_sysid.proof.adaptive import AdaptivePlant
 from bo_sysid.proof.draft import REALISED, Draft, Place, Realised, Scales, drive_force
 from bo_sysid.proof.equations import EQUATIONS
 from bo_sysid.proof.joints import log_uniform
-from bo_sysid.proof.machine import Excitation, ProofMachine, rounded
+from bo_sysid.proof.machine import MotionCommand, ProofMachine, rounded
 from bo_sysid.proof.physics import Concealed, Physics
 from bo_sysid.proof.plan import Draw
 from bo_sysid.proof.rolled import PlantDiverged, Rolled
@@ -253,7 +253,7 @@ class _Attempt:
         """Roll a plant out for the first `seconds` of a part's motion."""
         whole = round(getattr(self._suite.seconds, part) / self._dt)
         rng = np.random.default_rng(self._seeds[part])
-        motion = Excitation(
+        motion = MotionCommand(
             self._machine, whole * self._dt, rng, self._noise(part), self._quantum, self._amplitude
         )
         return plant.roll(motion, min(round(seconds / self._dt), whole), self._dt)

@@ -43,7 +43,7 @@ _REDRAWN = 1  # key of the random numbers for that, beside the seed of the case
 
 
 @dataclass(frozen=True)
-class Job:
+class DrawJob:
     """What a process needs to draw one case.
 
     Attributes:
@@ -124,10 +124,10 @@ def conceal(
     folder = run.folder.resolve()
     sealed = Path(seals).resolve() if seals else seals_of(folder)
     engine = LocalEngine(threads())
-    everything = Job(path, overrides, folder, sealed, "")
+    everything = DrawJob(path, overrides, folder, sealed, "")
     names = _only(map_jobs(_draw_plan, {"plan": everything}, engine=LocalEngine(1)))
     done = {n for n in names if (sealed / _PART.format(n)).is_file()}
-    jobs = {n: Job(path, overrides, folder, sealed, n) for n in names}
+    jobs = {n: DrawJob(path, overrides, folder, sealed, n) for n in names}
     step = len(done)
     for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
         if outcome.error is not None:
@@ -175,7 +175,7 @@ def _files(folder: Path) -> list[Path]:
     return [f for f in sorted(folder.rglob("*")) if f.is_file()]
 
 
-def _draw_plan(job: Job) -> list[str]:
+def _draw_plan(job: DrawJob) -> list[str]:
     """Draw the plan, unless an interrupted call drew it, and return the names of the cases."""
     path = job.seals / _PLAN
     record = suite_record(job.suite, job.overrides)
@@ -190,7 +190,7 @@ def _draw_plan(job: Job) -> list[str]:
     return [d.name for d in draws]
 
 
-def _draw_one(job: Job) -> None:
+def _draw_one(job: DrawJob) -> None:
     """Draw, write and seal one case; its process alone knows what is in it."""
     loaded = load_suite(job.suite, job.overrides)
     draws = [Draw.of(d) for d in read_json(job.seals, _PLAN)["cases"]]

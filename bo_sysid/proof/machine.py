@@ -165,7 +165,7 @@ def _nominal(file: MachineFile, path: Path) -> Model:
     return Model(file.name, str(path), spec)
 
 
-class Excitation:
+class MotionCommand:
     """Commands that move a machine within its limits; a `Command` of the plants.
 
     A motor gets the sum of sines and, around it, a loop that follows another sum of sines, so that

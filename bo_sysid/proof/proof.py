@@ -22,7 +22,7 @@ _ORACLE = "oracle.json"
 
 
 @dataclass(frozen=True)
-class Job:
+class OracleJob:
     """What a process needs for the oracle's error on one case.
 
     Attributes:
@@ -76,7 +76,7 @@ def _oracle(
     """Return the oracle's error by case, computed once; NaN where there is none."""
     kept: dict[str, float | None] = run.read_json(_ORACLE) if run.has(_ORACLE) else {}
     folder = run.folder.resolve()
-    jobs = {r.name: Job(folder / CASES / r.name, r.truth) for r in revealed}
+    jobs = {r.name: OracleJob(folder / CASES / r.name, r.truth) for r in revealed}
     done = set(kept)
     outcomes = map_jobs(_oracle_of, jobs, engine=engine, done=done)
     for step, outcome in enumerate(outcomes, len(done) + 1):
@@ -87,7 +87,7 @@ def _oracle(
     return {name: float("nan") if e is None else float(e) for name, e in kept.items()}
 
 
-def _oracle_of(job: Job) -> float | None:
+def _oracle_of(job: OracleJob) -> float | None:
     from bo_sysid.proof.oracle import oracle_error
 
     return oracle_error(job.case, job.truth)
