@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from diagnosis_helpers import candidate
 
+from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.forecast import fitted, forecast, forecast_problem, noise_floor
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.starts import caught_up
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording

@@ -17,7 +17,7 @@ from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation.activations import activations
 from bo_sysid.simulation.delays import remembered_steps
-from bo_sysid.simulation.starts import smooth
+from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.windows import Layout, Windows
 

@@ -14,10 +14,10 @@ from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, lost, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, reshaped, with_shapes_unsure
+from bo_sysid.diagnosis.windows.estimated_starts import first_starts
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
-from bo_sysid.diagnosis.windows.starts import first_starts
 from bo_sysid.diagnosis.windows.windowing import Prepared, prepare, settled
 from bo_sysid.mjcf.touching import can_touch
 

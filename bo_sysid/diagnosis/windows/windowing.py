@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bo_sysid.diagnosis.windows.estimated_starts import caught_up, first_starts
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.settling import better_of, settle
-from bo_sysid.diagnosis.windows.starts import caught_up, first_starts
 from bo_sysid.diagnosis.windows.timestep import FINER
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.touching import can_touch, touching

@@ -1,4 +1,4 @@
-"""The state at the start of a window, from what was recorded around it."""
+"""Positions and velocities at the starts of windows: local polynomials through recorded positions."""
 
 from dataclasses import dataclass
 
