@@ -1,4 +1,4 @@
-"""Positions and velocities at the starts of windows: local polynomials through recorded positions."""
+"""Positions and velocities at the starts of windows, by local polynomials."""
 
 from dataclasses import dataclass
 
