@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -77,12 +78,84 @@ def test_a_limit_is_measured_where_it_is_exceeded() -> None:
     assert d.violation(still, d.point[None], 0.0) == pytest.approx(0.1 / 0.7)  # off the middle
     pushed = still + 1.8  # of 1.5 N m
     assert d.violation(pushed, d.point[None], 1.0) > 0.2
-    trajectory, ctrl = d.run(pushed, d.point[None])
+    run = d.run(pushed, d.point[None])
+    trajectory = run.trajectory
     fastest = np.abs(trajectory.qvel).max() / 4.0
     low, high = trajectory.qpos.min(), trajectory.qpos.max()
     off = max(abs(low + 0.1), abs(high + 0.1)) / 0.7
     expected = max(fastest, off, 1.8 / 1.5)
-    assert d.limits.violation(d._compiled, trajectory, ctrl, 0.0)[0] == pytest.approx(expected)
+    assert d.limits.violation(*run, 0.0)[0] == pytest.approx(expected)
+
+
+DRIVES = (
+    '<motor name="m" joint="hinge" gear="1.5" ctrlrange="-1 1"/>'
+    '<general name="s" joint="hinge" gear="-2" gainprm="0.4" biastype="affine" '
+    'biasprm="0.1 -0.6 -0.05" ctrlrange="-1 1"/>'
+)
+UNKNOWN = (
+    Parameter("gear", ("actuator[m].gear[0]",), 1.0, 2.0),
+    Parameter("gain", ("actuator[s].gainprm[0]",), 0.2, 0.8),
+    Parameter("bias", ("actuator[s].biasprm[1]",), -0.9, -0.3),
+)
+
+
+def felt(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+    """Return the torque that MuJoCo's actuators make at each step, from rest."""
+    data, torque = mujoco.MjData(model), []
+    for now in ctrl:
+        data.ctrl[:] = now
+        mujoco.mj_step1(model, data)
+        mujoco.mj_step2(model, data)
+        torque.append(data.qfrc_actuator.copy())
+    return np.array(torque)
+
+
+def test_the_effort_of_each_machine_is_that_of_its_own_actuators() -> None:
+    model = Model.from_xml(ROD.replace(MOTOR, DRIVES).replace(' integrator="implicitfast"', ""))
+    limits = Limits.of(model, {"hinge": Limit(effort=9.0)})
+    d = Trial(model, UNKNOWN, limits, {"qpos.hinge": 1e-3}, seconds=2.0, interval=0.02)
+    controls = 0.5 * np.sin(np.outer(d.series.time, [3.0, 7.0]))
+    run = d.run(controls, d.machines)
+    expected = np.array([felt(m, u) for m, u in zip(run.models, run.ctrl, strict=True)])
+    np.testing.assert_allclose(limits.torque(*run), expected, atol=1e-9)
+    peaks = np.abs(expected).max(axis=(1, 2))
+    assert peaks.max() > 1.2 * peaks[0]  # that of the nominal machine
+    np.testing.assert_allclose(d.violations(controls, d.machines, 0.0), peaks / 9.0)
+    coarse = d.judge(tuple(range(len(d.machines))))(controls[None], 0.0).over
+    assert coarse[0] == pytest.approx(peaks.max() / 9.0, rel=0.05)
+
+
+def test_no_machine_within_the_bounds_of_its_gear_is_told_to_exceed_an_effort(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "rod.xml").write_text(ROD)
+    data = {
+        "model": "rod.xml",
+        "recordings": {"train": "later.csv"},
+        "parameters": [
+            {"name": "gear", "address": "actuator[m].gear[0]", "low": 1, "high": 2},
+            {"name": "gain", "address": "actuator[m].gainprm[0]", "low": 0.5, "high": 0.9},
+        ],
+        "limits": {"hinge": {"effort": 0.9}},
+    }
+    plan = excite(Study.from_dict(data, tmp_path), seconds=2.0, interval=0.02, budget=30)
+    assert plan.limits["ctrl.m"] == pytest.approx((-0.5, 0.5))  # 0.9 N m over 2 times 0.9
+    strongest = Model.from_xml(ROD.replace(' ctrlrange="-2 2"', ' gear="2"')).compile()
+    strongest.actuator_gainprm[0, 0] = 0.9
+    torque = felt(strongest, np.repeat(plan.controls[["ctrl.m"]].to_numpy(), 4, axis=0))
+    assert 0.3 < np.abs(torque).max() <= 0.9 + 1e-9
+
+
+def test_parts_of_a_machine_that_is_larger_than_the_model_are_seen_to_touch() -> None:
+    text = ROD.replace('size=".02" mass', 'size=".02" contype="1" conaffinity="1" mass').replace(
+        "<body>", '<geom name="wall" type="sphere" size=".05" pos=".2 0 -.2"/><body>', 1
+    )
+    limits = Limits.of(Model.from_xml(text), {})
+    models = [Model.from_xml(text.replace('".02"', f'"{s}"')).compile() for s in (0.02, 0.18)]
+    still, ctrl = State(np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 0))), np.zeros((2, 2, 1))
+    run = Engine(1).rollout(models, still, ctrl)
+    over = limits.violation(models, run, ctrl, 0.0)
+    assert over[0] < 1.0 < over[1]
 
 
 def test_series_have_the_frequencies_that_they_say() -> None:
@@ -289,7 +362,7 @@ def test_limits_that_leave_an_actuator_no_command_are_refused() -> None:
     model = Model.from_xml(ROD.replace(motor, servo))
     limits = Limits.of(model, LIMIT)
     with pytest.raises(StudyError, match=r"limits: hinge: they leave actuator 's' no command"):
-        limits.commands(model.compile())
+        limits.commands([model.compile()])
 
 
 def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:
@@ -300,10 +373,10 @@ def test_controls_reach_as_far_as_efforts_and_positions_allow() -> None:
     )
     model = Model.from_xml(text)
     compiled = model.compile()
-    low, high = Limits.of(model, LIMIT).commands(compiled)
+    low, high = Limits.of(model, LIMIT).commands([compiled])
     np.testing.assert_allclose(low, [-3.0, -0.8, -1.5])
     np.testing.assert_allclose(high, [3.0, 0.6, 1.0])
-    low, high = Limits.of(model, {}).commands(compiled)
+    low, high = Limits.of(model, {}).commands([compiled])
     np.testing.assert_allclose([low, high], [[-np.inf, -np.inf, -2], [np.inf, np.inf, 1]])
 
 
@@ -334,8 +407,8 @@ def test_friction_that_is_an_actuator_without_a_control_is_planned_through(tmp_p
 def test_efforts_are_those_of_the_actuators_that_have_a_control() -> None:
     model = Model.from_xml(ROD.replace(MOTOR, BRISTLES + MOTOR.replace("/>", ' gear="3"/>')))
     compiled, limits = model.compile(), Limits.of(model, LIMIT)
-    np.testing.assert_allclose(limits.commands(compiled), [[-0.5], [0.5]])
+    np.testing.assert_allclose(limits.commands([compiled]), [[-0.5], [0.5]])
     start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
     ctrl = np.full((1, 2, 1), 0.6)
     run = Engine(1).rollout(compiled, start, ctrl)
-    assert limits.violation(compiled, run, ctrl, 0.0)[0] == pytest.approx(3 * 0.6 / 1.5)
+    assert limits.violation([compiled], run, ctrl, 0.0)[0] == pytest.approx(3 * 0.6 / 1.5)

@@ -50,7 +50,7 @@ class Exceeded:
 
 def first_exceeded(
     limits: Limits,
-    model: mujoco.MjModel,
+    models: Sequence[mujoco.MjModel],
     trajectory: Trajectory,
     ctrl: Float[np.ndarray, "W S nu"],
 ) -> Exceeded:
@@ -58,14 +58,14 @@ def first_exceeded(
 
     Args:
         limits: are exceeded.
-        model: the compiled model.
+        models: the compiled model of each machine.
         trajectory: what the machines did.
         ctrl: their controls.
     """
     q, v = trajectory.qpos, trajectory.qvel
     torque = np.zeros_like(v)
     if np.isfinite(limits.effort).any():
-        torque = limits.torque(model, trajectory, ctrl)
+        torque = limits.torque(models, trajectory, ctrl)
     low, high = limits.position.T
     beyond = {
         "position": (q < low) | (q > high),
@@ -78,14 +78,14 @@ def first_exceeded(
         what = "the simulation diverges" if trajectory.diverged[lost] else "parts touch"
         return Exceeded(lost, "", what, np.nan)
     step, machine, joint, kind = min(found)
-    length, force = ("m", "N") if int(model.jnt_type[joint]) == SLIDE else ("rad", "N m")
+    length, force = ("m", "N") if int(models[0].jnt_type[joint]) == SLIDE else ("rad", "N m")
     values, bound, unit = {
         "position": (q, f"{low[joint]:.4g} to {high[joint]:.4g}", length),
         "velocity": (v, f"{limits.velocity[joint]:.4g}", f"{length}/s"),
         "effort": (torque, f"{limits.effort[joint]:.4g}", force),
     }[kind]
     said = f"{kind} is {values[machine, step, joint]:.4g} {unit} (limit {bound})"
-    time = float(step * model.opt.timestep)
+    time = float(step * models[0].opt.timestep)
     return Exceeded(int(machine), limits.joints[joint], said, time)
 
 

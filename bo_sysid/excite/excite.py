@@ -88,11 +88,11 @@ def excite(
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
     noise = _noise(study, model)
     limits = Limits.of(model, study.limits)
-    notes += _assumed(study, model, limits)
     trial = Trial(
         model, parameters, limits, noise,
         seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
     )  # fmt: skip
+    notes += _assumed(study, model, trial)
     if trial.hold is not None:
         notes.append(_resting(model, trial))
     controls = design(trial, budget, study.search.seed, report=report)
@@ -104,7 +104,7 @@ def excite(
         frame,
         found.table(),
         predicted,
-        limits.of_channels(model.compile()),
+        limits.of_channels(model.ctrl_channels, *trial.commands),
         trial.violation(controls, trial.machines, 0.0),
         float(trial.energy(controls)),
         tuple(notes),
@@ -118,7 +118,7 @@ def _noise(study: Study, model: Model) -> dict[str, float]:
     return {n: stated.get(n, usual) or NOISE for n in model.qpos_channels}
 
 
-def _assumed(study: Study, model: Model, limits: Limits) -> list[str]:
+def _assumed(study: Study, model: Model, trial: Trial) -> list[str]:
     """Return what a study does not state, and what is assumed instead."""
     notes = []
     if not study.recordings.noise:
@@ -126,7 +126,7 @@ def _assumed(study: Study, model: Model, limits: Limits) -> list[str]:
     unlimited = [j for j in model.joints if j not in study.limits]
     if unlimited:
         notes.append(f"No limits are stated for: {', '.join(unlimited)}.")
-    bounded = np.isfinite(np.stack(limits.commands(model.compile()))).all(axis=0)
+    bounded = np.isfinite(np.stack(trial.commands)).all(axis=0)
     free = [a for a, bound in zip(model.controlled, bounded, strict=True) if not bound]
     if free:
         notes.append(

@@ -106,11 +106,12 @@ class Judge:
         )
 
     def _some(self, controls: Float[np.ndarray, "K R nu"], margin: float, told: bool) -> Judgement:
-        count, machines, model = len(controls), len(self._machines), self._nominal
+        count, machines = len(controls), len(self._machines)
+        models = self._machines * count
         ctrl = np.repeat(np.repeat(controls, self._hold, axis=1), machines, axis=0)
         start = self._start.repeat(len(ctrl))
-        run = self._whole.rollout(self._machines * count, start, ctrl, laws=self._laws)
-        over = self._limits.violation(model, run, ctrl, margin).reshape(count, machines).max(axis=1)
+        run = self._whole.rollout(models, start, ctrl, laws=self._laws)
+        over = self._limits.violation(models, run, ctrl, margin).reshape(count, -1).max(axis=1)
         if not told:
             return Judgement(np.full((count, len(self._varied)), _PRIOR**-0.5), over)
         first = np.arange(0, controls.shape[1] - self._window, self._window)

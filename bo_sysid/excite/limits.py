@@ -1,6 +1,6 @@
 """What a machine bears: positions, speeds, efforts, and parts that must not touch."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import ALONG_JOINT, command_bounds, controlled
+from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
@@ -66,15 +66,19 @@ class Limits:
         return cls(position, velocity, effort, model.joints, can_touch(compiled))
 
     def commands(
-        self, model: mujoco.MjModel
+        self, models: Sequence[mujoco.MjModel]
     ) -> tuple[Float[np.ndarray, " nu"], Float[np.ndarray, " nu"]]:
         """Return the least and the largest control of every actuator; infinite where unlimited.
 
         See `command_bounds`.
 
+        Args:
+            models: compiled models of the machines that the controls are for.
+
         Raises:
             StudyError: the limits of a joint leave its actuator no command.
         """
+        model = models[0]
         ends = np.where(
             np.asarray(model.actuator_ctrllimited, bool)[:, None],
             model.actuator_ctrlrange, [-np.inf, np.inf],
@@ -83,7 +87,7 @@ class Limits:
             if int(model.actuator_trntype[a]) in ALONG_JOINT:
                 j = int(model.actuator_trnid[a, 0])
                 low, high = self.position[j]
-                ends[k] = command_bounds(model, a, (low, high), float(self.effort[j]))
+                ends[k] = common_bounds(models, a, (low, high), float(self.effort[j]))
                 if not ends[k, 0] < ends[k, 1]:
                     raise StudyError(
                         f"limits: {self.joints[j]}: they leave actuator {model.actuator(a).name!r} "
@@ -91,19 +95,27 @@ class Limits:
                     )
         return ends[:, 0], ends[:, 1]
 
-    def of_channels(self, model: mujoco.MjModel) -> dict[str, tuple[float, float]]:
-        """Return least and largest value of each channel that a trajectory has."""
+    def of_channels(
+        self, names: Sequence[str], low: Float[np.ndarray, " nu"], high: Float[np.ndarray, " nu"]
+    ) -> dict[str, tuple[float, float]]:
+        """Return least and largest value of each channel that a trajectory has.
+
+        Args:
+            names: channels of the controls.
+            low: least controls, see `commands`.
+            high: largest controls.
+        """
         found = {}
         for j, name in enumerate(self.joints):
             found[f"qpos.{name}"] = (float(self.position[j, 0]), float(self.position[j, 1]))
             found[f"qvel.{name}"] = (-float(self.velocity[j]), float(self.velocity[j]))
-        for a, low, high in zip(controlled(model), *self.commands(model), strict=True):
-            found[f"ctrl.{model.actuator(a).name}"] = (float(low), float(high))
+        for name, least, most in zip(names, low, high, strict=True):
+            found[name] = (float(least), float(most))
         return found
 
     def violation(
         self,
-        model: mujoco.MjModel,
+        models: Sequence[mujoco.MjModel],
         trajectory: Trajectory,
         ctrl: Float[np.ndarray, "W S nu"],
         margin: float,
@@ -111,7 +123,7 @@ class Limits:
         """Return by how much the worst limit is exceeded in each of W simulations; 0 for not.
 
         Args:
-            model: the compiled model, for efforts and contacts.
+            models: the compiled model of each simulation, for efforts and contacts.
             trajectory: what the simulations did.
             ctrl: their controls.
             margin: share of each limit that may be used.
@@ -121,10 +133,10 @@ class Limits:
         fast = np.abs(trajectory.qvel) / self.velocity
         worst = np.maximum(off.max(axis=(1, 2)), fast.max(axis=(1, 2)))
         if np.isfinite(self.effort).any():
-            share = np.abs(self.torque(model, trajectory, ctrl)) / self.effort
+            share = np.abs(self.torque(models, trajectory, ctrl)) / self.effort
             worst = np.maximum(worst, share.max(axis=(1, 2)))
         if self.touching:
-            worst += _COLLISION * self._touched(model, trajectory)
+            worst += _COLLISION * self._touched(models, trajectory)
         worst[trajectory.diverged] = 10.0
         return np.asarray(np.maximum(worst - margin, 0.0))
 
@@ -141,29 +153,42 @@ class Limits:
         return middle, half
 
     def torque(
-        self, model: mujoco.MjModel, trajectory: Trajectory, ctrl: Float[np.ndarray, "W S nu"]
+        self,
+        models: Sequence[mujoco.MjModel],
+        trajectory: Trajectory,
+        ctrl: Float[np.ndarray, "W S nu"],
     ) -> Float[np.ndarray, "W S nv"]:
         """Return what actuators that drive one joint each do along it, in [N m] or [N].
 
-        Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g.
+        Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g, those
+        of the machine that is simulated.
+
+        Args:
+            models: the compiled model of each simulation.
+            trajectory: what the simulations did.
+            ctrl: their controls.
         """
-        torque = np.zeros((*ctrl.shape[:2], model.nv))
-        for k, a in enumerate(controlled(model)):
-            dof = int(model.jnt_dofadr[model.actuator_trnid[a, 0]])
-            gear, gain, bias = (
-                model.actuator_gear[a, 0], model.actuator_gainprm[a, 0], model.actuator_biasprm[a],
-            )  # fmt: skip
+        first = models[0]
+        torque = np.zeros((*ctrl.shape[:2], first.nv))
+        for k, a in enumerate(controlled(first)):
+            dof = int(first.jnt_dofadr[first.actuator_trnid[a, 0]])
+            gear = np.array([m.actuator_gear[a, :1] for m in models])
+            gain = np.array([m.actuator_gainprm[a, :1] for m in models])
+            bias = np.array([m.actuator_biasprm[a, :3, None] for m in models]).swapaxes(0, 1)
             q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
             force = gain * ctrl[..., k] + bias[0] + gear * (bias[1] * q + bias[2] * v)
             torque[..., dof] += gear * force
         return torque
 
-    def _touched(self, model: mujoco.MjModel, trajectory: Trajectory) -> Bool[np.ndarray, " W"]:
+    def _touched(
+        self, models: Sequence[mujoco.MjModel], trajectory: Trajectory
+    ) -> Bool[np.ndarray, " W"]:
         """Return whether any parts touch in each simulation."""
-        data = mujoco.MjData(model)
-        stride = max(round(_TOUCH / model.opt.timestep), 1)
+        known = {id(m): mujoco.MjData(m) for m in models}  # one model may have many simulations
+        stride = max(round(_TOUCH / models[0].opt.timestep), 1)
         touched = np.zeros(len(trajectory.qpos), bool)
-        for w, poses in enumerate(trajectory.qpos[:, ::stride]):
+        for w, (model, poses) in enumerate(zip(models, trajectory.qpos[:, ::stride], strict=True)):
+            data = known[id(model)]
             for pose in poses:
                 data.qpos[:] = pose
                 mujoco.mj_fwdPosition(model, data)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,6 +22,7 @@ from bo_sysid.execution import threads
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.commands import units
 from bo_sysid.mjcf.edits import parameter_edits
+from bo_sysid.mjcf.extremes import actuator_extremes
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, Trajectory, cut
@@ -35,6 +37,20 @@ _UNSTABLE = 100.0  # growth of that
 _NEAR, _CALMING = 0.03, 50  # of controls that hold: half widths that are tried; trials of each
 
 
+class Run(NamedTuple):
+    """What W machines did.
+
+    Attributes:
+        models: the compiled model of each.
+        trajectory: their motion.
+        ctrl: `W x S x nu` controls at each step of the simulation.
+    """
+
+    models: list[mujoco.MjModel]
+    trajectory: Trajectory
+    ctrl: Float[np.ndarray, "W S nu"]
+
+
 class Trial:
     """Tries controls on a machine whose parameters are not known.
 
@@ -47,6 +63,10 @@ class Trial:
         interval: between two controls, and between two samples, in [s].
         seed: of the drawn parameter vectors.
         laws: forces that are stepped with the model.
+
+    Attributes:
+        commands: least and largest control of every actuator for all machines within the bounds
+            of the parameters, and the nominal one; infinite where unlimited.
 
     Raises:
         StudyError: a machine exceeds a limit where it should stand at its reference.
@@ -69,7 +89,8 @@ class Trial:
         compiled = model.compile()
         self._hold = max(round(interval / compiled.opt.timestep), 1)
         step = self._hold * float(compiled.opt.timestep)
-        middle, half = ranges(*limits.commands(compiled))
+        self.commands = limits.commands([compiled, *actuator_extremes(model, parameters)])
+        middle, half = ranges(*self.commands)
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
@@ -77,7 +98,6 @@ class Trial:
         self.hold: Hold | None = None
         self._engine = Engine(threads())
         self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()), self.laws)
-        self._compiled = compiled
         self.point = np.array([nominal(model, p) for p in self.parameters])
         sobol = qmc.Sobol(len(self.parameters), seed=seed).random(32)
         low = np.array([p.low for p in self.parameters])
@@ -109,14 +129,14 @@ class Trial:
         model = self._models(self.point[None])[0]
         hold = holding(model, self.laws, s.middle - s.half, s.middle + s.half)
         self.series = replace(s, rest=(hold.ctrl - s.middle) / s.half)
-        self.start = held(self._compiled, hold.ctrl)
+        self.start = held(model, hold.ctrl)
         self.machines = np.vstack([self.machines, further])
         self.hold = hold
         if self.violation(self._still, self.machines, 1.0) > 0:
             self.series = replace(self.series, rest=self._calmest(len(further)))
-        trajectory, ctrl = self.run(self._still, self.machines)
-        if self.limits.violation(self._compiled, trajectory, ctrl, 1.0).max() > 0:
-            worst = first_exceeded(self.limits, self._compiled, trajectory, ctrl)
+        run = self.run(self._still, self.machines)
+        if self.limits.violation(*run, 1.0).max() > 0:
+            worst = first_exceeded(self.limits, *run)
             told = self.model.joints, hold, self.parameters, self.machines
             raise StudyError(why_not_held(worst, *told))
 
@@ -143,28 +163,26 @@ class Trial:
         start = self.start.repeat(2)
         start.qpos[1] += inwards[0]
         ctrl = np.repeat(np.repeat(self._still, self._hold, axis=0)[None], 2, axis=0)
-        model = self._models([self.point])
-        trajectory = self._engine.rollout(2 * model, start, ctrl, laws=self.laws)
+        models = self._models([self.point])
+        trajectory = self._engine.rollout(2 * models, start, ctrl, laws=self.laws)
         grown = np.abs(trajectory.qpos[1] - trajectory.qpos[0]).max() / _NUDGE
-        beside, ctrl = trajectory.rows(slice(1, 2)), ctrl[1:]
-        over = self.limits.violation(self._compiled, beside, ctrl, 1.0)[0]
+        beside = Run(models, trajectory.rows(slice(1, 2)), ctrl[1:])
+        over = self.limits.violation(*beside, 1.0)[0]
         if over > 0 and grown > _UNSTABLE:
-            worst = first_exceeded(self.limits, self._compiled, beside, ctrl)
+            worst = first_exceeded(self.limits, *beside)
             raise StudyError(why_unstable(worst, _NUDGE))
 
     def _models(self, points: Iterable[np.ndarray]) -> list[mujoco.MjModel]:
         edits = [parameter_edits(self.model, self.parameters, p) for p in points]
         return [self.model.compile(e) for e in edits]
 
-    def run(
-        self, controls: Float[np.ndarray, "R nu"], points: Float[np.ndarray, "W d"]
-    ) -> tuple[Trajectory, Float[np.ndarray, "W S nu"]]:
+    def run(self, controls: Float[np.ndarray, "R nu"], points: Float[np.ndarray, "W d"]) -> Run:
         """Return what machines with some parameters do, from rest at the reference."""
         count = len(points)
         ctrl = np.repeat(np.repeat(controls, self._hold, axis=0)[None], count, axis=0)
         start = self.start.repeat(count)
         models = self._models(points)
-        return self._engine.rollout(models, start, ctrl, laws=self.laws), ctrl
+        return Run(models, self._engine.rollout(models, start, ctrl, laws=self.laws), ctrl)
 
     def violation(
         self, controls: Float[np.ndarray, "R nu"], points: np.ndarray, margin: float
@@ -176,8 +194,7 @@ class Trial:
         self, controls: Float[np.ndarray, "R nu"], points: np.ndarray, margin: float
     ) -> Float[np.ndarray, " W"]:
         """Return by how much each machine exceeds its worst limit."""
-        trajectory, ctrl = self.run(controls, points)
-        return self.limits.violation(self._compiled, trajectory, ctrl, margin)
+        return self.limits.violation(*self.run(controls, points), margin)
 
     def information(self, controls: Float[np.ndarray, "R nu"]) -> Information:
         """Return what a recording of the nominal machine under the controls would say."""
@@ -186,7 +203,7 @@ class Trial:
 
     def recorded(self, controls: Float[np.ndarray, "R nu"]) -> Recording:
         """Return the recording of the nominal machine under the controls, without noise."""
-        trajectory, _ = self.run(controls, self.point[None])
+        trajectory = self.run(controls, self.point[None]).trajectory
         rows = slice(0, -1, self._hold)
         qpos, qvel = (
             {
@@ -238,6 +255,5 @@ class Trial:
                     return scaled(size)
                 worst = int(over.argmax())
             size *= _SHRINK
-        trajectory, ctrl = self.run(scaled(size), self.machines)
-        exceeded = first_exceeded(self.limits, self._compiled, trajectory, ctrl)
+        exceeded = first_exceeded(self.limits, *self.run(scaled(size), self.machines))
         raise StudyError(why_not_moved(exceeded))

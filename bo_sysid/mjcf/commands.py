@@ -1,5 +1,7 @@
 """What controls do: nothing, or how far they may go, given what a joint bears."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from jaxtyping import Bool
@@ -61,6 +63,24 @@ def command_bounds(
     elif effort is not None and scale:
         low, high = max(low, -effort / scale), min(high, effort / scale)
     return float(low), float(high)
+
+
+def common_bounds(
+    models: Sequence[mujoco.MjModel],
+    actuator: int,
+    position: tuple[float, float] | None,
+    effort: float | None,
+) -> tuple[float, float]:
+    """Return the least and the largest control that suit each of several machines.
+
+    Args:
+        models: compiled models of one layout.
+        actuator: see `command_bounds`.
+        position: see `command_bounds`.
+        effort: see `command_bounds`.
+    """
+    low, high = zip(*(command_bounds(m, actuator, position, effort) for m in models), strict=True)
+    return max(low), min(high)
 
 
 def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:

@@ -205,7 +205,7 @@ def _kept(
     for _ in range(_TRIES):
         one = _posed(problem, _still(problem, controls), len(controls) - 1)
         told = one.simulate(best.hypothesis, one.windows.start)
-        over = limits.violation(problem.machine.model, told.trajectory, told.ctrl, 1.0)[0]
+        over = limits.violation([problem.machine.model], told.trajectory, told.ctrl, 1.0)[0]
         if over == 0.0 and _within_reach(problem, stated, told.trajectory):
             return controls, _shown(one, told, controls)
         controls = middle + _SMALLER * (controls - middle)
