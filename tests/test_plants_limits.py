@@ -9,7 +9,10 @@ from bo_sysid.mjcf import Model
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.environment import BatchEnvironment, control_range
 from bo_sysid.plants.limits import LimitedTask, limit_edits
+from bo_sysid.plants.machine import VectorMachine
+from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.plants.tasks import Start, find_task
+from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.study import Study
 
 ARM = """
@@ -37,6 +40,21 @@ STUCK = (  # friction, as a diagnosis writes it: an actuator without a control
     ' gaintype="dcmotor" biastype="dcmotor" gainprm="1 1e-6" biasprm="0 0 0 .1 .15 .1" actdim="1" '
     'actearly="true"/>'
 )
+
+
+class Standing(VectorTask):
+    """A task that asks for nothing."""
+
+    control_timestep, time_limit = 0.002, 1.0
+
+    def start(self, model, rng):
+        return Start(model.qpos0)
+
+    def observe(self, sims):
+        return sims.qpos
+
+    def reward(self, sims):
+        return np.zeros(len(sims))
 
 
 def study(tmp_path, limits):
@@ -147,6 +165,65 @@ def test_an_episode_ends_where_a_limit_of_motion_is_left():
         assert abs(environment.sims.qpos[0, 0]) <= 0.3
         assert abs(environment.sims.qvel[0, 0]) <= 1.0
     assert ended is not None
+
+
+HELD = 25  # parts of an action
+
+
+def swinging(repeat):
+    """Return pendulum swing-up within 6 rad/s, and its compiled model."""
+    model = Model.from_dm_control("pendulum", "swingup")
+    data = {
+        "model": {"dm_control": {"domain": "pendulum", "task": "swingup"}},
+        "recordings": {"train": ["none.csv"]},
+        "limits": {"hinge": {"velocity": 6.0}},
+    }
+    task = RepeatedTask(find_task("pendulum", "swingup"), repeat)
+    return LimitedTask(task, Study.from_dict(data), model), model.compile()
+
+
+def played(repeat, actions):
+    """Return which episodes left the limits, their returns and the control steps they lasted."""
+    task, model = swinging(repeat)
+    environment = BatchEnvironment(task, model, len(actions), seed=3)
+    environment.reset()
+    running, total = np.ones(len(actions), bool), np.zeros(len(actions))
+    left, lasted = np.zeros(len(actions), bool), np.zeros(len(actions), int)
+    for k in range(1000 // HELD * (HELD // repeat)):
+        step = environment.step(actions[:, k * repeat // HELD, None])
+        total += np.where(running, step.reward, 0.0)
+        lasted += running
+        left |= running & task.beyond
+        running &= ~(step.terminated | step.truncated)
+    return left, total, lasted
+
+
+def test_limits_that_are_left_within_a_held_action_end_the_episode_as_if_it_were_not_held():
+    actions = np.random.default_rng(0).uniform(-1, 1, (40, 1000 // HELD))
+    fine, earned, parts = played(1, actions)
+    held, total, lasted = played(HELD, actions)
+    assert 0.2 < fine.mean() < 0.8
+    np.testing.assert_array_equal(held, fine)
+    np.testing.assert_allclose(total, earned, atol=1e-9)
+    np.testing.assert_array_equal(lasted, -(-parts // HELD))
+
+
+def test_a_machine_that_swings_out_and_back_within_an_action_has_left_its_limits():
+    task, model = swinging(HELD)
+    machine = VectorMachine(task, model, 0)
+    for speed, ended in ((5.0, False), (7.0, True)):  # upwards from the bottom: it slows down
+        machine.begin(Start(np.array([np.pi]), np.array([speed])))
+        applied = machine.apply(np.zeros((1, 1)))
+        assert np.abs(applied.rows["qvel"][-1]) < 6.0
+        assert applied.ended == ended
+
+
+def test_an_environment_begins_within_limits_though_the_reference_is_outside(tmp_path):
+    bound, model = study(tmp_path, {"elbow": {"position": [0.1, 1.0]}}), Model.from_xml(ARM)
+    task = LimitedTask(Standing(), bound, model)
+    environment = BatchEnvironment(task, model.compile(), 2)
+    environment.begin([Start(np.array([0.0, 0.5]))] * 2)
+    assert not environment.step(np.zeros((2, 2))).terminated.any()
 
 
 def test_an_excitation_needs_no_control_range_where_an_effort_is_stated(tmp_path):

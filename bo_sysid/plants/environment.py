@@ -117,6 +117,7 @@ class BatchEnvironment:
         try:  # binds what the task reads; values are not used
             self.observation_size = task.observe(self.sims).shape[1]
             task.reward(self.sims)
+            task.terminated(self.sims)
         except KeyError as error:
             raise UserError(f"task {type(task).__name__} does not fit the model: {error}") from None
         self._steps = np.zeros(n, np.int64)

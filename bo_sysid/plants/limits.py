@@ -67,13 +67,17 @@ def _forces(model: mujoco.MjModel, actuator: int, effort: float) -> tuple[float,
 class LimitedTask(VectorTask):
     """A task whose episodes end for good where positions or velocities leave their limits.
 
+    They are looked at in `reward`, after every part of an action: a machine that swings out and
+    back while an action is held has left them, and earns nothing from then on.
+
     Args:
         task: the task.
         study: its `limits` are kept.
         model: gives the joints.
 
     Attributes:
-        beyond: which simulations were outside the limits when `terminated` was last asked.
+        beyond: which simulations left the limits during the action after which `terminated` was
+            last asked.
     """
 
     def __init__(self, task: VectorTask, study: Study, model: Model) -> None:
@@ -84,6 +88,7 @@ class LimitedTask(VectorTask):
         self.settle_time = task.settle_time  # type: ignore[misc]
         self.rewarded = task.rewarded  # type: ignore[misc]
         self.beyond = np.zeros(0, bool)
+        self._left: np.ndarray | None = None  # in the parts of an action that have earned so far
         compiled = model.compile()
         self._low, self._high = np.full(compiled.nq, -np.inf), np.full(compiled.nq, np.inf)
         self._speed = np.full(compiled.nv, np.inf)
@@ -107,12 +112,18 @@ class LimitedTask(VectorTask):
         return self.task.observe(sims)
 
     def reward(self, sims: Simulations) -> np.ndarray:
-        """Return the task's rewards."""
-        return self.task.reward(sims)
+        """Return the task's rewards; 0 where an earlier part of the action left the limits."""
+        earned, before, now = self.task.reward(sims), self._left, self.left(sims)
+        if before is None:
+            self._left = now
+            return earned
+        self._left = before | now
+        return np.where(before, 0.0, earned)
 
     def terminated(self, sims: Simulations) -> np.ndarray:
         """Return which episodes the task has ended, or have left the limits."""
-        self.beyond = self.left(sims)
+        self.beyond = self.left(sims) if self._left is None else self._left
+        self._left = None
         return np.asarray(self.task.terminated(sims) | self.beyond)
 
     def left(self, sims: Simulations) -> np.ndarray:

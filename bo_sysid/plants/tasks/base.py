@@ -60,7 +60,10 @@ class VectorTask(ABC):
         """Return the `n` rewards of the step that led to the present state."""
 
     def terminated(self, sims: Simulations) -> np.ndarray:
-        """Return which of the `n` episodes have ended for good; none by default."""
+        """Return which of the `n` episodes have ended for good; none by default.
+
+        It is asked once an action, after `reward` of the last of its parts.
+        """
         return np.zeros(len(sims), bool)
 
 
