@@ -1,11 +1,13 @@
 """Limits bind commands by clipping, positions and velocities by ending the episode."""
 
+import itertools
+
 import mujoco
 import numpy as np
 import pytest
 
 from bo_sysid.errors import ModelError, StudyError
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.environment import BatchEnvironment, control_range
 from bo_sysid.plants.limits import LimitedTask, limit_edits
@@ -224,6 +226,65 @@ def test_an_environment_begins_within_limits_though_the_reference_is_outside(tmp
     environment = BatchEnvironment(task, model.compile(), 2)
     environment.begin([Start(np.array([0.0, 0.5]))] * 2)
     assert not environment.step(np.zeros((2, 2))).terminated.any()
+
+
+SHARED = """
+<motor name="one" joint="shoulder" gear="4" ctrlrange="-3 3"/>
+<motor name="two" joint="shoulder" gear="-1" ctrlrange="-3 3"/>
+<velocity name="three" joint="shoulder" gear="2" kv="1.5" ctrlrange="-9 9"/>
+"""
+BOUNDS = {"actuator[one].gear[0]": (3.0, 5.0), "actuator[one].gainprm[0]": (0.5, 2.0),
+          "actuator[three].gear[0]": (1.0, 3.0), "joint[elbow].damping": (0.0, 1.0)}  # fmt: skip
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_actuators_of_one_joint_keep_to_its_effort_together_on_every_machine(tmp_path, known):
+    motor = '<motor name="shoulder" joint="shoulder" gear="4" ctrlrange="-3 3"/>'
+    (tmp_path / "arm.xml").write_text(ARM.replace(motor, SHARED))
+    parameters = [{"address": a, "low": x, "high": y} for a, (x, y) in BOUNDS.items()]
+    data = {"model": "arm.xml", "recordings": {"train": ["none.csv"]},
+            "limits": {"shoulder": {"effort": 2.0}}}  # fmt: skip
+    uncertain = Study.from_dict(data | ({} if known else {"parameters": parameters}), tmp_path)
+    model = Model.from_xml(ARM.replace(motor, SHARED))
+    edits = limit_edits(uncertain, model)
+    worst = 0.0
+    for point in [()] if known else itertools.product(*BOUNDS.values()):
+        own = [address_edit(model, [a], x) for a, x in zip(BOUNDS, point, strict=not known)]
+        made = model.compile([*own, *edits])
+        data = mujoco.MjData(made)
+        for ends in itertools.product(*zip(*control_range(made), strict=True)):
+            for speed in (-30.0, 0.0, 30.0):
+                data.qvel[0], data.ctrl[:] = speed, ends
+                mujoco.mj_forward(made, data)
+                worst = max(worst, abs(data.qfrc_actuator[0]))
+    assert worst == pytest.approx(2.0)
+
+
+TENDON = """
+  <tendon><fixed name="cord"><joint joint="elbow" coef="0.1"/></fixed></tendon>
+  <actuator><motor name="cord" tendon="cord" ctrlrange="-1 1"/>
+"""
+SITE = '<actuator><motor name="fan" site="tip" gear="0 0 1 0 0 0" ctrlrange="-1 1"/>'
+
+
+@pytest.mark.parametrize(
+    ("drive", "name", "joint"),
+    [(TENDON, "cord", "elbow"), (SITE, "fan", "elbow"), (SITE, "fan", "shoulder")],
+)
+def test_an_effort_along_a_joint_that_is_driven_from_elsewhere_is_refused(
+    tmp_path, drive, name, joint
+):
+    tip = '<site name="tip" pos=".1 0 -.4"/></body>'
+    model = Model.from_xml(ARM.replace("</body>", tip, 1).replace("<actuator>", drive))
+    with pytest.raises(StudyError, match=f"limits.{joint}.effort: actuator '{name}' acts on it"):
+        limit_edits(study(tmp_path, {joint: {"effort": 2.0}}), model)
+    assert limit_edits(study(tmp_path, {joint: {"position": [-1.0, 1.0]}}), model)
+
+
+def test_a_tendon_elsewhere_hinders_no_effort(tmp_path):
+    model = Model.from_xml(ARM.replace("<actuator>", TENDON))
+    made = model.compile(limit_edits(study(tmp_path, {"shoulder": {"effort": 2.0}}), model))
+    np.testing.assert_allclose(control_range(made)[1], [1.0, 0.5, 3.0])
 
 
 def test_an_excitation_needs_no_control_range_where_an_effort_is_stated(tmp_path):

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from bo_sysid.mjcf import Loops
-from bo_sysid.mjcf.commands import ALONG_JOINT
+from bo_sysid.mjcf.commands import ALONG_JOINT, moments
 
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
@@ -109,7 +109,7 @@ class Dynamics:
             if nu:
                 self._forces(controlled, bias[k], gain[k])
                 if k == 0 or not self._fixed:
-                    dense = self._moment()[controlled]
+                    dense = moments(model, data)[controlled]
                 moment[k] = dense
         rest = needed - inertial
         if self.loops:
@@ -175,18 +175,6 @@ class Dynamics:
         ctrl[:] = act[:] = 1.0
         mujoco.mj_fwdActuation(self.model, self._data)
         gain[:] = force[controlled] - bias
-
-    def _moment(self) -> np.ndarray:
-        data = self._data
-        dense = np.zeros((len(self.model.actuator_trntype), self.model.nv))
-        mujoco.mju_sparse2dense(
-            dense,
-            data.actuator_moment.ravel(),
-            data.moment_rownnz,
-            data.moment_rowadr,
-            data.moment_colind.ravel(),
-        )
-        return dense
 
 
 def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np.ndarray, "D nv"]:

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 
 ALONG_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions by which an actuator acts on one joint alone."""
+_POSES, _NONE = 4, 1e-9  # looked at for levers, since one may vanish in a pose; no lever
 
 
 def controlled(model: mujoco.MjModel) -> list[int]:
@@ -22,6 +23,38 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     if int(model.actuator_trntype[actuator]) not in ALONG_JOINT:
         return None
     return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
+
+
+def other_drives(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
+    """Return the actuators that act on a hinge or slide through a tendon, a site or a body.
+
+    Args:
+        model: the compiled model.
+        joint: name of the joint.
+    """
+    others = [a for a in controlled(model) if int(model.actuator_trntype[a]) not in ALONG_JOINT]
+    dof, lever = int(model.joint(joint).dofadr[0]), np.zeros(len(model.actuator_trntype))
+    if others:
+        data, rng = mujoco.MjData(model), np.random.default_rng(0)
+        for _ in range(_POSES):
+            mujoco.mj_resetData(model, data)
+            mujoco.mj_integratePos(model, data.qpos, rng.standard_normal(model.nv), 1.0)
+            mujoco.mj_fwdPosition(model, data)
+            lever = np.maximum(lever, np.abs(moments(model, data)[:, dof]))
+    return tuple(str(model.actuator(a).name) for a in others if lever[a] > _NONE)
+
+
+def moments(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "a nv"]:
+    """Return the force along each degree of freedom per force of each actuator, at a pose."""
+    dense = np.zeros((len(model.actuator_trntype), model.nv))
+    mujoco.mju_sparse2dense(
+        dense,
+        data.actuator_moment.ravel(),
+        data.moment_rownnz,
+        data.moment_rowadr,
+        data.moment_colind.ravel(),
+    )
+    return dense
 
 
 def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:

@@ -5,13 +5,22 @@ that no action and no excitation leaves it. Positions and velocities cannot be k
 episode ends for good where they are left, so that a policy learns to stay within.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.mjcf.commands import command_bounds, controlled, driven_joint, has_bias
+from bo_sysid.mjcf.commands import (
+    common_bounds,
+    controlled,
+    driven_joint,
+    has_bias,
+    other_drives,
+)
 from bo_sysid.mjcf.edits import RangeEdit
+from bo_sysid.mjcf.extremes import actuator_extremes
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
@@ -24,29 +33,33 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     A motor's command is bounded by `effort`, |u| ≤ effort / |gear · gain|; a position servo's by
     `position`. Where an actuator's force depends on more than its command, as that of servos does,
     the force itself is clipped to `effort`, or to the model's own range where that is narrower.
+    Several actuators of one joint have equal shares of its effort, so that their sum keeps it
+    whatever each is told. Gears, gains and biases that are parameters count at the end of their
+    bounds that allows least, since the machine may be any candidate of B.
 
     Raises:
-        StudyError: a limit is of a joint that the model does not have, or leaves no command.
+        StudyError: a limit is of a joint that the model does not have, leaves no command, or is an
+            effort along a joint that is no hinge or slide or is not driven by itself.
     """
     if not study.limits:
         return ()
     compiled = model.compile()
-    for name in study.limits:
-        if name not in model.joints:
-            raise study.error(("limits", name), f"no such joint; {nearest(name, model.joints)}")
+    _require_kept(study, model, compiled)
+    machines = actuator_extremes(model, study.parameter_set(model))
+    driven = [driven_joint(compiled, a) for a in controlled(compiled)]
     bounds: dict[str, tuple[float, float]] = {}
     forces: dict[str, tuple[float, float]] = {}
-    for a, name in zip(controlled(compiled), model.controlled, strict=True):
-        joint = driven_joint(compiled, a)
+    for a, name, joint in zip(controlled(compiled), model.controlled, driven, strict=True):
         limit = study.limits.get(joint) if joint else None
         if joint is None or limit is None:
             continue
         where = ("limits", joint)
-        if limit.effort is not None and has_bias(compiled, a):
-            forces[name] = _forces(compiled, a, limit.effort)
+        effort = None if limit.effort is None else limit.effort / driven.count(joint)
+        if effort is not None and any(has_bias(m, a) for m in machines):
+            forces[name] = _forces(machines, a, effort)
             if not forces[name][0] < forces[name][1]:
                 raise study.error(where, f"leaves actuator {name!r} no force")
-        low, high = command_bounds(compiled, a, limit.position, limit.effort)
+        low, high = common_bounds(machines, a, limit.position, effort)
         if not low < high:
             raise study.error(where, f"leaves actuator {name!r} no command")
         if np.isfinite([low, high]).all():
@@ -54,13 +67,39 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     return (RangeEdit(bounds, forces),)
 
 
-def _forces(model: mujoco.MjModel, actuator: int, effort: float) -> tuple[float, float]:
+def _require_kept(study: Study, model: Model, compiled: mujoco.MjModel) -> None:
+    """Refuse limits of joints that the model does not have, and efforts that cannot be kept.
+
+    Raises:
+        StudyError: there is one.
+    """
+    for name, limit in study.limits.items():
+        if name not in model.joints:
+            raise study.error(("limits", name), f"no such joint; {nearest(name, model.joints)}")
+        if limit.effort is None:
+            continue
+        if int(compiled.joint(name).type[0]) not in SCALAR:
+            raise study.error(("limits", name), "only hinges and slides have limits")
+        others = other_drives(compiled, name)
+        if others:
+            raise study.error(
+                ("limits", name, "effort"),
+                f"actuator {others[0]!r} acts on it through a tendon, a site or a body; an effort "
+                "is kept only where actuators drive the joint itself: leave it out, and narrow the "
+                "ctrlrange in the model",
+            )
+
+
+def _forces(
+    machines: Sequence[mujoco.MjModel], actuator: int, effort: float
+) -> tuple[float, float]:
     """Return the least and largest force of an actuator, before its gear, within an effort."""
-    most = effort / abs(float(model.actuator_gear[actuator, 0]))
+    most = effort / max(abs(float(m.actuator_gear[actuator, 0])) for m in machines)
     low, high = -most, most
-    if model.actuator_forcelimited[actuator]:
-        own_low, own_high = model.actuator_forcerange[actuator].tolist()
-        low, high = max(low, own_low), min(high, own_high)
+    for m in machines:
+        if m.actuator_forcelimited[actuator]:
+            own_low, own_high = m.actuator_forcerange[actuator].tolist()
+            low, high = max(low, own_low), min(high, own_high)
     return low, high
 
 
