@@ -6,7 +6,7 @@ import torch
 from oscillator import Oscillator
 
 from bo_sysid.deviation import Blocks, Deviation, Whitening, fit_starts
-from bo_sysid.deviation.forecast import fit_error, forecast_error, prediction_error
+from bo_sysid.deviation.forecast import fit_residual, forecast_residual, prediction_residual
 from bo_sysid.deviation.measure import PENALTY, correlation_time
 from bo_sysid.deviation.problem import DeviationProblem
 from bo_sysid.mjcf import Model
@@ -101,13 +101,13 @@ def test_errors_at_the_truth_are_the_noise() -> None:
     windows = oscillator_windows(count=600, horizon=24, noise=sigma, velocities=False)
     whitening = Whitening(windows.channels, np.array([sigma]), ("sensor noise",))
     deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, whitening)
-    measured = prediction_error(deviation, TRUTH)["rms"][0]  # starts are exact here
+    measured = prediction_residual(deviation, TRUTH).rms()[0]  # starts are exact here
     assert measured == pytest.approx(sigma, rel=0.02)
     # 24 instants less 2 fitted numbers: without the correction it would be 4 % lower
-    assert fit_error(deviation, TRUTH)["rms"][0] == pytest.approx(sigma, rel=0.02)
+    assert fit_residual(deviation, TRUTH).rms()[0] == pytest.approx(sigma, rel=0.02)
     # a forecast carries the noise of its start: larger than the noise, and shrinking with the past
-    short = forecast_error(deviation, TRUTH, past=6)["rms"][0]
-    long = forecast_error(deviation, TRUTH, past=18)["rms"][0]
+    short = forecast_residual(deviation, TRUTH, past=6).rms()[0]
+    long = forecast_residual(deviation, TRUTH, past=18).rms()[0]
     assert sigma < long < short
 
 
@@ -200,5 +200,5 @@ def test_fitted_starts_and_forecasts_know_both_signs_of_an_orientation() -> None
     simulator = MujocoSimulator(model, (), Engine(1))
     fitted = Deviation(simulator, windows, whitening, fitted_starts=True)
     assert fitted(np.zeros((1, 0))).deviation[0] < 1e-6
-    ahead = prediction_error(Deviation(simulator, windows, whitening), np.zeros(0))
-    assert ahead["rms"].max() < 1e-6
+    ahead = prediction_residual(Deviation(simulator, windows, whitening), np.zeros(0))
+    assert ahead.rms().max() < 1e-6

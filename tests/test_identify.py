@@ -12,8 +12,10 @@ from scipy.spatial import cKDTree
 from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Evaluation
+from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.identify import identify
+from bo_sysid.identify.errors import side_by_side
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
@@ -289,6 +291,51 @@ def test_what_only_the_holdout_recorded_is_left_out_and_said(tmp_path: Path) -> 
     parts = found.errors.pivot_table("identified", "channel", "recordings")
     np.testing.assert_allclose(parts["holdout"], parts["train"])  # of the same motion
     assert "check: sensor.force is not compared: no training recording has it" in found.notes
+
+
+@pytest.mark.parametrize(
+    ("nominal", "identified", "errors"),
+    [
+        ([0, 0, 0, 0], [0, 0, 0, 0], (np.sqrt((1 + 4 + 9 + 16) / 4), 2.0)),
+        ([0, 0, 1, 1], [0, 0, 0, 0], (np.sqrt((1 + 4) / 2), 2.0)),  # not 2.7 of all four
+        ([0, 0, 1, 1], [1, 0, 0, 0], (2.0, 2.0)),
+        ([1, 1, 1, 1], [0, 1, 0, 0], (np.nan, 2.0)),  # the other's own windows
+        ([0, 0, 1, 1], [1, 1, 0, 0], (np.nan, np.nan)),
+    ],
+)
+def test_two_models_are_compared_on_windows_in_which_neither_diverged(
+    nominal: list[int], identified: list[int], errors: tuple[float, float]
+) -> None:
+    left = np.array([1.0, 2.0, 3.0, 4.0])[:, None, None], np.full((4, 1, 1), 2.0)
+    lost = np.array([nominal, identified], bool)
+    for values, flags in zip(left, lost, strict=True):
+        values[flags] = 1e9  # finite, and without meaning
+    table = side_by_side(*[Residual(("qpos.a",), v, f) for v, f in zip(left, lost, strict=True)])
+    found = table.iloc[0]
+    np.testing.assert_allclose([found["nominal"], found["identified"]], errors)
+    assert found["nominal_diverged"] == np.mean(nominal)
+    assert found["identified_diverged"] == np.mean(identified)
+
+
+def test_a_model_that_diverges_is_not_compared_by_what_it_survived(tmp_path: Path) -> None:
+    """A mass left at next to nothing diverges under force; coasting it is as good as any."""
+    study = cart_study(tmp_path, search={"budget": 3})
+    (tmp_path / "cart.xml").write_text(CART.replace('mass="1"', 'mass="1e-12"'))
+    rng, samples = np.random.default_rng(4), 401
+    force = np.where(np.arange(samples) % 4 == 1, rng.choice([-10.0, 10.0], samples), 0.0)
+    speed = np.concatenate([[0.0], np.cumsum(force[:-1]) * 0.01])
+    Recording.from_arrays(
+        np.arange(samples) * 0.01,
+        qpos={"rail": np.cumsum(speed) * 0.01},
+        qvel={"rail": speed + 0.02 * rng.normal(size=samples)},
+        ctrl={"motor": force},
+    ).to_frame().to_parquet(tmp_path / "cart.parquet")
+    found = identify(study).errors
+    np.testing.assert_allclose(found["nominal_diverged"], 0.25, atol=0.01)
+    assert (found["identified_diverged"] == 0).all()
+    np.testing.assert_allclose(found["nominal"], found["identified"], rtol=1e-9)
+    speeds = found.loc[found["channel"] == "qvel.rail", "nominal"]  # of the start and of the end
+    np.testing.assert_allclose(speeds, 0.02 * np.sqrt(2), rtol=0.2)
 
 
 def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:

@@ -1,42 +1,72 @@
-"""Prediction errors on recordings that were set aside, in the channels' own units."""
+"""What predictions leave on recordings that were set aside, in the channels' own units."""
+
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.deviation.measure import Deviation
 from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.simulation import Windows
 
 
-def prediction_error(deviation: Deviation, point: Float[np.ndarray, " d"]) -> pd.DataFrame:
-    """Return the residual of predictions from the measured starts, one row a channel."""
-    residual, good = _residual(deviation, point, deviation.windows)
-    return _table(deviation.windows, residual[good], good)
+@dataclass(frozen=True)
+class Residual:
+    """What the predictions of one candidate leave.
+
+    Attributes:
+        channels: names of the `c` channels.
+        values: `W x H x c` recorded minus predicted, in the channels' units; NaN where nothing was
+            recorded.
+        diverged: `W` flags of windows whose simulation diverged: their values mean nothing.
+    """
+
+    channels: tuple[str, ...]
+    values: Float[np.ndarray, "W H c"]
+    diverged: Bool[np.ndarray, " W"]
+
+    def rms(self, windows: Bool[np.ndarray, " W"] | None = None) -> Float[np.ndarray, " c"]:
+        """Return the root mean square of each channel over some windows.
+
+        Args:
+            windows: `W` flags; by default those that did not diverge.
+
+        Returns:
+            `c` numbers; NaN for a channel of which nothing was recorded in these windows.
+        """
+        chosen = self.values[~self.diverged if windows is None else windows]
+        squares = np.nansum(chosen**2, axis=(0, 1))
+        count = np.isfinite(chosen).sum(axis=(0, 1))
+        return np.sqrt(np.where(count > 0, squares / np.maximum(count, 1), np.nan))
 
 
-def fit_error(deviation: Deviation, point: Float[np.ndarray, " d"]) -> pd.DataFrame:
-    """Return the residual with starts fitted inside the windows, one row a channel.
+def prediction_residual(deviation: Deviation, point: Float[np.ndarray, " d"]) -> Residual:
+    """Return the residual of predictions from the measured starts."""
+    return _residual(deviation, point, deviation.windows)
 
-    The root mean square is divided by √((n - p)/n) for the p start values fitted to the n numbers
-    of each window. It flatters every model: the start absorbs part of what is wrong. The honest
-    figure is `forecast_error`.
+
+def fit_residual(deviation: Deviation, point: Float[np.ndarray, " d"]) -> Residual:
+    """Return the residual with starts fitted inside the windows.
+
+    It is divided by √((n - p)/n) for the p start values fitted to the n numbers of each window. It
+    flatters every model: the start absorbs part of what is wrong. The honest figure is
+    `forecast_residual`.
     """
     windows = fit_starts(
         deviation.simulator, point, deviation.windows, 1.0 / deviation.whitening.scale
     )
-    residual, good = _residual(deviation, point, windows)
+    left = _residual(deviation, point, windows)
     n = np.isfinite(windows.observed).sum() / len(windows)
     p = 2 * windows.start.qvel.shape[1]
-    return _table(windows, residual[good] / np.sqrt(max(n - p, 1) / n), good)
+    return Residual(left.channels, left.values / np.sqrt(max(n - p, 1) / n), left.diverged)
 
 
-def forecast_error(
+def forecast_residual(
     deviation: Deviation, point: Float[np.ndarray, " d"], *, past: int
-) -> pd.DataFrame:
-    """Return the residual of forecasts from the past alone, one row a channel.
+) -> Residual:
+    """Return the residual of forecasts from the past alone.
 
-    The start of each window is fitted to its first `past` instants; the errors are those of the
+    The start of each window is fitted to its first `past` instants; the residual is that of the
     instants after.
 
     Args:
@@ -54,19 +84,10 @@ def forecast_error(
         )
     known = windows.beginning(past)
     start = fit_starts(deviation.simulator, point, known, 1.0 / deviation.whitening.scale).start
-    residual, good = _residual(deviation, point, windows.with_start(start))
-    return _table(windows, residual[good, past:], good)
+    left = _residual(deviation, point, windows.with_start(start))
+    return Residual(left.channels, left.values[:, past:], left.diverged)
 
 
-def _residual(
-    deviation: Deviation, point: Float[np.ndarray, " d"], windows: Windows
-) -> tuple[Float[np.ndarray, "W H c"], np.ndarray]:
+def _residual(deviation: Deviation, point: Float[np.ndarray, " d"], windows: Windows) -> Residual:
     prediction = next(iter(deviation.simulator.predictions(point[None], windows)))
-    return windows.residual(prediction.values), ~prediction.diverged
-
-
-def _table(windows: Windows, residual: np.ndarray, good: np.ndarray) -> pd.DataFrame:
-    rms = np.sqrt(np.nanmean(residual**2, axis=(0, 1))) if good.any() else np.nan
-    return pd.DataFrame(
-        {"channel": windows.channels, "rms": rms, "diverged": 1.0 - float(good.mean())}
-    )
+    return Residual(windows.channels, windows.residual(prediction.values), prediction.diverged)

@@ -6,7 +6,12 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.arrays import Point
-from bo_sysid.deviation.forecast import fit_error, forecast_error, prediction_error
+from bo_sysid.deviation.forecast import (
+    Residual,
+    fit_residual,
+    forecast_residual,
+    prediction_residual,
+)
 from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import Recording
 
@@ -25,18 +30,40 @@ def compared(
         recordings: by part (train, holdout).
 
     Returns:
-        Columns recordings, kind, channel, nominal, identified, root mean square in the channel's
-        unit. Kinds: "prediction" from measured starts; or, where starts are fitted, "fit" inside
-        the windows and "forecast" from the past alone.
+        Columns recordings, kind, channel; nominal and identified, root mean square in the channel's
+        unit over the windows in which neither model diverges; nominal_diverged and
+        identified_diverged, the shares of windows in which each does. Kinds: "prediction" from
+        measured starts; or, where starts are fitted, "fit" inside the windows and "forecast" from
+        the past alone. Where one model diverges in every window the other's error is that of its
+        own windows, and its own is NaN, as is that of a channel of which nothing was recorded.
     """
-    points = {"nominal": problem.nominal, "identified": best}
     tables = []
     for part, given in recordings.items():
-        columns = {name: _by_kind(problem, given, point) for name, point in points.items()}
-        table = pd.DataFrame(columns).rename_axis(["kind", "channel"]).reset_index()
-        table.insert(0, "recordings", part)
-        tables.append(table)
+        nominal, identified = (_by_kind(problem, given, p) for p in (problem.nominal, best))
+        for kind, left in nominal.items():
+            table = side_by_side(left, identified[kind])
+            table.insert(0, "recordings", part)
+            table.insert(1, "kind", kind)
+            tables.append(table)
     return pd.concat(tables, ignore_index=True)
+
+
+def side_by_side(nominal: Residual, identified: Residual) -> pd.DataFrame:
+    """Return what two models leave in the same windows, one row a channel; see `compared`.
+
+    A model is not flattered by what it lost: an error over the windows that it survived would be
+    compared with one over all.
+    """
+    models = {"nominal": nominal, "identified": identified}
+    alone = any(left.diverged.all() for left in models.values())
+    windows = None if alone else ~(nominal.diverged | identified.diverged)
+    return pd.DataFrame(
+        {
+            "channel": nominal.channels,
+            **{name: left.rms(windows) for name, left in models.items()},
+            **{f"{name}_diverged": float(left.diverged.mean()) for name, left in models.items()},
+        }
+    )
 
 
 def instants_needed(problem: Problem) -> int:
@@ -50,20 +77,19 @@ def past_of(horizon: int) -> int:
     return max(horizon // _PAST, 2)
 
 
-def _by_kind(problem: Problem, recordings: Sequence[Recording], point: Point) -> pd.Series:
+def _by_kind(
+    problem: Problem, recordings: Sequence[Recording], point: Point
+) -> dict[str, Residual]:
     deviation = problem.on(recordings)
     if not deviation.fitted_starts:
-        kinds = {"prediction": prediction_error(deviation, point)}
-    else:
-        horizon = problem.horizon
-        past = past_of(horizon)
-        longer = problem.on(recordings, horizon + past)
-        kinds = {
-            "fit": fit_error(deviation, point),
-            "forecast": forecast_error(longer, point, past=past),
-        }
-    columns = {kind: table.set_index("channel")["rms"] for kind, table in kinds.items()}
-    return pd.Series(pd.concat(columns))
+        return {"prediction": prediction_residual(deviation, point)}
+    horizon = problem.horizon
+    past = past_of(horizon)
+    longer = problem.on(recordings, horizon + past)
+    return {
+        "fit": fit_residual(deviation, point),
+        "forecast": forecast_residual(longer, point, past=past),
+    }
 
 
 def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd.DataFrame:

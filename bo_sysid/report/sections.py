@@ -21,6 +21,7 @@ from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.report.provenance import again, data
+from bo_sysid.report.text import compared_table
 from bo_sysid.runs import read_frame, read_json
 from bo_sysid.runs.files import inside
 
@@ -184,7 +185,7 @@ def parameters(found: Found) -> Section | None:
         plots.append(Plot("P_boot over two parameters.", figures, "pair"))
     tables = [
         ("Parameters, with 95 % intervals from P_boot", Table.of(table)),
-        ("Errors of prediction, root mean square", Table.of(pd.DataFrame(made["errors"]))),
+        ("Errors of prediction, root mean square", Table.of(compared_table(made["errors"]))),
     ]
     return Section("parameters", "Parameters", plots=plots, tables=tables)
 

@@ -113,9 +113,21 @@ def identification_text(summary: Mapping[str, Any]) -> str:
     parts += [
         "",
         "Root mean square errors of prediction, in the channel's unit:",
-        table(pd.DataFrame(summary["errors"])),
+        table(compared_table(summary["errors"])),
     ]
     return "\n".join([*parts, *notes_text(summary["notes"])])
+
+
+def compared_table(errors: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return an identification's `errors` as they are shown: shares of diverged windows where any.
+
+    Args:
+        errors: of `identification.json`; those of earlier versions have no shares.
+    """
+    frame = pd.DataFrame(list(errors))
+    shares = [c for c in ("nominal_diverged", "identified_diverged") if c in frame]
+    calm = not frame[shares].to_numpy(float).any()
+    return frame.drop(columns=shares) if calm else frame
 
 
 def overview_text(found: Overview) -> str:
