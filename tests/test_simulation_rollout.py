@@ -240,6 +240,27 @@ def test_divergence_is_a_status_per_window(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("hold", [None, 0.0, 0.002])
+def test_a_window_that_diverged_diverges_again_and_another_in_its_place_does_not(
+    hold: float | None,
+) -> None:
+    """What MuJoCo counts is left from call to call, and begins anew in what it resets."""
+    still = State(np.zeros((3, 1)), np.zeros((3, 1)), np.zeros((3, 0)))
+    flung = still.moved(pendulum(), np.array([[0, 0], [0, 1e12], [0, 1e12]]))
+    nothing = lambda inputs: np.zeros_like(inputs.time)  # noqa: E731
+    law = () if hold is None else (ForceLaw("hinge", nothing, hold),)
+    kept, ctrl = Engine(1), np.zeros((3, 5, 1))
+    for start, lost in ((flung, True), (flung, True), (still, False), (flung, True)):
+        found = kept.rollout(pendulum(), start, ctrl, laws=law)
+        np.testing.assert_array_equal(found.diverged, [False, lost, lost])
+        np.testing.assert_array_equal(
+            found.qpos, Engine(1).rollout(pendulum(), start, ctrl, laws=law).qpos
+        )
+        state, diverged = kept.final(pendulum(), start, ctrl[:, 0], steps=5)
+        np.testing.assert_array_equal(diverged, [False, lost, lost])
+        assert np.isfinite(state).all()
+
+
 @pytest.mark.parametrize("with_law", [False, True])
 def test_sensordata_belongs_to_the_state_of_its_row(with_law: bool) -> None:
     law = (ForceLaw("hinge", lambda inputs: np.zeros_like(inputs.time)),) if with_law else ()

@@ -129,7 +129,11 @@ class Engine:
         if batch.model.nmocap:
             batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # mocap poses may differ by model
         else:  # all defaults that matter are alike: one reset, copied, at a tenth of the time
-            batch.reset(ids=[0], stage=mujoco.mjtStage.mjSTAGE_NONE)
+            # counters of warnings are no state; where MuJoCo resets what diverged they return to 1,
+            # so that one that was left at 1 would not show it
+            warned = batch.warning[:, :, 1].any(axis=1)
+            warned[0] = True
+            batch.reset(ids=np.flatnonzero(warned), stage=mujoco.mjtStage.mjSTAGE_NONE)
             batch.state[:] = batch.state[0]
         batch.bind("qpos")[:] = start.qpos
         batch.bind("qvel")[:] = start.qvel
