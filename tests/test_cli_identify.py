@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from bo_sysid.cli import main
+from bo_sysid.report.page import write_page
 
 MODEL = """
 <mujoco>
@@ -149,6 +150,31 @@ def test_a_finished_run_is_told_again_and_not_computed(
     after = contents(folder / "run")
     assert after["evaluations"] == before["evaluations"]
     assert after["identification"] != before["identification"]
+
+
+def test_a_model_that_diverges_in_every_window_ends_in_an_answer(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mass that was left at next to nothing; the search used to end in a traceback."""
+    (folder / "pendulum.xml").write_text(
+        MODEL.replace('mass=".5"', 'mass="1e-9"').replace(
+            'joint="hinge"', 'joint="hinge" gear="1e6"'
+        )
+    )
+    study = STUDY.split("plant:", maxsplit=1)[0].replace(
+        "low: 0.4, high: 0.8", "low: 4e5, high: 8e5"
+    )
+    (folder / "light.yaml").write_text(study.replace("budget: 14", "budget: 4"))
+    assert main(["identify", "light.yaml"]) == 0
+    out = capsys.readouterr().out
+    assert "the nominal model diverges in every window" in out
+    run = folder / "runs" / "light-identify"
+    found = json.loads((run / "identification.json").read_text())
+    assert {e["nominal"] for e in found["errors"]} == {None}
+    assert all(e["identified"] > 0 and e["nominal_diverged"] == 1 for e in found["errors"])
+    assert pd.read_parquet(run / "traces.parquet")["nominal"].isna().all()
+    page = write_page(run).read_text()
+    assert "nominal model (no prediction)" in page
 
 
 def test_time_left_counts_no_more_than_there_are_candidates(

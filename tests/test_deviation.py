@@ -1,5 +1,7 @@
 """The deviation against hand-computed numbers, analytic solutions and known statistics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -131,6 +133,24 @@ def test_a_diverged_window_has_a_finite_penalty() -> None:
     again = deviation(np.array([[1.0]]))  # as of the next candidate
     np.testing.assert_array_equal(again.diverged, result.diverged)
     np.testing.assert_array_equal(again.deviation, result.deviation)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_a_channel_without_a_sample_in_any_window_has_no_error(fitted: bool) -> None:
+    """As of a hold-out whose channel has samples between the windows alone."""
+    windows = oscillator_windows(count=50, horizon=8)
+    observed = windows.observed.copy()
+    observed[..., 1] = np.nan
+    blind = replace(windows, observed=observed)
+    simulator = Oscillator((STIFFNESS, DAMPING))
+    deviation = Deviation(simulator, blind, unit(windows), fitted_starts=fitted)
+    assert deviation.penalty == pytest.approx(PENALTY * np.ptp(observed[..., 0]))
+    assert deviation(TRUTH[None]).deviation[0] < 1e-9
+    other = np.array([4.0, 0.1])
+    found, seen = (prediction_residual(Deviation(simulator, w, unit(w)), other).rms()
+                   for w in (blind, windows))  # fmt: skip
+    assert found[0] == seen[0]
+    assert np.isnan(found[1])
 
 
 def test_whitening_takes_known_noise_before_spread() -> None:

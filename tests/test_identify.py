@@ -15,7 +15,7 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.identify import identify
-from bo_sysid.identify.errors import side_by_side
+from bo_sysid.identify.errors import remarks, side_by_side
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
@@ -336,6 +336,27 @@ def test_a_model_that_diverges_is_not_compared_by_what_it_survived(tmp_path: Pat
     np.testing.assert_allclose(found["nominal"], found["identified"], rtol=1e-9)
     speeds = found.loc[found["channel"] == "qvel.rail", "nominal"]  # of the start and of the end
     np.testing.assert_allclose(speeds, 0.02 * np.sqrt(2), rtol=0.2)
+
+
+def test_what_has_no_error_is_said() -> None:
+    values = np.full((4, 1, 2), 2.0)
+    values[..., 1] = np.nan
+    lost = np.array([[1, 1, 1, 1], [0, 0, 0, 0], [0, 0, 1, 1], [1, 1, 0, 0]], bool)
+    every, none, late, early = (Residual(("qpos.a", "qpos.b"), values, d) for d in lost)
+
+    def said(nominal: Residual, identified: Residual) -> list[str]:
+        table = side_by_side(nominal, identified).assign(recordings="train", kind="fit")
+        return [note.removeprefix("train, fit: ") for note in remarks(table)]
+
+    silent = "qpos.b was recorded in no window that is compared"
+    half = "model diverges in 50.0% of the windows, which count for neither"
+    assert said(none, none) == [silent]
+    assert said(every, none) == ["the nominal model diverges in every window", silent]
+    assert said(none, late) == [f"the identified {half}", silent]
+    assert said(early, late) == [
+        f"the nominal {half}", f"the identified {half}",
+        "there is no window in which neither diverges",
+    ]  # fmt: skip
 
 
 def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:

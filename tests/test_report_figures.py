@@ -9,7 +9,7 @@ from bo_sysid.report import interactive
 from bo_sysid.report.check_figures import recording_figure
 from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
 from bo_sysid.report.figures import predictions
-from bo_sysid.report.look import COLOURS
+from bo_sysid.report.look import COLOURS, worst_channels
 
 EPOCH = 1_762_000_000.0  # [s] since 1970
 SECONDS = {"morning": 16.0, "noon": 18.0, "evening": 15.0}
@@ -135,6 +135,20 @@ def test_errors_of_forecasts_are_named_outside_their_panel() -> None:
     legend = below.get_legend()
     assert legend is not None
     assert legend.get_window_extent().y0 >= below.get_window_extent().y1
+
+
+def test_what_diverged_or_was_not_recorded_is_drawn_without_a_warning() -> None:
+    calm = traces().rename(columns={"repaired": "identified"})
+    lost = calm.assign(channel="qpos.lost", nominal=np.nan)
+    silent = calm.assign(channel="qpos.silent", recorded=np.nan)
+    both = pd.concat([calm, silent, lost], ignore_index=True)
+    assert worst_channels(both) == ["qpos.lost", "qpos.boom", "qpos.silent"]
+    predictions(both).draw_without_rendering()
+    names = [t.name for t in interactive.held_out(both, "qpos.lost").data]
+    assert "nominal model (no prediction)" in names
+    assert "identified model (off by 0 rad rms)" in names
+    low, high = interactive.held_out(both, "qpos.silent").layout.yaxis.range
+    assert low < high
 
 
 def test_of_two_predictions_that_are_the_same_both_are_seen() -> None:

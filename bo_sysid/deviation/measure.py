@@ -174,9 +174,7 @@ class Deviation:
         self.fitted_starts = fitted_starts
         self._weight = 1.0 / whitening.scale
         self._complete = bool(np.isfinite(windows.observed).all())
-        observed = windows.observed.reshape(-1, len(windows.channels))
-        extent = np.nanmax(observed, axis=0) - np.nanmin(observed, axis=0)
-        self.penalty = float(PENALTY * np.linalg.norm(extent * self._weight))
+        self.penalty = float(PENALTY * np.linalg.norm(_extent(windows) * self._weight))
         middle = np.array([[(p.low + p.high) / 2 for p in simulator.parameters]])
         self.blocks = Blocks.of(next(iter(self._norms(middle)))[0], windows.recording)
 
@@ -214,3 +212,12 @@ class Deviation:
             norms = np.sqrt(np.einsum("whc,whc->w", residual, residual) / residual.shape[1])
             norms[prediction.diverged | ~(norms < self.penalty)] = self.penalty
             yield norms, prediction.diverged
+
+
+def _extent(windows: Windows) -> Float[np.ndarray, " c"]:
+    """Return the range of each channel, 0 where nothing of it was recorded in the windows."""
+    observed = windows.observed.reshape(-1, len(windows.channels))
+    there = np.isfinite(observed)
+    highest = np.where(there, observed, -np.inf).max(axis=0)
+    lowest = np.where(there, observed, np.inf).min(axis=0)
+    return np.where(there.any(axis=0), highest - lowest, 0.0)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation.forecast import (
@@ -14,6 +15,7 @@ from bo_sysid.deviation.forecast import (
 )
 from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import Recording
+from bo_sysid.simulation.simulator import Prediction
 
 _PAST = 8  # a forecast's start uses as many instants as 1/8 of its horizon
 _TRACED = 4_000  # most instants of a trace
@@ -66,6 +68,28 @@ def side_by_side(nominal: Residual, identified: Residual) -> pd.DataFrame:
     )
 
 
+def remarks(errors: pd.DataFrame) -> tuple[str, ...]:
+    """Return in words where models diverge, and what has no error for it; see `compared`."""
+    notes = []
+    for (part, kind), table in errors.groupby(["recordings", "kind"], sort=False):
+        lost = {m: float(table[f"{m}_diverged"].iloc[0]) for m in ("nominal", "identified")}
+        found = [f"the {m} model diverges in {_in(share)}" for m, share in lost.items() if share]
+        told = table[list(lost)].notna().any(axis=1)
+        if told.any():
+            silent = table.loc[~told, "channel"]
+            found += [f"{name} was recorded in no window that is compared" for name in silent]
+        elif max(lost.values()) < 1:
+            found.append("there is no window in which neither diverges")
+        notes += [f"{part}, {kind}: {words}" for words in found]
+    return tuple(notes)
+
+
+def _in(share: float) -> str:
+    if share < 1:
+        return f"{share:.1%} of the windows, which count for neither"
+    return "every window"
+
+
 def instants_needed(problem: Problem) -> int:
     """Return how many instants after its first a recording must have to be compared."""
     past = past_of(problem.horizon) if problem.deviation.fitted_starts else 0
@@ -97,13 +121,14 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
 
     Returns:
         Columns time [s], begin (the recording's first stamp), window, channel, recorded, nominal,
-        identified, in the channels' units.
+        identified, in the channels' units; NaN where a model's simulation of the window diverged.
     """
     deviation = problem.on(recordings[:1])
     windows = deviation.windows
     keep = slice(0, max(_TRACED // windows.observed.shape[1], 1))
-    nominal = deviation.prediction(problem.nominal).values[keep]
-    identified = deviation.prediction(best).values[keep]
+    nominal, identified = (
+        _survived(deviation.prediction(point))[keep] for point in (problem.nominal, best)
+    )
     observed = windows.observed[keep]
     instants = (windows.step + windows.fraction)[keep] * windows.timestep
     time = windows.time[keep][:, None] + instants
@@ -119,3 +144,8 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
             "identified": identified.ravel(),
         }
     )
+
+
+def _survived(prediction: Prediction) -> Float[np.ndarray, "W H c"]:
+    """Return what was predicted; NaN in windows that diverged, where values mean nothing."""
+    return np.where(prediction.diverged[:, None, None], np.nan, prediction.values)

@@ -10,7 +10,7 @@ from bo_sysid.arrays import Point, Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import OnProgress, Progress, silent, threads
-from bo_sysid.identify.errors import compared, instants_needed, traces
+from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
@@ -70,7 +70,12 @@ def identify(
         errors=errors,
         traces=shown,
         reason=outcome.reason.sentence,
-        notes=(*held_notes(study), *_notes(problem), *problem.unscaled(holdout)),
+        notes=(
+            *remarks(errors),
+            *held_notes(study),
+            *_notes(problem),
+            *problem.unscaled(holdout),
+        ),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)

@@ -9,6 +9,7 @@ from scipy.special import entr
 
 from bo_sysid.arrays import Point, Probabilities
 from bo_sysid.parameters import CandidateSet
+from bo_sysid.runs import finite
 
 _LITTLE = 0.5  # share of the range from which an interval says little
 _TIED = 0.8  # correlation from which two parameters stand for each other
@@ -118,6 +119,6 @@ class Identification:
             "stopped": self.reason,
             "identifiability": self.identifiability.to_dict(orient="records"),
             "unsure": list(self.unsure),
-            "errors": self.errors.to_dict(orient="records"),
+            "errors": finite(self.errors.to_dict(orient="records")),
             "notes": list(self.notes),
         }

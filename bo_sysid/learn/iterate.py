@@ -26,7 +26,7 @@ from bo_sysid.learn.stops import STOP_RULES, Verdict, distances, near_enough, va
 from bo_sysid.learn.values import Values, values
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.trainer import TrainingIteration
-from bo_sysid.runs import Run
+from bo_sysid.runs import Run, finite
 
 PHASES = 4  # of an iteration, for its progress
 _SETTLED = 0.95  # probability of the chosen candidate from which on the belief is settled
@@ -265,20 +265,9 @@ def _figures(
         **found.figures(),
         "diagnosis": None if repair is None else list(repair.sentences),
         "training_steps": policy.about.get("training_steps"),
-        "model_return": _plain(value),
-        "plant_return": None if plant is None else _plain(plant),
+        "model_return": finite(value._asdict()),
+        "plant_return": None if plant is None else finite(plant._asdict()),
         "stop": verdict.stop,
         "verdict": verdict.sentence,
-        "conditions": {k: _finite(v) for k, v in verdict.figures.items()},
+        "conditions": finite(verdict.figures),
     }
-
-
-def _plain(estimate: Any) -> dict[str, float | None]:
-    return {k: _finite(v) for k, v in estimate._asdict().items()}
-
-
-def _finite(value: Any) -> Any:
-    """Return a figure as JSON has it: what is not finite is None."""
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -16,6 +16,7 @@ from bo_sysid.report.look import (
     NOMINAL,
     in_a_row,
     left_words,
+    rms,
     set_colour,
     since_start,
     sure,
@@ -52,9 +53,10 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int 
     figure.add_scatter(x=time, y=light(recorded), name="recorded", line=line, row=1, col=1)
     for model in (m for m in MODELS if m in part):
         error = recorded - part[model]
-        rms = float(np.sqrt(np.nanmean(np.square(error))))
+        off = rms(error)
         line = {"color": COLOURS[model], "width": 1.8, "dash": _DASHES.get(model, "solid")}
-        name = f"{MODELS[model]} (off by {rms:.2g} {unit} rms)".replace("  ", " ")
+        words = f"off by {off:.2g} {unit} rms" if np.isfinite(off) else "no prediction"
+        name = f"{MODELS[model]} ({words})".replace("  ", " ")
         shared = {"x": time, "line": line, "name": name, "legendgroup": model}
         figure.add_scatter(y=light(part[model]), row=1, col=1, **shared)
         figure.add_scatter(y=light(error), row=2, col=1, showlegend=False, **shared)
@@ -219,6 +221,7 @@ def _thinned(part: pd.DataFrame, most: int) -> pd.DataFrame:
 
 def _range(recorded: pd.Series) -> list[float]:
     """Return the range of an axis: a forecast that leaves is cut off."""
-    low, high = float(recorded.min()), float(recorded.max())
+    known = recorded.dropna()
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     margin = 0.5 * max(high - low, 1e-9)
     return [low - margin, high + margin]

@@ -25,12 +25,21 @@ def worst_channels(traces: pd.DataFrame) -> list[str]:
     """Return the channels, those first that the nominal model predicts worst for their range."""
 
     def badness(part: pd.DataFrame) -> float:
-        error = np.sqrt(np.nanmean(np.square(part["recorded"] - part["nominal"])))
-        return float(error / max(float(np.ptp(part["recorded"].dropna())), 1e-12))
+        recorded = part["recorded"].dropna()
+        if recorded.empty:
+            return 0.0
+        error = rms(part["recorded"] - part["nominal"])
+        # a model that diverged wherever there is something to predict is worse than any
+        return error / max(float(np.ptp(recorded)), 1e-12) if np.isfinite(error) else np.inf
 
     names = list(dict.fromkeys(traces["channel"]))
     size = {n: badness(traces[traces["channel"] == n]) for n in names}
     return sorted(names, key=lambda n: -size[n])
+
+
+def rms(error: pd.Series) -> float:
+    """Return the root mean square of what is there; NaN where nothing is."""
+    return float(np.sqrt(np.square(error).mean()))
 
 
 def worst_joints(pieces: pd.DataFrame) -> list[str]:

@@ -122,9 +122,11 @@ def compared_table(errors: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """Return an identification's `errors` as they are shown: shares of diverged windows where any.
 
     Args:
-        errors: of `identification.json`; those of earlier versions have no shares.
+        errors: of `identification.json`; None for an error that is not known. Those of earlier
+            versions have no shares.
     """
     frame = pd.DataFrame(list(errors))
+    frame = frame.astype({c: float for c in ("nominal", "identified") if c in frame})
     shares = [c for c in ("nominal_diverged", "identified_diverged") if c in frame]
     calm = not frame[shares].to_numpy(float).any()
     return frame.drop(columns=shares) if calm else frame

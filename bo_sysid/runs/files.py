@@ -53,6 +53,15 @@ def plain(value: Any, key: str = "value") -> Any:
     return value
 
 
+def finite(value: Any) -> Any:
+    """Return figures as JSON has them, however deep: a number that is NaN or infinite is None."""
+    if isinstance(value, Mapping):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def read_json(folder: str | Path, name: str) -> Any:
     """Read a JSON file of a run folder.
 
