@@ -180,13 +180,18 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
 
 
 def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
-    """Return the log of TRPO of all iterations, one row a batch."""
-    parts = []
+    """Return the log of TRPO of all iterations, one row a batch.
+
+    A training that began with the checkpoint of another has its batches in its own log as well:
+    they belong to the iteration that simulated them.
+    """
+    parts: list[pd.DataFrame] = []
     for i in done:
         log = run.read_frame(f"iterations/{i.number:02d}/training/iterations.parquet")
+        begun = log["steps"].iloc[-1] - i.figures["training_steps"]
         log.insert(0, "learned", i.number)
-        parts.append(log)
-    return pd.concat(parts, ignore_index=True)
+        parts.append(log[log["steps"] > begun])
+    return pd.concat([part for part in parts if len(part)], ignore_index=True)
 
 
 def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> tuple[str, ...]:
