@@ -33,8 +33,8 @@ class Parameter:
         steps: number of grid values from `low` to `high`, both included.
         apply: "set" writes the value, "scale" multiplies the model's own, "add" adds to it.
         unit: unit of the value.
-        ordered: False where the grid values are categories: the surrogate then takes any two of
-            them for equally far apart.
+        ordered: False where the grid values are categories: any two of them are equally far apart,
+            and none lies between others or beyond them.
     """
 
     name: str
@@ -130,12 +130,19 @@ class CandidateSet:
     def cell(self) -> Point:
         """`d` sides of the box that a candidate stands for.
 
-        On a grid its spacing; in a design of N points the sides of N equal boxes.
+        On a grid its spacing; in a design of N points the sides of N equal boxes. A category stands
+        for itself alone: there the side is 0, and each combination of categories has its share of
+        the N boxes.
         """
+        whole, (low, high) = list(self.categories), self.bounds
         if self.spacing is not None:
-            return self.spacing
-        low, high = self.bounds
-        return np.asarray((high - low) * len(self) ** (-1 / len(low)))
+            side = self.spacing.copy()
+        else:
+            boxes = len(self) / np.prod([len(values) for values in self.categories.values()])
+            ordered = max(len(low) - len(whole), 1)
+            side = (high - low) * max(boxes, 1.0) ** (-1 / ordered)
+        side[whole] = 0.0
+        return np.asarray(side)
 
     @property
     def categories(self) -> Categories:

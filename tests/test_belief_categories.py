@@ -34,6 +34,17 @@ def delta(points: np.ndarray) -> np.ndarray:
     return np.asarray(0.1 + (points[:, 0] - 0.2) ** 2 + OFFSET[kind])
 
 
+def test_a_category_stands_for_itself_alone() -> None:
+    """Beside it a parameter is as fine as its values in one category are."""
+    x, kind = mixed().parameters
+    np.testing.assert_allclose(mixed(21).cell, [0.1, 0.0])
+    drawn = CandidateSet.from_sobol((x, kind), 256)
+    np.testing.assert_allclose(drawn.cell, [2.0 / 64, 0.0])
+    in_one = np.sort(drawn.points[drawn.points[:, 1] == 2.0, 0])
+    assert np.mean(np.diff(in_one)) == pytest.approx(drawn.cell[0], rel=0.1)
+    np.testing.assert_array_equal(CandidateSet.from_sobol((kind,), 4).cell, [0.0])
+
+
 def test_distances_between_categories_are_equal_and_those_within_one_untouched() -> None:
     points = np.array([[-1.0, 0.0], [-1.0, 1.0], [-1.0, 3.0], [1.0, 3.0]])
     bounds = np.array([[-1.0, 0.0], [1.0, 3.0]])

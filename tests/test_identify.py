@@ -259,6 +259,16 @@ def cart_study(folder: Path, samples: int = 400, **changes: object) -> Study:
     return Study.from_dict({**data, **changes}, folder, trust_code=True)
 
 
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_category_has_nothing_beside_or_beyond_it(tmp_path: Path, ordered: bool) -> None:
+    mass = {"name": "mass", "address": "geom[cart].mass", "low": 1.0, "high": 2.0, "steps": 5}
+    study = cart_study(tmp_path, parameters=[{**mass, "ordered": ordered}], search={"budget": 5})
+    row = identify(study).parameters.iloc[0]
+    assert row["value"] == row["low95"] == 1.0
+    assert row["high95"] == (1.125 if ordered else 1.0)
+    assert row["at_bound"] == ordered
+
+
 def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path) -> None:
     study = cart_study(tmp_path)
     found = identify(study)

@@ -15,6 +15,8 @@ from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import Floor, floor_of, lacks_physics
 from bo_sysid.learn.hand_over import share_beyond
+from bo_sysid.learn.iteration import Iteration
+from bo_sysid.learn.learn import _doubts
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
 from bo_sysid.learn.values import Estimate, Values, values
@@ -66,6 +68,16 @@ def test_distances_are_in_shares_of_the_bounds(grid: CandidateSet) -> None:
     assert len(neighbours(grid, here, 0.05)) == 0
     farthest = neighbours(grid, here, 0.2, most=16)
     assert (distances(grid, here)[farthest] > 0.15).all()
+
+
+def test_any_two_categories_are_as_far_apart_as_the_bounds() -> None:
+    kind = Parameter("kind", ("geom[g].size",), 0.0, 20.0, 21, ordered=False)
+    alone, mixed = CandidateSet.from_grid([kind]), CandidateSet.from_grid([X, kind])
+    np.testing.assert_array_equal(distances(alone, 7), np.arange(21) != 7)
+    assert len(neighbours(alone, 7, 0.05)) == 0
+    here = row(mixed, 0.5, 7.0)
+    near = mixed.points[neighbours(mixed, here, 0.1)]
+    np.testing.assert_allclose(near, [[0.4, 7.0], [0.6, 7.0]])
 
 
 def slope(grid: CandidateSet, gain: float):  # type: ignore[no-untyped-def]
@@ -227,6 +239,38 @@ def test_the_expected_floor_is_that_of_a_plant_without_effects(
     assert lacks_physics(floor, StopReason.CONVERGED) is high
     if not high:
         assert 0.8 < floor.ratio < 1.1
+
+
+@pytest.mark.parametrize("rates", [True, False])
+def test_categories_add_nothing_to_the_expected_floor(rates: bool) -> None:
+    """As if the machine's own category had been written into the model."""
+    plain = pendulum()
+    mass, damping = plain["parameters"]
+    kinds = [mass, {**damping, "ordered": False}]
+    recording = build_plant(Study.from_dict(plain), seed=3).record(np.full((300, 1), 0.5))
+    if not rates:
+        kept = {n: c for n, c in recording.channels.items() if not n.startswith("qvel")}
+        recording = replace(recording, channels=kept)
+    floors = []
+    for parameters, best in (([mass], [1.2]), (kinds, [1.2, 1.0])):
+        study = Study.from_dict({**plain, "parameters": parameters, "plant": None})
+        problem = make_problem(study, [recording])
+        floors.append(floor_of(problem, np.array(best), 1.0))
+    assert floors[1].resolution == pytest.approx(floors[0].resolution, rel=1e-9)
+    assert floors[1].noise == pytest.approx(floors[0].noise, rel=1e-9)
+
+
+def test_the_first_and_the_last_category_are_no_end_of_b() -> None:
+    plain = pendulum()
+    mass, damping = plain["parameters"]
+    scene = Scene.of(
+        Study.from_dict({**plain, "parameters": [mass, {**damping, "ordered": False}]})
+    )
+    found = Mock(floor=Floor(1.0, 1.0, 0.0), reason=StopReason.CONVERGED)
+    last = Mock(
+        Iteration, scene=scene, found=found, figures={"chosen": {"mass": 1.5, "damping": 0.5}}
+    )
+    assert _doubts(last) == ["mass = 1.5 is an end of B; widen it if it may lie beyond"]
 
 
 def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:

@@ -207,17 +207,20 @@ def _parameters(
 ) -> pd.DataFrame:
     """Return one row a parameter: its value, its interval and whether it lies on a bound.
 
-    A candidate stands for its cell: the interval reaches half a cell further.
+    A candidate stands for its cell: the interval reaches half a cell further. Values
+    without an order have nothing between or beyond them.
     """
     low95 = credible_interval(points - cells / 2, bootstrap, 0.95)[0]
     high95 = credible_interval(points + cells / 2, bootstrap, 0.95)[1]
     bounds = problem.candidates.bounds
+    at_bound = (abs(best - bounds) < _AT_BOUND * (bounds[1] - bounds[0])).any(axis=0)
+    at_bound[list(problem.candidates.categories)] = False
     frame = described(problem.model, problem.parameters)
     return frame[["name", "unit", "addresses", "apply", "nominal"]].assign(
         value=best,
         low95=np.maximum(low95, bounds[0]),
         high95=np.minimum(high95, bounds[1]),
-        at_bound=(abs(best - bounds) < _AT_BOUND * (bounds[1] - bounds[0])).any(axis=0),
+        at_bound=at_bound,
     )
 
 

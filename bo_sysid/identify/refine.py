@@ -104,7 +104,9 @@ def zoomed(
     count = int(inside.sum())
     new = fresh.points
     if count:  # a grid in the box may hit what was evaluated, but for rounding
-        apart = cKDTree(points[inside] / fresh.cell).query(new / fresh.cell)[0]
+        # categories, which have no cell, are apart by more than that in shares of their range
+        unit = np.where(fresh.cell > 0, fresh.cell, np.ptp(fresh.bounds, axis=0))
+        apart = cKDTree(points[inside] / unit).query(new / unit)[0]
         new = new[apart > _SAME]
     together = CandidateSet(parameters, np.concatenate([points[inside], new]), fresh.spacing)
     return together, History(np.arange(count), known, np.full(count, np.nan))

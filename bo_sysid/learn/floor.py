@@ -6,7 +6,8 @@ and of B's resolution:
 - noise: the best candidate's predictions from starts that are moved by the sensors' noise, plus
   that noise, against its own predictions; where starts are fitted, those predictions with that
   noise as if they had been recorded;
-- resolution: the truth may lie half a step of B off the best candidate, in every parameter.
+- resolution: the truth may lie half a step of B off the best candidate, in every parameter that
+  has an order: it is one of the categories of the others.
 
 Both are measured through the simulator, in the units of Δ. A floor clearly above their root sum of
 squares, under a belief that has converged, means that no β will do: physics is missing.
@@ -125,16 +126,16 @@ def _resolution_part(problem: Problem, best: Point) -> float:
     """Return the sum over parameters of half a step's Δ, the worst that B can leave."""
     high, step = problem.candidates.bounds[1], problem.candidates.cell
     points = [best]
-    for k in range(len(best)):
+    for k in np.flatnonzero(step):
         inward = -step[k] if best[k] + step[k] > high[k] + 1e-12 else step[k]
         points.append(best + inward * np.eye(len(best))[k])
     if problem.deviation.fitted_starts:
         recorded = problem.deviation.prediction(best).values
-        return sum(0.5 * _were_recorded(problem, point, recorded) for point in points[1:])
+        return sum((0.5 * _were_recorded(problem, p, recorded) for p in points[1:]), 0.0)
     own, *others = problem.deviation.simulator.predictions(
         np.array(points), problem.deviation.windows
     )
-    return sum(0.5 * _mean_norm(problem, o.values - own.values) for o in others)
+    return sum((0.5 * _mean_norm(problem, o.values - own.values) for o in others), 0.0)
 
 
 def _were_recorded(problem: Problem, point: Point, values: Float[np.ndarray, "W H c"]) -> float:

@@ -209,9 +209,9 @@ def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> t
 def _doubts(last: Iteration) -> list[str]:
     """Return why the last policy may not be the machine's: what B and the model do not hold."""
     floor, said = last.found.floor, []
-    bounds = zip(*last.scene.candidates.bounds, strict=True)
-    for (name, value), ends in zip(last.figures["chosen"].items(), bounds, strict=True):
-        if ends[0] < ends[1] and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
+    for p in last.scene.parameters:
+        name, value, ends = p.name, last.figures["chosen"][p.name], (p.low, p.high)
+        if p.ordered and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
             said.append(f"{name} = {value:.4g} is an end of B; widen it if it may lie beyond")
     if lacks_physics(floor, last.found.reason):
         asked = last.scene.study.learn.diagnose != "never"

@@ -10,7 +10,8 @@
 
 `seed` also ends where P has settled on the chosen candidate and the trajectory of the very policy
 that was learned on it left it there: another one would repeat it. Time out is `learn.trajectories`;
-it ends every loop. Distances are the largest over parameters, in shares of the bounds.
+it ends every loop. Distances are the largest over parameters, in shares of the bounds; two values
+of a parameter without an order are as far apart as its bounds.
 """
 
 from collections.abc import Callable, Mapping
@@ -72,10 +73,17 @@ STOP_RULES: Mapping[str, Rule] = {
 
 def distances(candidates: CandidateSet, row: int) -> Float[np.ndarray, " N"]:
     """Return the distance of each candidate from one: largest over parameters, in shares."""
-    low, high = candidates.bounds
-    away: np.ndarray = np.abs(candidates.points - candidates.points[row]) / (high - low)
-    farthest: np.ndarray = away.max(axis=1)
+    farthest: np.ndarray = _away(candidates, row).max(axis=1)
     return farthest
+
+
+def _away(candidates: CandidateSet, row: int) -> Float[np.ndarray, "N d"]:
+    """Return how far each candidate is from one in each parameter, in shares of the bounds."""
+    low, high = candidates.bounds
+    away = np.abs(candidates.points - candidates.points[row]) / (high - low)
+    whole = list(candidates.categories)
+    away[:, whole] = away[:, whole] > 0
+    return np.asarray(away)
 
 
 def neighbours(
@@ -88,9 +96,8 @@ def neighbours(
     """
     rows = np.flatnonzero(distances(candidates, row) <= epsilon + 1e-12)
     rows = rows[rows != row]
-    low, high = candidates.bounds
-    steps = (candidates.points[rows] - candidates.points[row]) / (high - low)
-    order: np.ndarray = np.argsort(-np.round(np.linalg.norm(steps, axis=1), 9), kind="stable")
+    away = np.linalg.norm(_away(candidates, row)[rows], axis=1)
+    order: np.ndarray = np.argsort(-np.round(away, 9), kind="stable")
     return np.asarray(rows[order[:most]], int)
 
 
