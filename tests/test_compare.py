@@ -15,7 +15,9 @@ import pytest
 import yaml
 from comparing import record_of, small
 from learning import pendulum
+from test_learn_diagnosis import knowing, lacking
 
+import bo_sysid.diagnosis
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
 from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
@@ -23,6 +25,7 @@ from bo_sysid.compare.compare import Comparison, compare, so_far
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
+from bo_sysid.deviation import Deviation, Evaluation
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, search
 from bo_sysid.policy.trainer import Trainer, TrainingIteration
@@ -244,6 +247,29 @@ def test_steps_are_those_that_were_simulated(
     # one model thrice: its draft is taken over as it is, then gone on from
     assert steps == [400, 400, 1200]
     assert steps[-1] == sum(batches)
+
+
+def test_evaluations_are_those_of_delta(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Known rows are evaluated again in every iteration, and a repaired model's from none."""
+    asked = []
+
+    def counted(deviation: Deviation, points: np.ndarray) -> Evaluation:
+        asked.append(len(points))
+        return evaluate(deviation, points)
+
+    evaluate = Deviation.__call__
+    monkeypatch.setattr(Deviation, "__call__", counted)
+    monkeypatch.setattr(bo_sysid.diagnosis, "diagnose", knowing)
+    study = lacking(trajectories=2)
+    arm = Arm("one", "argmin-entropy", "argmax", "timeout", 1)
+    job = LearnJob(study, str(tmp_path), arm, 0, str(tmp_path / "run"))
+    told = run_learn(job)["evaluations"]
+    assert told[-1] == sum(asked)
+    run = tmp_path / "run" / "iterations"
+    rows = [len(pd.read_parquet(run / name / "evaluations.parquet"))
+            for name in ("01", "01/repaired", "02")]  # fmt: skip
+    assert told == [rows[0] + rows[1], sum(rows)]
+    assert run_learn(job)["evaluations"] == told  # read again
 
 
 def test_what_an_arm_leaves_open_is_as_the_study_has_it(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_regret_is_a_share_of_the_median_excess() -> None:
 
 def test_the_regret_of_policies_is_measured_from_the_best_with_the_same_plant() -> None:
     record = {
-        "trajectories": [1, 2], "evaluated": [9, 12], "steps": [100, 200], "plant_error": [1, 1],
+        "trajectories": [1, 2], "evaluations": [9, 21], "steps": [100, 200], "plant_error": [1, 1],
         "model_return": [0, 0],
     }  # fmt: skip
     records = {

@@ -130,7 +130,7 @@ def outer_paths(records: Records) -> pd.DataFrame:
                 {
                     **key._asdict(),
                     "trajectories": record["trajectories"],
-                    "evaluations": record["evaluated"],
+                    "evaluations": record["evaluations"],
                     "steps": record["steps"],
                     "plant_return": record["plant_return"],
                     "plant_error": record["plant_error"],

@@ -34,9 +34,9 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     """Learn a policy with few real trajectories.
 
     Returns:
-        One value an iteration: trajectories, plant_return, plant_error, model_return, evaluated,
-        and steps, those of all trainings so far; and at the end: stopped and seconds (of this
-        call).
+        One value an iteration: trajectories, plant_return, plant_error, model_return, evaluations
+        (how often Δ was computed so far) and steps, those of all trainings so far; and at the end:
+        stopped and seconds (of this call).
     """
     data = dict(job.study)
     data["search"] = {
@@ -51,9 +51,10 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     if learned.waiting:
         raise study.error(("plant",), "a comparison of outer loops needs a simulated plant")
     table = learned.iterations
-    told = ("trajectories", "plant_return", "plant_error", "model_return", "evaluated")
+    told = ("trajectories", "plant_return", "plant_error", "model_return")
     return {
         **{name: table[name].tolist() for name in told},
+        "evaluations": table["evaluations"].cumsum().tolist(),
         "steps": table["training_steps"].cumsum().tolist(),
         "stopped": learned.reason,
         "seconds": time.perf_counter() - began,

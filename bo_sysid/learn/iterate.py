@@ -62,6 +62,7 @@ def iterate(
     tell(number, 1, f"{len(source.trajectories)} real trajectories")
     known = before.found.rows if before else np.zeros(0, int)
     found = _believed(scene, source, known, before, run, folder)
+    evaluations = len(found.rows)  # those of before were evaluated again
     tell(number, 2, f"least deviation {found.floor.deviation:.4g}")
     repairs = before.repairs if before else ()
     repair = _repaired(scene, source, found, repairs, run, number, tell)
@@ -71,12 +72,14 @@ def iterate(
             scene = repaired_scene(scene, run, repair)
             none = np.zeros(0, int)  # the repaired model has other candidates
             found = _believed(scene, source, none, before, run, f"{folder}/repaired")
+            evaluations += len(found.rows)
     row = _chosen(scene, found, number)
     steps = _steps(scene, source, found, row)
     policy = _learned(scene, found, row, steps, before, run, number, tell)
     tell(number, 3, "judged")
     verdict = _judged(scene, source, found, row, policy, before)
     figures = _figures(scene, source, found, row, policy, verdict, repair)
+    figures["evaluations"] = evaluations
     result = Iteration(number, scene, found, row, policy, verdict, repairs, figures)
     run.write_json(f"{folder}/iteration.json", figures)
     tell(number, 4, verdict.sentence)

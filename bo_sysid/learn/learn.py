@@ -38,9 +38,11 @@ class Learning:
         name: of the study.
         policy: the last policy; None where none was learned yet.
         chosen: the parameter values that it was learned on.
-        iterations: one row an iteration: trajectories, entropy, deviation, training_steps (control
-            steps simulated to learn its policy, without those taken over), model_return and
-            plant_return with their standard errors.
+        iterations: one row an iteration: trajectories, evaluated (rows of B so far), evaluations
+            (how often Δ was computed in it: of rows of before on all recordings again, of new ones,
+            and before a repair), entropy, deviation, training_steps (control steps simulated to
+            learn its policy, without those taken over), model_return and plant_return with their
+            standard errors.
         trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
         reason: why the loop ended; empty where it waits.
         waiting: what a person has to record before it goes on; empty where it ended.
@@ -165,6 +167,7 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
                 "iteration": i.number,
                 "trajectories": f["trajectories"],
                 "evaluated": f["evaluated"],
+                "evaluations": f.get("evaluations"),
                 "entropy": f["entropy"],
                 "deviation": f["floor"]["deviation"],
                 "floor": i.found.floor.expected,
