@@ -7,6 +7,7 @@ from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
 from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable, survey, unit_at
 from bo_sysid.effects.actuation import _supply
+from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 
@@ -324,3 +325,24 @@ def test_a_propeller_can_be_weak_late_and_limited() -> None:
     assert data.qacc[4] == pytest.approx(0.06 * 5.0 * lever / inertia, rel=1e-6)
     limited = CATALOGUE["actuator_saturation"]
     assert limited.reported(np.array([1.0]), machine, site) == pytest.approx(float(u.max()) - 1.0)
+
+
+def test_forces_that_laws_read_are_clipped_as_mujoco_does() -> None:
+    """Commands of policies lie beyond the control range; the actuator does not."""
+    model = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="j"/><geom size=".1" mass="1"/></body></worldbody>'
+        '<actuator><general name="a" joint="j" gear="3" gainprm="2" biastype="affine" '
+        'biasprm=".1 -1 -.2" ctrlrange="-1 1" forcerange="-1.5 2"/></actuator></mujoco>'
+    ).compile()
+    time = np.arange(200) * 0.01
+    u, q = 2.5 * np.sin(3 * time), 0.4 * np.sin(2 * time)
+    log = Recording.from_arrays(time, qpos={"j": q}, ctrl={"a": u})
+    scale = survey(model, [log]).actuators["a"]
+    data, v = mujoco.MjData(model), 0.8 * np.cos(2 * time)
+    applied = np.empty(200)
+    for k in range(200):
+        data.ctrl[0], data.qpos[0], data.qvel[0] = u[k], q[k], v[k]
+        mujoco.mj_forward(model, data)
+        applied[k] = data.qfrc_actuator[0]
+    np.testing.assert_allclose(scale.force(u, q, v), applied, atol=1e-12)
+    assert scale.force_max == pytest.approx(np.abs(applied).max(), rel=0.02)

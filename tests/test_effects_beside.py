@@ -193,7 +193,7 @@ def test_several_readings_of_a_channel_are_undone_together(machine) -> None:
 
 
 def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:
-    (tmp_path / "other.json").write_text('{"version": 3}')
+    (tmp_path / "other.json").write_text('{"version": 4}')
     with pytest.raises(ModelError, match=r"other.json: is no file of what stands beside a model"):
         read_beside(tmp_path / "other.json", arm().compile())
     wrong = Beside(machine, (Placed("dry_fricton", ELBOW, (0.1,)),))

@@ -24,7 +24,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import atomic
 
-_VERSION = 3
+_VERSION = 4
 
 
 @dataclass(frozen=True)

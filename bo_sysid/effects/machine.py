@@ -65,6 +65,8 @@ class ActuatorScale:
         levels: fractions of `force_max` at which a saturation is looked for.
         plain: whether its force is affine in control, length and velocity, as of a motor or servo.
         jumps: percentiles of the recorded control's changes from sample to sample, largest first.
+        ctrl_limits: to which the model clips controls, None where it does not.
+        force_limits: to which it clips the actuator's force, None where it does not.
     """
 
     name: str
@@ -81,11 +83,17 @@ class ActuatorScale:
     levels: tuple[float, ...]
     plain: bool
     jumps: tuple[float, ...]
+    ctrl_limits: tuple[float, float] | None = None
+    force_limits: tuple[float, float] | None = None
 
     def force(self, ctrl: Signal, q: Signal, v: Signal) -> Signal:
-        """Return the force along the joint that a plain actuator makes, without its limits."""
+        """Return the force along the joint that a plain actuator makes, within its limits."""
         b, gear = self.bias, self.gear
-        return np.asarray(gear * (self.gain * ctrl + b[0] + b[1] * gear * q + b[2] * gear * v))
+        u = ctrl if self.ctrl_limits is None else np.clip(ctrl, *self.ctrl_limits)
+        force = self.gain * u + b[0] + b[1] * gear * q + b[2] * gear * v
+        if self.force_limits is not None:
+            force = np.clip(force, *self.force_limits)
+        return np.asarray(gear * force)
 
 
 @dataclass(frozen=True)

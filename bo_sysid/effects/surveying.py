@@ -1,7 +1,7 @@
 """Measuring the scales of a machine from its model and recordings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import mujoco
@@ -106,42 +106,64 @@ def _actuator(
     model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
 ) -> ActuatorScale:
     name, joint = model.actuator(a).name, _driven(model, a)
-    gear = 1.0 if joint is None else float(model.actuator_gear[a, 0])
-    gain = float(model.actuator_gainprm[a, 0])
     affine = int(model.actuator_biastype[a]) == _AFFINE
     b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
-    key = f"ctrl.{name}"
-    if joint is not None and joint in motion and all(key in r.channels for r in recordings):
-        m = motion[joint]
-        u = np.concatenate(
-            [r.channels[key].at(t) for r, t in zip(recordings, m.times, strict=True)]
-        )
-        force = gear * (gain * u + b[0] + b[1] * gear * m.q + b[2] * gear * m.v)
+    bare = ActuatorScale(
+        name=name,
+        joint=joint,
+        gear=1.0 if joint is None else float(model.actuator_gear[a, 0]),
+        pushes=_pushes(model, a),
+        gain=float(model.actuator_gainprm[a, 0]),
+        bias=(float(b[0]), float(b[1]), float(b[2])),
+        servo=bool(b[1] != 0),
+        ctrl_max=0.0,
+        ctrl_std=0.0,
+        force_max=_FLOOR,
+        force_std=0.0,
+        levels=(),
+        plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
+        jumps=_jumps(recordings, f"ctrl.{name}"),
+        ctrl_limits=_limits(bool(model.actuator_ctrllimited[a]), model.actuator_ctrlrange[a]),
+        force_limits=_limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a]),
+    )
+    return _as_used(bare, recordings, None if joint is None else motion.get(joint))
+
+
+def _as_used(
+    bare: ActuatorScale, recordings: Sequence[Recording], motion: _Motion | None
+) -> ActuatorScale:
+    """Return an actuator with the controls and forces of the recordings.
+
+    Args:
+        bare: the actuator as the model has it.
+        recordings: with its control, or without.
+        motion: of the joint that it drives, None where there is none or it was not recorded.
+    """
+    key = f"ctrl.{bare.name}"
+    if motion is not None and all(key in r.channels for r in recordings):
+        held = [r.channels[key].at(t) for r, t in zip(recordings, motion.times, strict=True)]
+        u = np.concatenate(held)
+        force = bare.force(u, motion.q, motion.v)
     else:
         held = [r.channels[key].values for r in recordings if key in r.channels]
         u = np.concatenate(held) if held else np.zeros(1)
-        force = gear * gain * u
-    if model.actuator_forcelimited[a]:
-        force = gear * np.clip(force / gear, *model.actuator_forcerange[a])
+        unbiased = replace(bare, bias=(0.0, 0.0, 0.0))  # where it is, is not known
+        force = unbiased.force(u, np.zeros(1), np.zeros(1))
     top = max(float(np.abs(force).max()), _FLOOR)
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
-    return ActuatorScale(
-        name=name,
-        joint=joint,
-        gear=gear,
-        pushes=_pushes(model, a),
-        gain=gain,
-        bias=(float(b[0]), float(b[1]), float(b[2])),
-        servo=bool(b[1] != 0),
+    return replace(
+        bare,
         ctrl_max=float(np.abs(u).max()),
         ctrl_std=float(u.std()),
         force_max=top,
         force_std=float(force.std()),
         levels=tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
-        plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
-        jumps=_jumps(recordings, key),
     )
+
+
+def _limits(limited: bool, ends: Float[np.ndarray, "2"]) -> tuple[float, float] | None:
+    return (float(ends[0]), float(ends[1])) if limited else None
 
 
 def _driven(model: mujoco.MjModel, a: int) -> str | None:
