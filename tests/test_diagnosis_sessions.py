@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
-from bo_sysid.diagnosis.answer.sessions import by_recording, by_stretch
+from bo_sysid.diagnosis.answer.sessions import between, by_recording, by_stretch
 from bo_sysid.diagnosis.sets.refit import refit
 from bo_sysid.diagnosis.windows.problem import pose
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -59,3 +59,18 @@ def test_the_interval_stays_where_parts_agree() -> None:
     problem, fit = fitted((0.03, 0.03))
     assert abs(fit.x[0][0] - 0.03) < 3e-3
     assert by_stretch(problem, fit)[0, 0] < 2.0 * fit.covariance[0, 0]
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_an_interval_over_few_recordings_that_differ_holds_their_mean_at_its_rate(count) -> None:
+    rng = np.random.default_rng(count)
+    x = 1.0 + 0.1 * rng.standard_normal((4000, count, 1))
+    own = np.array([1e-6])
+    half = np.array([1.96 * np.sqrt(between(v, own)[1][0] + own[0] / count) for v in x])
+    assert np.mean(np.abs(x.mean(axis=(1, 2)) - 1.0) < half) == pytest.approx(0.95, abs=0.012)
+
+
+def test_recordings_that_differ_by_chance_leave_the_interval_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    found = [between(v, np.array([0.01])) for v in 0.1 * rng.standard_normal((2000, 3, 1))]
+    assert np.mean([more[0] == stated[0] for more, stated in found]) > 0.94

@@ -272,7 +272,7 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
             break
         fit = _without(located, fit, kept)
         sessions = by_recording(located.prepared.problem, fit)
-    covariance = sessions.covariance
+    covariance = sessions.stated
     if in_contact(located.prepared.problem):  # stretches also differ by what recordings do
         covariance = np.maximum(covariance, by_stretch(located.prepared.problem, fit))
     fit = replace(fit, covariance=covariance)
