@@ -65,6 +65,14 @@ def test_an_effect_that_is_asked_for_and_can_act_nowhere_is_said(tmp_path: Path)
         assert "dry_friction" not in note
 
 
+def test_the_time_step_is_no_candidate_and_that_is_said(tmp_path: Path) -> None:
+    study = write_study(tmp_path, diagnosis={"effects": ["timestep", "dry_friction"]})
+    evidence = gather(study, load_train(study))
+    assert {c.effect.id for c in evidence.candidates} == {"dry_friction"}
+    (note,) = _nowhere(study, evidence)
+    assert "every fit takes a finer one along" in note
+
+
 def test_the_forecast_error_falls_to_the_noise(diagnosed) -> None:
     result, _ = diagnosed
     floor = result.holdout.error("forecast", 0.08, "noise_floor")

@@ -22,7 +22,6 @@ from bo_sysid.diagnosis.answer.hints import (
     leaves_much,
     left_sentence,
     meshing,
-    stepping,
     unrepeated,
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
@@ -234,22 +233,6 @@ def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
     )  # fmt: skip
     assert list(meshing(fit, machine)) == gap
     assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
-
-
-@pytest.mark.parametrize(("id", "site"), [("timestep", "world"), ("viscous_damping", "elbow")])
-def test_a_time_step_beside_a_gap_is_a_hint(friction, id, site) -> None:
-    best, machine = friction.decision.best, friction.prepared.problem.machine
-    members = (candidate(machine, "backlash", "elbow"), candidate(machine, id, site))
-    x = tuple(c.point[: c.size] for c in members)
-    p = sum(c.size for c in members)
-    fit = replace(
-        best, hypothesis=replace(best.hypothesis, members=members, x=x), groups=(None, None),
-        jacobian=np.ones((*best.residual.shape, p)), covariance=np.eye(p), unique=(4.0, 2.0),
-    )  # fmt: skip
-    assert stepping(fit) == (("elbow",) if id == "timestep" else ())
-    assert any("moment at which it meets its ends" in s for s in hints(fit, machine)) == (
-        id == "timestep"
-    )
 
 
 @pytest.mark.parametrize("swept", [0.9, 1.1])

@@ -215,9 +215,15 @@ def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
         return ()
     found = {c.effect.id for c in evidence.candidates}
     wanted = chosen(study_effects(study), asked, study.diagnosis.exclude)
-    missing = [e.id for e in wanted if e.id not in found and e.family != "learned"]
+    missing = [e.id for e in wanted if e.id not in found and e.family in ("physics", "sensing")]
     sites = "nowhere in this model as it was recorded"
-    return (f"Not looked for: {', '.join(missing)} can act {sites}.",) if missing else ()
+    said = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
+    if any(e.family == "numerics" for e in wanted):
+        said.append(
+            "The time step is no finding: every fit takes a finer one along, and a note "
+            "says where it shows."
+        )
+    return tuple(said)
 
 
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:

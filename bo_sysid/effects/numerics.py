@@ -32,7 +32,7 @@ def _change(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[f
     sentence="The recordings were made with a time step of {value}, not the model's.",
     form="option timestep",
     evidence="an error that grows with acceleration and shrinks with the time step",
-    separation="the same simulation at a finer step",
+    separation="the same simulation at a finer step, which every fit of a diagnosis takes along",
     family="numerics",
     absolute=lambda x, machine, site: _timestep(site, machine) + float(x[0]),
     details=_change,

@@ -30,8 +30,6 @@ def hints(best: Fit, machine: Machine) -> tuple[str, ...]:
         said.append(_unrepeated_sentence(unseen, machine))
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
-    if added := stepping(best):
-        said.append(_stepping_sentence(added))
     return tuple(said)
 
 
@@ -147,25 +145,6 @@ def _meshing_sentence(joints: Sequence[str]) -> str:
     return (
         f"That the motor of {which} is late, and the small effect beside it, may both be a gap in "
         f"the gear: slow reversals of {which} under little torque would tell."
-    )
-
-
-def stepping(best: Fit) -> tuple[str, ...]:
-    """Return the joints with a gap or a compliance where the time step is named beside it.
-
-    When such a joint meets its ends hangs on the step: a plant that moves continuously looks like
-    another step, whatever it is.
-    """
-    stepped = any(c.effect.id == "timestep" for c in best.members)
-    return tuple(c.site.name for c in best.members if c.effect.hidden and stepped)
-
-
-def _stepping_sentence(joints: Sequence[str]) -> str:
-    """Return in words that the time step may be what a gap does, and what would tell."""
-    which = " and ".join(joints)
-    return (
-        f"The time step beside what gives way at {which} may be no more than the moment at which "
-        "it meets its ends: the same fit of a model with a quarter of the step would tell."
     )
 
 
