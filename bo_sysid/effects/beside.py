@@ -98,7 +98,8 @@ class Beside:
             )
         x = np.array(placed.x)
         remaining = beside_a_file(effect.write(spec, site, x, self.machine))
-        # with the file's step, finer than the one it was written for, nothing may seem to remain
+        # what is listed stands beside the file: where a file could say it, this one does not, since
+        # something follows it or the step was another
         return remaining or effect.parts(spec, site, x, self.machine)
 
     def _force(self, model: Model, law: LearnedLaw) -> Force:

@@ -67,7 +67,7 @@ def write_model(
         edits.insert(0, lambda spec: _scale_step(spec, share))
     model.export(folder / MODEL, edits)
     mujoco.MjModel.from_xml_path(str(folder / MODEL))
-    beside = _beside(model, machine, hypothesis)
+    beside = _beside(model, machine, hypothesis, share)
     own = {c.effect.id: c.effect for c in hypothesis.members}
     words = _words(beside.parts(model, own))
     if words:
@@ -110,15 +110,24 @@ def _module(words: Sequence[str]) -> str:
     return _MODULE + "\n\n# It adds:\n" + "".join(f"# {w!r}\n" for w in words)
 
 
-def _beside(model: Model, machine: Machine, hypothesis: Hypothesis) -> Beside:
-    """Return the members of a hypothesis of which something remains beside a model file."""
+def _beside(model: Model, machine: Machine, hypothesis: Hypothesis, share: float) -> Beside:
+    """Return the members of a hypothesis of which something remains beside a model file.
+
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        hypothesis: what it lacks.
+        share: the file's time step over the model's: effects ask what the file's resolves.
+    """
     effects, laws = [], []
     for k, (c, x) in enumerate(zip(hypothesis.members, hypothesis.x, strict=True)):
         if c.effect.id == "unknown":
             laws += _learned(model, machine, c, x)
             continue
         make = c.effect.parts if followed(hypothesis.members, k) else c.effect.write
-        remaining = make(model.spec(), c.site, c.full(x), machine)
+        spec = model.spec()
+        _scale_step(spec, share)
+        remaining = make(spec, c.site, c.full(x), machine)
         if beside_a_file(remaining):
             effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
     return Beside(machine, tuple(effects), tuple(laws))
