@@ -9,7 +9,8 @@ from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.alignment import instants_in
 
 STEP, SIGMA, DURATION, STROKE = 0.002, 1e-7, 30.0, 2.0
 HORIZON = 150
@@ -76,3 +77,34 @@ def test_a_window_that_leaves_most_is_searched_beside_evenly_spread_ones() -> No
     own = np.isin(prepared.problem.windows.time, began)
     known = prepared.linear.residual[own]
     np.testing.assert_allclose(some.linear.residual, known, atol=1e-6 * np.abs(known).max())
+
+
+def beside_a_force_at_1_khz() -> tuple[Model, Recording, Recording]:
+    """Positions at 100 Hz, without and with a force sensor that no residual has."""
+    sensor = '<sensor><jointactuatorfrc name="tau" joint="x"/></sensor></mujoco>'
+    t, fast = np.arange(0, 4, 0.01), np.arange(0, 4, 0.001) + 0.0003
+    moved = 0.5 * np.sin(3 * t) + 1e-4 * np.random.default_rng(0).standard_normal(t.size)
+    alone = Recording.from_arrays(t, qpos={"x": moved}, ctrl={"motor": 2 * np.sin(4 * t)})
+    force = Channel(fast, np.sin(fast), "N", "tau")
+    beside = Recording("r", {**alone.channels, "sensor.tau": force})
+    return Model.from_xml(XML.replace("</mujoco>", sensor)), alone, beside
+
+
+def test_a_faster_sensor_does_not_shorten_the_windows() -> None:
+    model, alone, beside = beside_a_force_at_1_khz()
+    found = []
+    for recording in (alone, beside):
+        evidence = make_evidence(model, [recording], effects=[CATALOGUE["link_mass"]], threads=1)
+        problem = windows_of(evidence, 30, STEP)
+        w = problem.windows
+        np.testing.assert_allclose((w.step + w.fraction)[:, -1] * STEP, 0.3)
+        found.append(problem)
+    assert found[0].dof == found[1].dof > 300
+    np.testing.assert_array_equal(found[0].windows.observed, found[1].windows.observed)
+
+
+def test_instants_are_counted_over_all_channels_that_are_cut() -> None:
+    _, alone, beside = beside_a_force_at_1_khz()
+    assert instants_in(0.3, [alone], ["qpos.x", "sensor.tau"]) == 30
+    assert instants_in(0.3, [beside], ["qpos.x"]) == 30
+    assert instants_in(0.3, [beside], ["qpos.x", "sensor.tau"]) == 330

@@ -26,6 +26,7 @@ from bo_sysid.execution import OnProgress, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording, sensor_noise
+from bo_sysid.recording.alignment import instants_in
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
@@ -158,9 +159,9 @@ def _windows(
     study: Study, model: Model, recordings: Sequence[Recording], timestep: float | None
 ) -> Windows:
     """Return windows of 0.3 s, spread over the recordings."""
-    steps = [np.median(np.diff(c.time)) for r in recordings for c in r.of_kind("qpos").values()]
-    shortest = min(len(c.time) for r in recordings for c in r.of_kind("qpos").values())
-    horizon = int(np.clip(round(_WINDOW / float(np.median(steps))), 1, max(shortest // 3, 1)))
+    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    shortest = min(instants_in(r.span[1] - r.span[0], [r], shown) for r in recordings)
+    horizon = min(instants_in(_WINDOW, recordings, shown), max(shortest // 3, 1))
     windows = cut(
         model,
         recordings,

@@ -4,6 +4,7 @@ Controls are held between their stamps and averaged over each simulation step, e
 channels are never interpolated.
 """
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,3 +117,28 @@ def sampling(recording: Recording) -> pd.DataFrame:
     """
     rows = {name: vars(Sampling.of(c.time)) for name, c in recording.channels.items()}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
+
+
+def instants_in(length: float, recordings: Sequence[Recording], channels: Collection[str]) -> int:
+    """Return how many instants `length` seconds have, counted as windows are.
+
+    Those are the instants at which any of some channels has a sample: a hundred positions and a
+    thousand forces in a second are a thousand instants at least. Gaps do not count.
+
+    Args:
+        length: of a window in [s].
+        recordings: with one of the channels at least.
+        channels: by name; those that a recording lacks are passed over.
+
+    Returns:
+        One or more.
+    """
+    steps = []
+    for r in recordings:
+        times = [c.time for n, c in r.channels.items() if n in channels]
+        time = np.unique(np.concatenate(times)) if times else np.empty(0)
+        if len(time) > 1:
+            inside = np.searchsorted(time, time + length) - np.arange(len(time)) - 1
+            m = int(np.clip(np.median(inside), 1, len(time) - 1))
+            steps.append((time[m:] - time[:-m]) / m)
+    return max(round(length / float(np.median(np.concatenate(steps)))), 1)

@@ -15,6 +15,7 @@ from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.recording import RawTable, Recording, read_tables
+from bo_sysid.recording.alignment import instants_in
 from bo_sysid.runs import atomic
 from bo_sysid.starter.behaviour import agrees, by_behaviour
 from bo_sysid.starter.columns import spoilt
@@ -200,6 +201,5 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
                 "speed": float(fastest[name]),
             }
         )
-    clocks = [c.time for r in recordings for c in r.of_kind("qpos").values()]
-    step = min(np.median(np.diff(time)) for time in clocks)
-    return pd.DataFrame(rows).assign(horizon=max(round(_WINDOW / float(step)), 1))
+    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    return pd.DataFrame(rows).assign(horizon=instants_in(_WINDOW, recordings, shown))

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
@@ -288,7 +289,7 @@ def pose(
         recordings: to cut.
         sigma: noise of each observed channel; others are not observed.
         nuisances: the study's parameters.
-        horizon: instants in a window.
+        horizon: instants in a window, of observed channels and positions.
         stride: every how many-th of the disjoint windows to keep.
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
@@ -297,7 +298,7 @@ def pose(
     """
     windows = cut(
         model,
-        recordings,
+        at_positions(model, recordings, sigma),
         horizon=horizon,
         timestep=timestep,
         signals=(*machine.inputs, ELAPSED),
