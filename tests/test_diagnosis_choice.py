@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.argmin import argmin_sets
-from bo_sysid.diagnosis.answer.experiment import next_experiment
+from bo_sysid.diagnosis.answer.experiment import _still, next_experiment
 from bo_sysid.diagnosis.answer.explain import explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
@@ -30,6 +30,7 @@ from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
@@ -135,6 +136,21 @@ def test_sets_that_predict_the_same_share_their_probability(rotor) -> None:
 
 def test_nothing_is_to_be_recorded_where_nothing_is_open(friction) -> None:
     assert next_experiment(friction, explain(friction), {}) is None
+
+
+def test_a_motion_that_is_proposed_holds_joints_that_never_moved() -> None:
+    """Their positions are no evidence, but a simulation begins with them."""
+    time = 0.01 * np.arange(400)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(400)
+    log = Recording.from_arrays(
+        time, qpos={"shoulder": 0.5 * np.sin(3 * time) + noise, "elbow": 0 * time},
+        ctrl={"shoulder": np.sin(4 * time), "elbow": 0 * time},
+    )  # fmt: skip
+    evidence = make_evidence(arm(), [log], effects=[CATALOGUE["dry_friction"]], threads=1)
+    problem = windows_of(evidence, 30, 0.002)
+    assert problem.windows.channels == ("qpos.shoulder",)
+    still = _still(problem, np.zeros((50, 2)))
+    np.testing.assert_array_equal(still.channels["qpos.elbow"].values, np.zeros(50))
 
 
 def test_what_no_motion_separates_is_said_in_words(rotor) -> None:

@@ -29,6 +29,7 @@ from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.simulation.stepper import Stepper
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_parts
 
 ELBOW = Site("joint", "elbow")
 
@@ -190,6 +191,26 @@ def test_several_readings_of_a_channel_are_undone_together(machine) -> None:
     np.testing.assert_allclose(own["qpos.shoulder"].time, t - 0.02)
     np.testing.assert_allclose(own["qpos.elbow"].values, np.cos(t))
     np.testing.assert_array_equal(own["qpos.elbow"].time, t)
+
+
+def test_readings_of_two_diagnoses_are_undone_in_the_order_in_which_they_were_found(
+    machine, tmp_path
+) -> None:
+    """The second was found in recordings of which the first was undone."""
+    elbow = Site("channel", "qpos.elbow")
+    for name, effect, x in (("one", "sensor_offset", 0.3), ("two", "sensor_scale", 0.05)):
+        Beside(machine, (Placed(effect, elbow, (x,)),)).write(tmp_path / f"{name}.json")
+    content = {
+        "version": 1,
+        "model": {"file": str(ARM), "beside": ["one.json", "two.json"]},
+        "recordings": {"train": ["none.parquet"]},
+    }
+    parts = load_parts(Study.from_dict(content, tmp_path), arm())
+    time = 0.01 * np.arange(200)
+    p = np.sin(time)
+    raw = Recording.from_arrays(time, qpos={"shoulder": p, "elbow": 1.05 * p + 0.3})
+    seen = as_commanded_and_measured(raw, parts, 0.002).channels["qpos.elbow"]
+    np.testing.assert_allclose(seen.values, p, atol=1e-12)
 
 
 def test_a_file_that_is_none_of_these_is_refused(machine, tmp_path) -> None:

@@ -409,6 +409,46 @@ def test_masses_of_discarded_geoms_can_be_scaled():
     np.testing.assert_allclose(edited.body("arm").inertia, 3 * nominal.body("arm").inertia)
 
 
+GEOMS_WIN = """
+<mujoco><compiler inertiafromgeom="true" inertiagrouprange="0 2" {total}/><worldbody>
+<body name="arm"><inertial pos="0 0 .1" mass="9" fullinertia="1 1 1 .1 .1 .1"/>
+ <joint name="swing" axis="0 1 0"/>
+ <geom type="capsule" fromto="0 0 0 .1 0 -.5" size=".03" mass="1"/>
+ <body name="weight" pos="0 0 -.5"><inertial pos="0 0 .1" mass="2" diaginertia="1 1 1"/></body>
+ <body name="shown" pos="0 0 .1"><inertial pos="0 0 .1" mass="3" diaginertia="1 1 1"/>
+  <geom type="sphere" size=".1" group="3"/></body>
+ <body name="box" pos="0 0 .2"><joint axis="0 1 0"/>
+  <geom type="box" size=".1 .2 .3" euler="10 20 30" pos=".1 .2 0"/>
+  <geom type="sphere" size=".1" pos="0 .3 0"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+@pytest.mark.parametrize("total", ["", 'settotalmass="3"'])
+def test_a_model_whose_geoms_overrule_its_inertials_is_read_as_it_is(total):
+    text = GEOMS_WIN.format(total=total)
+    plain, read = mujoco.MjModel.from_xml_string(text), Model.from_xml(text).compile()
+    for field in ("body_mass", "body_inertia", "body_ipos", "body_iquat"):
+        np.testing.assert_array_equal(getattr(read, field), getattr(plain, field))
+
+
+@pytest.mark.parametrize("address", ["inertia[2]", "ipos[0]", "mass"])
+@pytest.mark.parametrize("body", ["arm", "weight"])
+def test_an_inertial_that_geoms_would_overrule_is_edited(body, address, tmp_path):
+    model = Model.from_xml(GEOMS_WIN.format(total=""))
+    name, _, index = address.partition("[")
+    at = int(index[:-1]) if index else 0
+    value = 1.1 * float(getattr(model.compile().body(body), name)[at]) + 0.01 * (name == "ipos")
+    edit = address_edit(model, [f"body[{body}].{address}"], value)
+    model.export(tmp_path / "model.xml", [edit])
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    for edited in (model.compile([edit]), written):
+        row = getattr(edited.body(body), name)
+        assert row[at] == pytest.approx(value)
+        others = [i for i in range(edited.nbody) if edited.body(i).name != body]
+        np.testing.assert_allclose(edited.body_mass[others], model.compile().body_mass[others])
+
+
 def test_edits_that_touch_no_mass_keep_the_masses_of_settotalmass_to_the_last_bit():
     model = Model.from_dm_control("cheetah", "run")
 

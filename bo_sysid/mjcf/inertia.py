@@ -40,6 +40,24 @@ def find_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
     return body
 
 
+def drop_overruled_inertials(spec: mujoco.MjSpec) -> None:
+    """Remove inertials that `inertiafromgeom="true"` overrules, and then the flag, in place.
+
+    The model stays the same to the last bit. Under the flag no inertial could be given to a body
+    with geoms, and MuJoCo writes none to a file, not even that of a body without geoms.
+    """
+    geoms_win = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    overruled = [body for body in spec.bodies if body.compiler.inertiafromgeom == geoms_win]
+    for body in overruled:
+        low, high = body.compiler.inertiagrouprange
+        if any(low <= geom.group <= high for geom in body.geoms):
+            body.explicitinertial = False
+            body.ipos[0] = body.fullinertia[0] = np.nan  # undefined: AUTO then asks the geoms
+    for compiler in (spec.compiler, *(body.compiler for body in overruled)):  # attached have theirs
+        if compiler.inertiafromgeom == geoms_win:
+            compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
 def has_inertial(body: mujoco.MjsBody) -> bool:
     """Return whether an `<inertial>`, and not the geoms, gives the body its mass."""
     geoms_win = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE

@@ -15,7 +15,7 @@ from bo_sysid.mjcf import sources
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.compiling import compile_spec, coordinates, keep_delays, refit_keyframes
 from bo_sysid.mjcf.export import write_mjcf
-from bo_sysid.mjcf.inertia import release_total_mass, same_inertia
+from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass, same_inertia
 from bo_sysid.mjcf.loops import Loops
 from bo_sysid.mjcf.strip import stripped
 
@@ -58,6 +58,7 @@ class Forms:
         """
         compile_spec(spec, source)  # a copy silently drops what refers to nothing
         full = spec.copy()
+        drop_overruled_inertials(full)
         compile_spec(full, source)  # numbers the elements and fuses static bodies
         sources.name_elements(full)
         lean = stripped(full)

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from bo_sysid.effects import Effect, Part, catalogue
+from bo_sysid.effects import Effect, Part, Reading, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.execution.files import run_file
@@ -53,6 +53,10 @@ def held_notes(study: Study) -> tuple[str, ...]:
 def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
     """Return what stands beside the model of a study: forces, filters and readings.
 
+    Files are listed in the order in which they were found. A later reading was found in recordings
+    of which the earlier was undone: the machine's encoders show R₁(R₂(p)), and `readings` takes
+    what is nearest to p first. Filters act on commands in the order of the files.
+
     Raises:
         ModelError: a file is none that a diagnosis wrote.
     """
@@ -60,7 +64,10 @@ def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
         return ()
     compiled, effects = model.compile(), study_effects(study)
     files = (study.file(f, ("model", "beside")) for f in study.model.beside)
-    return tuple(part for f in files for part in read_beside(f, compiled).parts(model, effects))
+    found = [read_beside(f, compiled).parts(model, effects) for f in files]
+    others = [p for parts in found for p in parts if not isinstance(p, Reading)]
+    shown = [p for parts in reversed(found) for p in parts if isinstance(p, Reading)]
+    return (*others, *shown)
 
 
 def study_effects(study: Study) -> Mapping[str, Effect]:

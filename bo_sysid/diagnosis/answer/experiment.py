@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.windows.problem import Problem, Simulated, pose
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Site
-from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.errors import StudyError, UserError
 from bo_sysid.excite.limits import Limits
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Trajectory
@@ -123,7 +123,7 @@ def _most_telling(
             if told is None:
                 continue
             separation = min(_separation(problem, r, told[1]) for r in rivals)
-        except ModelError:  # a rival diverges: no number says by how much they differ
+        except UserError:  # a rival diverges: no number says by how much they differ
             continue
         if separation > found[0]:
             found = (separation, name, told[0])
@@ -231,7 +231,8 @@ def _still(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> Recording:
     """Return a recording of a machine that rests at its first recorded pose under controls."""
     first = problem.recordings[0]
     time = np.arange(len(controls)) * problem.machine.sampling
-    at = {n: first.channels[n].values[0] for n in problem.windows.channels}
+    shown = (*problem.windows.channels, *problem.model.qpos_channels)  # also of joints at rest
+    at = {n: first.channels[n].values[0] for n in shown if n in first.channels}
     at |= {n: first.channels[n].values.mean() for n in problem.machine.inputs}
     channels = {n: np.full(time.size, value) for n, value in at.items() if "qvel." not in n}
     for k, name in enumerate(problem.model.ctrl_channels):
