@@ -286,8 +286,9 @@ def _repair(
         return ()
     folder = Path(run.path(MODEL)).parent
     written = write_model(
-        evidence.given, evidence.machine, outcome.repaired, folder, timestep=outcome.timestep
-    )
+        evidence.given, evidence.machine, outcome.repaired, folder,
+        timestep=outcome.timestep, laws=evidence.laws,
+    )  # fmt: skip
     text = study_text(study, answer.findings, run.folder, written)
     run.write_text(STUDY, text)
     controls = answer.next_experiment.controls if answer.next_experiment else None

@@ -8,15 +8,13 @@ from bo_sysid.effects.actuators import passive_motor
 from bo_sysid.effects.contract import Motion, Signal
 from bo_sysid.effects.machine import JointScale, Machine
 
-STIFF = 1e-4
-"""By how much bristles bend before they slip where that is not known, in [rad] or [m]."""
-
 BENT_FINER = (0.6, 1.6)
 """Factors by which the bend that explains most is varied."""
 
 _STIFFNESS = 5  # place in `dynprm` of a motor with LuGre friction
 _STEADY = slice(3, 6)  # place in `biasprm` of sliding level, level at standstill and their speed
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
+_STIFF = 1e-5  # the same, of friction that none of them was found for
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _LEAST = 1e-30  # [J] that bristles store
 _RESOLVED = 0.5  # k·h²/m of bristles that do not bend: a step h follows their oscillation
@@ -30,6 +28,11 @@ def most_bent(joint: JointScale) -> float:
 def bends(joint: JointScale) -> tuple[float, ...]:
     """Return the bends that are tried at a joint, in [rad] or [m]."""
     return tuple(bend * joint.spread for bend in _BENDS)
+
+
+def stiff(joint: JointScale) -> float:
+    """Return the bend of bristles in the place of friction that does not bend, in [rad] or [m]."""
+    return _STIFF * joint.spread
 
 
 def add_bristles(

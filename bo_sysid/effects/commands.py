@@ -14,6 +14,7 @@ _DELAYS = (0.004, 0.02)
 _RAMPS = (0.004, 0.015, 0.06)  # [s] that the largest change of a control may take
 _APART = 1.5  # ratio of rates that are tried
 _MOST_CUT_OUT = 0.95  # of the largest command, within a dead zone
+_RESOLVED = 2.0  # steps in the shortest lag that is an activation
 _INTERPOLATED = 1  # mjsActuator.interp: between two steps, linearly
 
 
@@ -27,13 +28,22 @@ def _lag_filter(site: Site, x: Magnitudes) -> Filter:
     return Filter(site.name, lambda channel, dt: lagged(channel, float(x[0]), dt))
 
 
+def written_lag(lag: float, timestep: float) -> float:
+    """Return the time constant of an activation that lags by `lag` on the whole, both in [s].
+
+    MuJoCo acts with an activation as it was at the beginning of a step; a filter here with its mean
+    over the step, which is that of half a step later.
+    """
+    return lag - 0.5 * timestep
+
+
 def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
-    """Write the lag as the actuator's activation, where it has none."""
-    a = spec.actuator(site.name)
-    if a.dyntype != mujoco.mjtDyn.mjDYN_NONE:
+    """Write the lag as the actuator's activation, where it has none and the step resolves it."""
+    a, lag, dt = spec.actuator(site.name), float(x[0]), spec.option.timestep
+    if a.dyntype != mujoco.mjtDyn.mjDYN_NONE or lag < _RESOLVED * dt:
         return _lag_filter(site, x)
     a.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-    a.dynprm[0] = float(x[0])
+    a.dynprm[0] = written_lag(lag, dt)
     return None
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.bristles import BENT_FINER, STIFF, add_bristles, bends, bristled, most_bent
+from bo_sysid.effects.bristles import BENT_FINER, add_bristles, bends, bristled, most_bent, stiff
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -120,7 +120,8 @@ def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Mac
     """Write the friction of `stribeck_friction` as LuGre friction with the same steady state."""
     excess, coulomb, speed, bend = _stribeck_magnitudes(x)
     low = spec.joint(site.name).frictionloss + coulomb
-    add_bristles(spec, site.name, (low, low + excess, speed), bend or STIFF, machine)
+    bend = bend or stiff(machine.joints[site.name])
+    add_bristles(spec, site.name, (low, low + excess, speed), bend, machine)
 
 
 def _stribeck_magnitudes(x: Magnitudes) -> tuple[float, float, float, float]:

@@ -1,6 +1,6 @@
 """The repaired model's file, and what stands beside it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed, beside_a_file
 from bo_sysid.mjcf import Model
 from bo_sysid.runs import atomic
+from bo_sysid.simulation import Controller, ForceLaw
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
 BESIDE, MODULE = "model_repaired.json", "model_repaired.py"
@@ -49,7 +50,13 @@ class Written:
 
 
 def write_model(
-    model: Model, machine: Machine, hypothesis: Hypothesis, folder: Path, *, timestep: float
+    model: Model,
+    machine: Machine,
+    hypothesis: Hypothesis,
+    folder: Path,
+    *,
+    timestep: float,
+    laws: Collection[Controller | ForceLaw] = (),
 ) -> Written:
     """Write the model with the findings in it, and beside it what MJCF cannot express.
 
@@ -60,14 +67,16 @@ def write_model(
         folder: to write to.
         timestep: at which the hypothesis was fitted, in [s]; divided where the recordings show the
             finer step of a continuous machine.
+        laws: what stands beside the nominal model.
     """
-    edits, parts = edits_and_parts(hypothesis, machine, written=True)
     share = timestep / finer_step(hypothesis.numerics) / machine.model.opt.timestep
+    written = _in_file(model, machine, hypothesis, share, laws)
+    edits, parts = edits_and_parts(hypothesis, machine, written=written)
     if share != 1:  # first, since effects ask what a step resolves
         edits.insert(0, lambda spec: _scale_step(spec, share))
     model.export(folder / MODEL, edits)
     mujoco.MjModel.from_xml_path(str(folder / MODEL))
-    beside = _beside(model, machine, hypothesis, share)
+    beside = _beside(model, machine, hypothesis, share, written)
     own = {c.effect.id: c.effect for c in hypothesis.members}
     words = _words(beside.parts(model, own))
     if words:
@@ -110,25 +119,64 @@ def _module(words: Sequence[str]) -> str:
     return _MODULE + "\n\n# It adds:\n" + "".join(f"# {w!r}\n" for w in words)
 
 
-def _beside(model: Model, machine: Machine, hypothesis: Hypothesis, share: float) -> Beside:
-    """Return the members of a hypothesis of which something remains beside a model file.
+def _in_file(
+    model: Model,
+    machine: Machine,
+    hypothesis: Hypothesis,
+    share: float,
+    laws: Collection[Controller | ForceLaw],
+) -> tuple[Candidate, ...]:
+    """Return the members that a model file says as far as MJCF can.
 
-    Args:
-        model: the nominal model.
-        machine: the scales of its sites.
-        hypothesis: what it lacks.
-        share: the file's time step over the model's: effects ask what the file's resolves.
+    A file's lag or delay acts after all that changes the command beside the file, and forces
+    beside it read the command as it was before. Where a member acts on what a filter makes of a
+    command, or any force is there that may read it, the filter stands beside the file as well.
     """
+    pairs, members = list(zip(hypothesis.members, hypothesis.x, strict=True)), hypothesis.members
+    remaining = [_made(c.effect.write, model, machine, c, x, share) for c, x in pairs]
+    read = bool(laws) or any(isinstance(p, Force) for made in remaining for p in made)
+    return tuple(
+        c
+        for k, (c, x) in enumerate(pairs)
+        if not (read or followed(members, k))
+        or not any(
+            isinstance(p, Filter) for p in _made(c.effect.parts, model, machine, c, x, share)
+        )
+    )
+
+
+def _made(
+    make: Callable[..., tuple[Part, ...]],
+    model: Model,
+    machine: Machine,
+    c: Candidate,
+    x: np.ndarray,
+    share: float,
+) -> tuple[Part, ...]:
+    """Return what a member leaves beside a spec, which is thrown away.
+
+    The time step is `share` of the model's: effects ask what the file's resolves.
+    """
+    spec = model.spec()
+    _scale_step(spec, share)
+    return make(spec, c.site, c.full(x), machine)
+
+
+def _beside(
+    model: Model,
+    machine: Machine,
+    hypothesis: Hypothesis,
+    share: float,
+    written: Collection[Candidate],
+) -> Beside:
+    """Return the members of a hypothesis of which something remains beside a model file."""
     effects, laws = [], []
-    for k, (c, x) in enumerate(zip(hypothesis.members, hypothesis.x, strict=True)):
+    for c, x in zip(hypothesis.members, hypothesis.x, strict=True):
         if c.effect.id == "unknown":
             laws += _learned(model, machine, c, x)
             continue
-        make = c.effect.parts if followed(hypothesis.members, k) else c.effect.write
-        spec = model.spec()
-        _scale_step(spec, share)
-        remaining = make(spec, c.site, c.full(x), machine)
-        if beside_a_file(remaining):
+        make = c.effect.write if c in written else c.effect.parts
+        if beside_a_file(_made(make, model, machine, c, x, share)):
             effects.append(Placed(c.effect.id, c.site, tuple(map(float, c.full(x)))))
     return Beside(machine, tuple(effects), tuple(laws))
 

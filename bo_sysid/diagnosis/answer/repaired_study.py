@@ -9,6 +9,7 @@ import yaml
 
 from bo_sysid.diagnosis.answer.findings import Finding, Quantity
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
+from bo_sysid.effects.commands import written_lag
 from bo_sysid.effects.friction import BEND
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Address, Model
@@ -108,16 +109,16 @@ def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
     """Return what a finding is in the repaired model; nothing where it is no number of it."""
     if finding.effect == "dry_friction" and _bristles(finding):
         own = _named(model, [a.format(site=finding.site) for a in _BRISTLES])
-        return [_parameter(finding, "", own)]
+        return [_parameter(model, finding, "", own)]
     places = _ADDRESSES.get(finding.effect, {})
     named = {detail: a.format(site=finding.site) for detail, a in places.items()}
     placed = {d: [a, *_carried(model, finding)] for d, a in named.items()}
     held = {
         d: own
         for d, own in placed.items()
-        if all(_holds(model, a, _found(finding, d)[0]) for a in own)
+        if all(_holds(model, a, _found(model, finding, d)[0]) for a in own)
     }
-    return [_parameter(finding, d, _named(model, own)) for d, own in held.items()]
+    return [_parameter(model, finding, d, _named(model, own)) for d, own in held.items()]
 
 
 def _carried(model: Model, finding: Finding) -> list[str]:
@@ -133,10 +134,13 @@ def _carried(model: Model, finding: Finding) -> list[str]:
     return [f"body[{compiled.body(b).name}].gravcomp" for b in found[1:]]
 
 
-def _found(finding: Finding, detail: str) -> tuple[float, Quantity]:
+def _found(model: Model, finding: Finding, detail: str) -> tuple[float, Quantity]:
     """Return the value in the repaired model of a finding, or of a detail of it."""
-    q = finding.details[detail] if detail else finding.quantity
-    return (q.value if detail else finding.after), q
+    if detail:
+        return finding.details[detail].value, finding.details[detail]
+    if finding.effect == "actuator_lag":
+        return written_lag(finding.after, model.compile().opt.timestep), finding.quantity
+    return finding.after, finding.quantity
 
 
 def _holds(model: Model, address: str, value: float) -> bool:
@@ -152,9 +156,9 @@ def _named(model: Model, addresses: Sequence[str]) -> list[str]:
     return [t.address for a in addresses for t in resolve(model, a)]
 
 
-def _parameter(finding: Finding, detail: str, own: Sequence[str]) -> dict[str, Any]:
+def _parameter(model: Model, finding: Finding, detail: str, own: Sequence[str]) -> dict[str, Any]:
     """Return a parameter about a finding's magnitude, or about a detail of it."""
-    value, q = _found(finding, detail)
+    value, q = _found(model, finding, detail)
     low, high = q.interval
     width = 3 * max(high - low, 0.02 * abs(value), 1e-9)
     name = f"{finding.effect.replace('_', ' ')} of {finding.site}"

@@ -1,6 +1,6 @@
 """What is supposed to be missing: effects at sites, and how large they are."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, permutations
 
@@ -306,23 +306,21 @@ def _made(
 
 
 def edits_and_parts(
-    hypothesis: Hypothesis, machine: Machine, *, written: bool = False
+    hypothesis: Hypothesis, machine: Machine, *, written: Collection[Candidate] = ()
 ) -> tuple[list[Edit], list[Part]]:
     """Return the edits of a hypothesis; the list of parts is filled when they are applied.
 
     Args:
         hypothesis: what is edited in.
         machine: the scales of its sites.
-        written: edit for a model file, where plain MJCF may say more than is simulated here.
+        written: members that are edited as for a model file, where plain MJCF may say more than
+            is simulated here.
     """
     parts: list[Part] = []
     made: dict[int, tuple[Part, ...]] = {}
 
-    held = [c for c, _ in hypothesis.terms]
-
     def edit_of(number: int, c: Candidate, x: Float[np.ndarray, " l"]) -> Edit:
-        # what a file says of an actuator acts after all that changes its command beside the file
-        make = c.effect.write if written and not followed(held, number) else c.effect.parts
+        make = c.effect.write if c in written else c.effect.parts
 
         def edit(spec: mujoco.MjSpec) -> None:
             made[number] = _made(make, c, spec, x, machine)  # again, where a model is edited twice
