@@ -124,3 +124,17 @@ def test_windows_of_a_held_joint_that_began_in_motion_begin_at_rest():
     assert (before > 10).all()
     assert ((r**2).sum(axis=1) / count).mean() == pytest.approx(1.0, abs=0.2)
     assert np.abs(found.qvel).max() < 0.05
+
+
+def test_recordings_of_another_rate_are_forecast_over_the_same_time():
+    """A hold-out at a fifth of the training's rate: windows of .1 + .1 s, not of half a second."""
+    model, time = Model.from_xml(MASS.format(floor="")), np.arange(0, 10, SAMPLING)
+    fast, slow = (
+        Recording.from_arrays(t, qpos={"slide": 0.2 * t}, ctrl={"slide": np.zeros(len(t))})
+        for t in (time, time[::5])
+    )
+    problem, past = forecast_problem(
+        model, survey(model.compile(), [fast]), [slow], {"qpos.slide": SIGMA},
+        past=0.1, ahead=0.1, timestep=0.005, engine=Engine(1),
+    )  # fmt: skip
+    assert (past, problem.weight.shape[1]) == (4, 8)

@@ -25,6 +25,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import Engine, ForceLaw, LawInputs, State
+from bo_sysid.simulation.cutting import cut
 from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.simulation.stepper import Stepper
@@ -187,10 +188,34 @@ def test_several_readings_of_a_channel_are_undone_together(machine) -> None:
     shown = {"elbow": 1.1 * np.sin(3 * t) + 0.3, "shoulder": np.cos(t)}
     recording = Recording.from_arrays(t, qpos=shown)
     own = as_commanded_and_measured(recording, made.parts(arm()), 0.002).channels
-    np.testing.assert_allclose(own["qpos.shoulder"].values, np.sin(3 * t))
-    np.testing.assert_allclose(own["qpos.shoulder"].time, t - 0.02)
+    there = own["qpos.shoulder"].time
+    np.testing.assert_array_equal(there, t[: len(there)])  # what is beyond the last sample is gone
+    assert len(t) - len(there) in (2, 3)
+    np.testing.assert_allclose(own["qpos.shoulder"].values, np.sin(3 * (there + 0.02)), atol=1e-5)
     np.testing.assert_allclose(own["qpos.elbow"].values, np.cos(t))
     np.testing.assert_array_equal(own["qpos.elbow"].time, t)
+
+
+def test_one_late_encoder_of_several_shares_its_stamps_with_the_others(machine, tmp_path) -> None:
+    """Windows begin where all positions were recorded; nothing is made up across a gap."""
+    late, t = 0.0127, 0.002 * np.arange(2000)
+    t = np.delete(t, np.arange(500, 600))
+    made = Beside(machine, (Placed("sensor_delay", Site("channel", "qpos.elbow"), (late,)),))
+    shown = {"shoulder": np.cos(t), "elbow": np.sin(5 * (t - late))}
+    recording = Recording.from_arrays(t, qpos=shown, ctrl={"shoulder": t * 0, "elbow": t * 0})
+    seen = as_commanded_and_measured(recording, made.parts(arm()), 0.002)
+    elbow = seen.channels["qpos.elbow"]
+    np.testing.assert_allclose(elbow.values, np.sin(5 * elbow.time), atol=1e-6)
+    assert np.isin(elbow.time, t).all()
+    assert len(t) - len(elbow.time) == 14  # at the end, and before the gap
+    (note,) = (n for n in seen.notes if "late" in n)
+    assert note.startswith("qpos.elbow reads 0.0127 s late")
+    windows = cut(arm(), [seen], horizon=100)
+    assert len(windows) == 17  # of 18, of which one spans the gap
+    both = (Placed("sensor_delay", Site("channel", f"qpos.{n}"), (late,)) for n in shown)
+    alike = as_commanded_and_measured(recording, Beside(machine, tuple(both)).parts(arm()), 0.002)
+    np.testing.assert_allclose(alike.channels["qpos.elbow"].time, t - late)  # as exact as it was
+    assert alike.notes == recording.notes
 
 
 def test_readings_of_two_diagnoses_are_undone_in_the_order_in_which_they_were_found(

@@ -6,14 +6,16 @@ their terms; the scales that both refer to are in it. Nothing in it is code.
 
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from bo_sysid.arrays import Times
 from bo_sysid.effects.contract import Effect, Filter, Force, Part, Reading, Site
 from bo_sysid.effects.learned import features, learned_force
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
@@ -22,6 +24,7 @@ from bo_sysid.effects.registry import CATALOGUE
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.alignment import GAP
 from bo_sysid.runs import atomic
 
 _VERSION = 4
@@ -235,26 +238,43 @@ def as_commanded_and_measured(
 ) -> Recording:
     """Return a recording as the model is to see it: controls filtered, readings undone.
 
-    A reading shows (1 + scale)·p(t - delay) + offset of a quantity p; p itself is returned.
+    A reading shows (1 + scale)·p(t - delay) + offset of a quantity p; p itself is returned. Where
+    positions are not all equally late, what is late keeps its stamps and p is interpolated there,
+    so that a simulation can begin at stamps that all positions share; a note says so.
 
     Args:
         recording: as the machine told it.
         parts: what stands beside the model; forces are left to the simulation.
         timestep: of the simulation in [s], to which filters are exact.
     """
-    channels = dict(recording.channels)
+    channels, notes = dict(recording.channels), list(recording.notes)
     for p in parts:
         if isinstance(p, Filter) and f"ctrl.{p.actuator}" in channels:
             name = f"ctrl.{p.actuator}"
             channels[name] = p.change(channels[name], timestep)
-    for r in readings(parts).values():
-        if r.channel in recording.channels:
-            shown = recording.channels[r.channel]
-            channels[r.source or r.channel] = Channel(
-                shown.time - r.delay,
-                (shown.values - r.offset) / (1.0 + r.scale),
-                shown.unit,
-                shown.source,
-                shown.hold,
+    read = {c: r for c, r in readings(parts).items() if c in recording.channels}
+    positions = [c for c in recording.channels if c.startswith("qpos.")]
+    delays = {read[c].delay if c in read else 0.0 for c in positions}
+    for r in read.values():
+        shown = recording.channels[r.channel]
+        made = replace(
+            shown, time=shown.time - r.delay, values=(shown.values - r.offset) / (1.0 + r.scale)
+        )
+        if r.delay and delays - {r.delay}:
+            made = _interpolated(made, shown.time)
+            notes.append(
+                f"{r.channel} reads {r.delay:.3g} s late: what it shows was interpolated to the "
+                "stamps at which it was recorded"
             )
-    return Recording(recording.name, channels, recording.notes)
+        channels[r.source or r.channel] = made
+    return Recording(recording.name, channels, tuple(notes))
+
+
+def _interpolated(channel: Channel, time: Times) -> Channel:
+    """Return a channel at other stamps, by a cubic spline; none in a gap or beyond its ends."""
+    after = np.searchsorted(channel.time, time)
+    inside = (after > 0) & (after < len(channel.time))
+    intervals = np.diff(channel.time)
+    across = intervals[np.clip(after - 1, 0, len(intervals) - 1)]
+    time = time[inside & (across <= GAP * np.median(intervals))]
+    return replace(channel, time=time, values=CubicSpline(channel.time, channel.values)(time))

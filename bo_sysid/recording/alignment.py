@@ -127,11 +127,14 @@ def instants_in(length: float, recordings: Sequence[Recording], channels: Collec
 
     Args:
         length: of a window in [s].
-        recordings: with one of the channels at least.
+        recordings: where the channels are looked for.
         channels: by name; those that a recording lacks are passed over.
 
     Returns:
         One or more.
+
+    Raises:
+        RecordingError: no recording has two samples of any of the channels.
     """
     steps = []
     for r in recordings:
@@ -141,4 +144,7 @@ def instants_in(length: float, recordings: Sequence[Recording], channels: Collec
             inside = np.searchsorted(time, time + length) - np.arange(len(time)) - 1
             m = int(np.clip(np.median(inside), 1, len(time) - 1))
             steps.append((time[m:] - time[:-m]) / m)
+    if not steps:
+        names = ", ".join(r.name for r in recordings)
+        raise RecordingError(f"{names}: no samples of {', '.join(sorted(channels))}")
     return max(round(length / float(np.median(np.concatenate(steps)))), 1)

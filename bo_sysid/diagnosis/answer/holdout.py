@@ -28,6 +28,7 @@ from bo_sysid.diagnosis.windows.problem import Problem, pose
 from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import instants_in
 
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
 _ALIKE = 0.02  # by which two errors differ in words
@@ -221,7 +222,8 @@ def _fits(
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
 ) -> list[dict[str, Any]]:
-    horizon = max(round(LONGER / evidence.machine.sampling), 4)
+    compared = {*evidence.model.qpos_channels, *evidence.sigma}
+    horizon = max(instants_in(LONGER, recordings, compared), 4)
     problem = pose(
         evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,

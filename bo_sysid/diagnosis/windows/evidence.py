@@ -26,6 +26,7 @@ from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
 _APART = 2e-3  # [s] between recorded poses in which geoms may touch
+_OTHER_RATE = 1.5  # times an interval between samples, which is another rate
 _CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
 
 
@@ -74,13 +75,32 @@ class Evidence:
             said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
             said.append("Nothing of the model touches in these recordings: contact is left out.")
-        return tuple(said)
+        return (*said, *_rates(self.recordings, self.model))
 
     @property
     def rigid(self) -> "Evidence":
         """The same without candidates that add a joint."""
         held = tuple(c for c in self.candidates if not c.effect.hidden)
         return replace(self, candidates=held)
+
+
+def _rates(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]:
+    """Return what recordings of different rates mean for windows, in words."""
+    intervals = {
+        r.name: min(float(np.median(np.diff(r.channels[n].time))) for n in held)
+        for r in recordings
+        if (held := [n for n in model.qpos_channels if n in r.channels])
+    }
+    slow, fast = (
+        max(intervals, key=intervals.__getitem__),
+        min(intervals, key=intervals.__getitem__),
+    )
+    if intervals[slow] < _OTHER_RATE * intervals[fast]:
+        return ()
+    return (
+        f"{fast} is sampled every {intervals[fast]:.3g} s and {slow} every {intervals[slow]:.3g} "
+        "s: windows have as many samples in each, and so are of different length.",
+    )
 
 
 def _window(machine: Machine) -> float:

@@ -21,6 +21,7 @@ from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import instants_in
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State
 
 PAST = 0.2  # [s] before a window from which its start is estimated
@@ -58,9 +59,13 @@ def forecast_problem(
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
 ) -> tuple[Problem, int]:
-    """Cut recordings into windows of past and future; return them and the instants of the past."""
-    before = max(round(past / machine.sampling), 3)
-    after = max(round(ahead / machine.sampling), 1)
+    """Cut recordings into windows of past and future; return them and the instants of the past.
+
+    Lengths in [s] are counted at the rate of these recordings, which may not be that of others.
+    """
+    compared = {*model.qpos_channels, *sigma}
+    before = max(instants_in(past, recordings, compared), 3)
+    after = max(instants_in(ahead, recordings, compared), 1)
     problem = pose(
         model,
         machine,
