@@ -30,6 +30,7 @@ from bo_sysid.diagnosis.unexplained.unknown import Clue, Unknown, examine, neede
 from bo_sysid.diagnosis.windows.along import smoothed
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects.learned import learned_force
 from bo_sysid.mjcf.touching import touching
@@ -142,21 +143,25 @@ def test_the_gain_is_what_fits_without_a_block_predict_of_it() -> None:
 
 
 def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
-    ready, _ = magnet
+    ready, nominal = magnet
     spring = candidate(ready.problem.machine, "joint_spring", "elbow")
     named = refit(ready.linear, (spring,), (spring.probe,), effort=Effort(10, 1.0, final=True))
-    assert needed_beside(ready.problem, named, AT_ELBOW) == (False,)
+    assert needed_beside(ready.problem, named, nominal, AT_ELBOW) == (False,)
+    assert named.rms > ROUGH  # far, but what the spring leaves out is foretold by its slope
+    beyond = replace(nominal, rms=3 * nominal.rms)  # were it not, forecasts had to decide
+    assert needed_beside(ready.problem, named, beyond, AT_ELBOW) == (True,)
 
 
 def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
     rubs = [("dry_friction", "joint", "elbow", [0.03])]
     problem, machine = posed(record(rubs, duration=8.0, force=("elbow", spring_law)), horizon=150)
     ready = prepare(problem)
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
     friction = candidate(machine, "dry_friction", "elbow")
     x = np.array([0.03])
     named = refit(ready.linear, (friction,), (x,), effort=Effort(10, 1.0, final=True))
     # friction at each position, with bumps of its own, is among what the law can say
-    assert needed_beside(problem, named, AT_ELBOW) == (True,)
+    assert needed_beside(problem, named, nominal, AT_ELBOW) == (True,)
 
 
 def test_chance_is_the_gain_of_what_has_no_sign() -> None:

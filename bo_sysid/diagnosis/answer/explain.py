@@ -146,7 +146,7 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
     if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
     if unknown.law is not None:
-        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
+        fit = _without(located, fit, needed_beside(problem, fit, decision.nominal, unknown.law))
     named = fit.key
     fit, sessions = _agreed(located, fit)
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained

@@ -18,7 +18,7 @@ from bo_sysid.diagnosis.unexplained.law import law_columns, lengths, scales, ter
 from bo_sysid.diagnosis.unexplained.left_out import LeftOut
 from bo_sysid.diagnosis.windows.hypothesis import slices_of
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects.learned import Feature, features
 
@@ -33,6 +33,7 @@ _RIDGE = 1e-6  # on names beside a law, where both are compared: they are believ
 _ALSO = 0.2  # of what a law leaves, that it must predict more to depend on something more
 _AT_LEAST = 0.02  # the same, of what there was to predict
 _MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
+_FORETOLD = 2.0  # times the squares without names that slopes may be wrong by
 _WINDOWS = 40
 _DRAWS = 39  # of signs: chance exceeds the largest gain of them once in forty
 
@@ -98,19 +99,26 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     return Unknown(bool(loose or most > max(need, chance)), share, laws)
 
 
-def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
+def needed_beside(problem: Problem, fit: Fit, nominal: Fit, law: Clue) -> tuple[bool, ...]:
     """Return which members of a fit are still needed once a law acts at a joint.
 
     A flexible law can say within the recordings what almost any name says. What a name says that
     holds beyond them is what it predicts in blocks that neither was fitted to: the gain of the law
     with the name over the law without it. It must exceed what both together leave there, and the
     least size of an effect, squared.
+
+    Far from the recordings the linear model about a fit may not reach to the model without its
+    names: that of an arm whose friction grows with its load foretold squares of 425 there, with the
+    study's parameters free, where 2 281 are left. Then all are kept here; forecasts decide
+    (`explain`).
     """
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
     terms = terms_of(problem.machine, law.joint, law.depends_on)
     A, S = _columns(linear, fit, law.joint, terms), project(linear.Q, fit.jacobian.astype(float))
     y = project(linear.Q, fit.residual)
+    if fit.rms > ROUGH and not _foretold(y, S, fit, nominal.excess * problem.dof):
+        return (True,) * len(fit.members)
     of_law, named = list(range(len(terms))), list(range(len(terms), A.shape[-1]))
     explained = LeftOut.of(A, y, problem.block).gain(of_law, named)[0] / problem.dof
     need = max(MARGIN**2, fit.excess - explained)
@@ -123,6 +131,24 @@ def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
         gain = held.gain(of_law, [*own, *rest], _RIDGE)[0] - held.gain(of_law, rest, _RIDGE)[0]
         kept.append(bool(gain / problem.dof >= need))
     return tuple(kept)
+
+
+def _foretold(
+    y: Float[np.ndarray, "W R"], S: Float[np.ndarray, "W R k"], fit: Fit, squares: float
+) -> bool:
+    """Whether the slopes at a fit foretell the squares that the nominal model leaves.
+
+    Args:
+        y: what the fit leaves.
+        S: responses to its magnitudes, then to the study's parameters.
+        fit: with members.
+        squares: that the nominal model leaves, its parameters fitted.
+    """
+    of_members = sum(x.size for x in fit.x)
+    without = (y + S[..., :of_members] @ np.concatenate(fit.x)).reshape(-1)
+    free = S[..., of_members:].reshape(len(without), -1)
+    left = without - free @ np.linalg.lstsq(free, without)[0]
+    return bool(1 / _FORETOLD < (left**2).sum() / squares < _FORETOLD)
 
 
 def _clues(linear: Linear, best: Fit) -> tuple[list[Clue], float]:
