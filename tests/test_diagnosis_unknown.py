@@ -150,6 +150,8 @@ def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
     assert named.rms > ROUGH  # far, but what the spring leaves out is foretold by its slope
     beyond = replace(nominal, rms=3 * nominal.rms)  # were it not, forecasts had to decide
     assert needed_beside(ready.problem, named, beyond, AT_ELBOW) == (True,)
+    assert nominal.rms > ROUGH
+    assert needed_beside(ready.problem, nominal, nominal, AT_ELBOW) == ()
 
 
 def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:

@@ -112,6 +112,8 @@ def needed_beside(problem: Problem, fit: Fit, nominal: Fit, law: Clue) -> tuple[
     study's parameters free, where 2 281 are left. Then all are kept here; forecasts decide
     (`explain`).
     """
+    if not fit.members:
+        return ()
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
     terms = terms_of(problem.machine, law.joint, law.depends_on)
