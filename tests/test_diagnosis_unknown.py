@@ -26,7 +26,13 @@ from bo_sysid.diagnosis.sets.refit import Effort, refit
 from bo_sysid.diagnosis.sets.signatures import response_to_forces
 from bo_sysid.diagnosis.unexplained.law import law_candidate, learn, terms_of
 from bo_sysid.diagnosis.unexplained.left_out import RIDGES, LeftOut
-from bo_sysid.diagnosis.unexplained.unknown import Clue, Unknown, examine, needed_beside
+from bo_sysid.diagnosis.unexplained.unknown import (
+    Clue,
+    Unknown,
+    examine,
+    needed_beside,
+    slopes_reach,
+)
 from bo_sysid.diagnosis.windows.along import smoothed
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.linear import linearise, project
@@ -146,24 +152,22 @@ def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
     ready, nominal = magnet
     spring = candidate(ready.problem.machine, "joint_spring", "elbow")
     named = refit(ready.linear, (spring,), (spring.probe,), effort=Effort(10, 1.0, final=True))
-    assert needed_beside(ready.problem, named, nominal, AT_ELBOW) == (False,)
-    assert named.rms > ROUGH  # far, but what the spring leaves out is foretold by its slope
-    beyond = replace(nominal, rms=3 * nominal.rms)  # were it not, forecasts had to decide
-    assert needed_beside(ready.problem, named, beyond, AT_ELBOW) == (True,)
-    assert nominal.rms > ROUGH
-    assert needed_beside(ready.problem, nominal, nominal, AT_ELBOW) == ()
+    assert needed_beside(ready.problem, named, AT_ELBOW) == (False,)
+    assert named.rms > ROUGH  # far, but what is left without the spring is foretold by its slope
+    assert slopes_reach(ready.problem, named, nominal)
+    assert not slopes_reach(ready.problem, named, replace(nominal, rms=3 * nominal.rms))
+    assert slopes_reach(ready.problem, nominal, nominal)
 
 
 def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
     rubs = [("dry_friction", "joint", "elbow", [0.03])]
     problem, machine = posed(record(rubs, duration=8.0, force=("elbow", spring_law)), horizon=150)
     ready = prepare(problem)
-    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
     friction = candidate(machine, "dry_friction", "elbow")
     x = np.array([0.03])
     named = refit(ready.linear, (friction,), (x,), effort=Effort(10, 1.0, final=True))
     # friction at each position, with bumps of its own, is among what the law can say
-    assert needed_beside(problem, named, nominal, AT_ELBOW) == (True,)
+    assert needed_beside(problem, named, AT_ELBOW) == (True,)
 
 
 def test_chance_is_the_gain_of_what_has_no_sign() -> None:
@@ -271,14 +275,20 @@ def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> Non
     beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
     alone = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.03]),))
     named, right = replace(nominal, hypothesis=alone), replace(nominal, hypothesis=law, rms=1.1)
-    assert _refuted(error, right, nominal, beside, law)
-    assert not _refuted(error, right, nominal, law, beside)
-    assert not _refuted(error, right, nominal, law, law)  # a name that harms nothing stays
-    assert _refuted(error, replace(right, rms=2.7), nominal, law, law)  # nor explains much alone
-    assert not _refuted(error, replace(right, rms=2.7), nominal, law, beside)
-    assert not _refuted(error, right, nominal, beside, None)
+    assert _refuted(error, right, nominal, beside, law, bare=False)
+    assert not _refuted(error, right, nominal, law, beside, bare=False)
+    assert not _refuted(error, right, nominal, law, law, bare=False)  # it harms nothing
+    assert _refuted(error, replace(right, rms=2.7), nominal, law, law, bare=False)  # nor explains
+    assert not _refuted(error, replace(right, rms=2.7), nominal, law, beside, bare=False)
+    assert not _refuted(error, right, nominal, beside, None, bare=False)
     assert error(alone) > error(nominal.hypothesis)
-    assert _refuted(error, named, nominal, law, beside)  # a law makes good for a wrong name
+    assert _refuted(error, named, nominal, law, beside, bare=False)  # a law makes good for it
+    half = replace(law, x=tuple(0.5 * x for x in law.x))
+    some = replace(nominal, hypothesis=half, rms=1.1)  # says less without a law than it alone
+    assert error(law) < error(half) < error(nominal.hypothesis)
+    assert not _refuted(error, some, nominal, law, law, bare=False)
+    assert _refuted(error, some, nominal, law, law, bare=True)
+    assert not _refuted(error, some, nominal, law, None, bare=True)
 
 
 def test_a_law_that_forecasts_worse_than_none_is_left_out(magnet, judged) -> None:

@@ -16,7 +16,13 @@ from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.sets.rules import LOOSE
 from bo_sysid.diagnosis.sets.shapes import with_shapes_unsure
 from bo_sysid.diagnosis.unexplained.law import learn, terms_of
-from bo_sysid.diagnosis.unexplained.unknown import Clue, Unknown, examine, needed_beside
+from bo_sysid.diagnosis.unexplained.unknown import (
+    Clue,
+    Unknown,
+    examine,
+    needed_beside,
+    slopes_reach,
+)
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import coarsened
@@ -129,7 +135,8 @@ def explain(located: Located) -> Outcome:
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
             unexplained = _said(replace(unknown, clues=(clue,)))
-        if fit.members and error is not None and _refuted(error, fit, nominal, law, alone):
+        unjudged = not slopes_reach(problem, fit, nominal)
+        if error is not None and _refuted(error, fit, nominal, law, alone, bare=unjudged):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
             unexplained = _said(found)
@@ -145,8 +152,8 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
     unexplained = _said(unknown)
     if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
-    if unknown.law is not None:
-        fit = _without(located, fit, needed_beside(problem, fit, decision.nominal, unknown.law))
+    if unknown.law is not None and slopes_reach(problem, fit, decision.nominal):
+        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
     named = fit.key
     fit, sessions = _agreed(located, fit)
     if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
@@ -156,14 +163,32 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
 
 
 def _refuted(
-    error: PredictionError, fit: Fit, nominal: Fit, law: Hypothesis | None, alone: Hypothesis | None
+    error: PredictionError,
+    fit: Fit,
+    nominal: Fit,
+    law: Hypothesis | None,
+    alone: Hypothesis | None,
+    *,
+    bare: bool,
 ) -> bool:
     """Whether nothing, or a law alone, forecasts the training recordings better than names do.
 
     Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
     Names that are far from the recordings without a law must forecast better than it does alone.
+
+    Args:
+        error: of a forecast.
+        fit: names.
+        nominal: no names.
+        law: the names with a law.
+        alone: a law without names.
+        bare: whether the names must forecast better than the law does alone also without one, since
+            nothing else has judged them beside it.
     """
-    if error(fit.hypothesis) > error(nominal.hypothesis):
+    if not fit.members:
+        return False
+    own = error(fit.hypothesis)
+    if own > error(nominal.hypothesis) or (bare and alone is not None and own > error(alone)):
         return True
     margin = _BETTER if fit.rms <= LOOSE else 1 / _BETTER
     return law is not None and alone is not None and error(alone) < margin * error(law)

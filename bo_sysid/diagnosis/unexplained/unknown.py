@@ -99,28 +99,39 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     return Unknown(bool(loose or most > max(need, chance)), share, laws)
 
 
-def needed_beside(problem: Problem, fit: Fit, nominal: Fit, law: Clue) -> tuple[bool, ...]:
+def slopes_reach(problem: Problem, fit: Fit, nominal: Fit) -> bool:
+    """Whether the linear model about a fit reaches to the model without its names.
+
+    Near the recordings it does. Far from them it does where it foretells the squares that the
+    nominal model leaves, with the study's parameters free: that of an arm whose friction grows with
+    its load foretold 425 where 2 281 are left.
+    """
+    if fit.rms <= ROUGH or not fit.members:
+        return True
+    problem, fit = _some(problem, fit)
+    linear = linearise(problem, fit.hypothesis, fit.start)
+    S, y = project(linear.Q, fit.jacobian.astype(float)), project(linear.Q, fit.residual)
+    of_members = sum(x.size for x in fit.x)
+    without = (y + S[..., :of_members] @ np.concatenate(fit.x)).reshape(-1)
+    free = S[..., of_members:].reshape(len(without), -1)
+    left = without - free @ np.linalg.lstsq(free, without)[0]
+    foretold = (left**2).sum() / (nominal.excess * problem.dof)
+    return bool(1 / _FORETOLD < foretold < _FORETOLD)
+
+
+def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
     """Return which members of a fit are still needed once a law acts at a joint.
 
     A flexible law can say within the recordings what almost any name says. What a name says that
     holds beyond them is what it predicts in blocks that neither was fitted to: the gain of the law
     with the name over the law without it. It must exceed what both together leave there, and the
     least size of an effect, squared.
-
-    Far from the recordings the linear model about a fit may not reach to the model without its
-    names: that of an arm whose friction grows with its load foretold squares of 425 there, with the
-    study's parameters free, where 2 281 are left. Then all are kept here; forecasts decide
-    (`explain`).
     """
-    if not fit.members:
-        return ()
     problem, fit = _some(problem, fit)
     linear = linearise(problem, fit.hypothesis, fit.start)
     terms = terms_of(problem.machine, law.joint, law.depends_on)
     A, S = _columns(linear, fit, law.joint, terms), project(linear.Q, fit.jacobian.astype(float))
     y = project(linear.Q, fit.residual)
-    if fit.rms > ROUGH and not _foretold(y, S, fit, nominal.excess * problem.dof):
-        return (True,) * len(fit.members)
     of_law, named = list(range(len(terms))), list(range(len(terms), A.shape[-1]))
     explained = LeftOut.of(A, y, problem.block).gain(of_law, named)[0] / problem.dof
     need = max(MARGIN**2, fit.excess - explained)
@@ -133,24 +144,6 @@ def needed_beside(problem: Problem, fit: Fit, nominal: Fit, law: Clue) -> tuple[
         gain = held.gain(of_law, [*own, *rest], _RIDGE)[0] - held.gain(of_law, rest, _RIDGE)[0]
         kept.append(bool(gain / problem.dof >= need))
     return tuple(kept)
-
-
-def _foretold(
-    y: Float[np.ndarray, "W R"], S: Float[np.ndarray, "W R k"], fit: Fit, squares: float
-) -> bool:
-    """Whether the slopes at a fit foretell the squares that the nominal model leaves.
-
-    Args:
-        y: what the fit leaves.
-        S: responses to its magnitudes, then to the study's parameters.
-        fit: with members.
-        squares: that the nominal model leaves, its parameters fitted.
-    """
-    of_members = sum(x.size for x in fit.x)
-    without = (y + S[..., :of_members] @ np.concatenate(fit.x)).reshape(-1)
-    free = S[..., of_members:].reshape(len(without), -1)
-    left = without - free @ np.linalg.lstsq(free, without)[0]
-    return bool(1 / _FORETOLD < (left**2).sum() / squares < _FORETOLD)
 
 
 def _clues(linear: Linear, best: Fit) -> tuple[list[Clue], float]:
