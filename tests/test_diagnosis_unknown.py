@@ -275,20 +275,24 @@ def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> Non
     beside = replace(law, members=(rubs, *law.members), x=(np.array([0.03]), *law.x))
     alone = replace(nominal.hypothesis, members=(rubs,), x=(np.array([0.03]),))
     named, right = replace(nominal, hypothesis=alone), replace(nominal, hypothesis=law, rms=1.1)
-    assert _refuted(error, right, nominal, beside, law, bare=False)
-    assert not _refuted(error, right, nominal, law, beside, bare=False)
-    assert not _refuted(error, right, nominal, law, law, bare=False)  # it harms nothing
-    assert _refuted(error, replace(right, rms=2.7), nominal, law, law, bare=False)  # nor explains
-    assert not _refuted(error, replace(right, rms=2.7), nominal, law, beside, bare=False)
-    assert not _refuted(error, right, nominal, beside, None, bare=False)
+    assert _refuted(error, right, nominal, beside, law)
+    assert not _refuted(error, right, nominal, law, beside)
+    assert not _refuted(error, right, nominal, law, law)  # it harms nothing
+    assert _refuted(error, replace(right, rms=2.7), nominal, law, law)  # nor explains
+    assert not _refuted(error, replace(right, rms=2.7), nominal, law, beside)
+    assert not _refuted(error, right, nominal, beside, None)
     assert error(alone) > error(nominal.hypothesis)
-    assert _refuted(error, named, nominal, law, beside, bare=False)  # a law makes good for it
+    assert _refuted(error, named, nominal, law, beside)  # a law makes good for it
     half = replace(law, x=tuple(0.5 * x for x in law.x))
-    some = replace(nominal, hypothesis=half, rms=1.1)  # says less without a law than it alone
+    some = replace(nominal, hypothesis=half, rms=0.99 * ROUGH)  # says less than a law does alone
     assert error(law) < error(half) < error(nominal.hypothesis)
-    assert not _refuted(error, some, nominal, law, law, bare=False)
-    assert _refuted(error, some, nominal, law, law, bare=True)
-    assert not _refuted(error, some, nominal, law, None, bare=True)
+    assert not _refuted(error, some, nominal, law, half)
+    far = replace(some, rms=1.01 * ROUGH)
+    assert not _refuted(error, far, nominal, law, half)
+    between = replace(law, x=tuple(0.7 * x for x in law.x))
+    assert not _refuted(error, some, nominal, law, between)
+    assert _refuted(error, far, nominal, law, between)
+    assert not _refuted(error, far, nominal, law, None)
 
 
 def test_a_law_that_forecasts_worse_than_none_is_left_out(magnet, judged) -> None:

@@ -135,8 +135,7 @@ def explain(located: Located) -> Outcome:
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
             unexplained = _said(replace(unknown, clues=(clue,)))
-        unjudged = not slopes_reach(problem, fit, nominal)
-        if error is not None and _refuted(error, fit, nominal, law, alone, bare=unjudged):
+        if error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
         if not fit.members and alone is not None:
             unexplained = _said(found)
@@ -163,32 +162,28 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
 
 
 def _refuted(
-    error: PredictionError,
-    fit: Fit,
-    nominal: Fit,
-    law: Hypothesis | None,
-    alone: Hypothesis | None,
-    *,
-    bare: bool,
+    error: PredictionError, fit: Fit, nominal: Fit, law: Hypothesis | None, alone: Hypothesis | None
 ) -> bool:
     """Whether nothing, or a law alone, forecasts the training recordings better than names do.
 
     Within windows a wrong name takes over what a law would say, and the law what is wrong with it.
-    Names that are far from the recordings without a law must forecast better than it does alone.
+    Names that are far from the recordings without a law must forecast better with it than it does
+    alone, and where they are very far, without it as well: a constant force that bettered the law
+    of a cable a little was wrong wherever the cable did not pull.
 
     Args:
         error: of a forecast.
-        fit: names.
+        fit: the names.
         nominal: no names.
         law: the names with a law.
         alone: a law without names.
-        bare: whether the names must forecast better than the law does alone also without one, since
-            nothing else has judged them beside it.
     """
     if not fit.members:
         return False
     own = error(fit.hypothesis)
-    if own > error(nominal.hypothesis) or (bare and alone is not None and own > error(alone)):
+    if own > error(nominal.hypothesis):
+        return True
+    if fit.rms > ROUGH and alone is not None and own > error(alone):
         return True
     margin = _BETTER if fit.rms <= LOOSE else 1 / _BETTER
     return law is not None and alone is not None and error(alone) < margin * error(law)
