@@ -36,6 +36,21 @@ def test_control_steps_equal_a_brute_force_integral(dt):
     np.testing.assert_allclose(got, wanted, atol=1e-12)
 
 
+@pytest.mark.parametrize("dt", [0.0013, 0.01, 0.4], ids=["fine", "like the clock", "coarse"])
+def test_control_steps_of_a_sampled_input_are_means_of_its_interpolant(dt):
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.003, 0.02, 200))
+    channel = Channel(time, rng.normal(size=200), hold="linear")
+    starts = np.r_[rng.uniform(-0.5, time[-1] + 0.2, 30), time[0] - 0.3 * dt, time[-1] - 0.3 * dt]
+    got = control_steps(channel, starts, 7, dt)
+    wanted = []
+    for left in starts[:, None] + dt * np.arange(7):
+        for a in left:  # the trapezoidal rule is exact between corners
+            corners = np.unique(np.r_[a, time[(time > a) & (time < a + dt)], a + dt])
+            wanted.append(np.trapezoid(channel.at(corners), corners) / dt)
+    np.testing.assert_allclose(got.ravel(), wanted, atol=1e-10)
+
+
 def test_control_steps_on_the_stamps_are_the_samples_bit_for_bit():
     values = np.random.default_rng(1).normal(size=1000)
     dt = 0.001

@@ -207,6 +207,14 @@ def test_a_hold_can_be_stated_for_any_channel():
     assert recording.channels["sensor.s"].hold == "zero"
 
 
+def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
+    recording = read({"aux.duty": {"from": "s", "hold": "linear"}}, s=WAVE)
+    duty = recording.channels["aux.duty"]
+    between = 0.5 * (duty.time[3] + duty.time[4])
+    assert duty.at(np.array([between]))[0] == pytest.approx(0.5 * (WAVE[3] + WAVE[4]))
+    assert "Interpolated between samples: aux.duty." in recording.notes
+
+
 def test_rules_can_be_given_as_values():
     rule = ColumnRule("s", unit="deg", sign=-1)
     clocks = {"sensor": ClockRule("t2")}

@@ -395,6 +395,13 @@ def test_parquet_keeps_an_unusual_hold_and_csv_refuses_it(tmp_path):
     with pytest.raises(RecordingError, match=r"'qpos.b' has hold 'zero'.*write Parquet"):
         write_recording(held, tmp_path / "b.csv")
     assert not (tmp_path / "b.csv").exists()
+    sampled = read_recording(
+        tmp_path / "a.parquet", {"aux.i": {"from": "ctrl.m", "hold": "linear"}}
+    )
+    again = read_recording(write_recording(sampled, tmp_path / "c.parquet"))
+    assert again.channels["aux.i"].hold == "linear"
+    with pytest.raises(RecordingError, match=r"'aux.i' has hold 'linear'.*write Parquet"):
+        write_recording(sampled, tmp_path / "c.csv")
 
 
 def test_an_unknown_ending_writes_nothing(tmp_path):

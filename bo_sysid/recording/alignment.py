@@ -1,7 +1,7 @@
 """Clocks: what a simulation needs to know about when things were recorded.
 
-Controls are held between their stamps and averaged over each simulation step, exactly; measured
-channels are never interpolated.
+Controls are held between their stamps, or interpolated where that was asked for, and averaged over
+each simulation step, exactly; measured channels are never interpolated.
 """
 
 from collections.abc import Collection, Sequence
@@ -22,15 +22,16 @@ _SNAP = 1e-6  # a step edge this close to a stamp, in steps, is meant to be on i
 def control_steps(
     channel: Channel, start_times: Float[np.ndarray, " W"], n_steps: int, dt: float
 ) -> Float[np.ndarray, "W S"]:
-    """Return the held value of a channel averaged over each simulation step.
+    """Return the value of a channel averaged over each simulation step.
 
-    With u(t) the zero-order hold of the samples, entry (w, s) is
+    With u(t) the zero-order hold of the samples, or their linear interpolant where the channel's
+    hold is "linear", entry (w, s) is
     1/dt · ∫ u(t) dt from start_w + s·dt to start_w + (s+1)·dt. The first sample extends to before
     its stamp and the last one beyond it. A step within one hold returns the sample itself, bit for
     bit, also where rounding puts the step's edge a hair beside the stamp.
 
     Args:
-        channel: a held channel: control, goal or auxiliary input.
+        channel: control, goal or auxiliary input.
         start_times: `W` starts of the windows in [s].
         n_steps: number S of simulation steps.
         dt: simulation timestep in [s].
@@ -43,9 +44,10 @@ def control_steps(
     """
     if n_steps < 1 or not dt > 0:
         raise RecordingError(f"n_steps {n_steps} and dt {dt:g} s must be positive")
-    edges = _snapped(
-        np.asarray(start_times)[:, None] + np.arange(n_steps + 1) * dt, channel.time, _SNAP * dt
-    )
+    edges = np.asarray(start_times)[:, None] + np.arange(n_steps + 1) * dt
+    if channel.hold == "linear":
+        return _interpolated(channel, edges)
+    edges = _snapped(edges, channel.time, _SNAP * dt)
     left, right = edges[:, :-1], edges[:, 1:]
     stamps, values = channel.time, channel.values
     last_row = stamps.size - 1
@@ -60,6 +62,24 @@ def control_steps(
         + (right - stamps[last]) * values[last]
     )
     return np.where(first == last, values[first], integral / (right - left))
+
+
+def _interpolated(channel: Channel, edges: Float[np.ndarray, "W _"]) -> Float[np.ndarray, "W S"]:
+    """Return the mean of the linear interpolant between successive edges.
+
+    The mean of a line between two times is its value in the middle; stamps between the edges are
+    corners, so that each step is a sum of trapezoids.
+    """
+    stamps, values = channel.time, channel.values
+    at = np.interp(edges, stamps, values)
+    # integral of the interpolant from the first stamp to each stamp, and on to each edge
+    whole = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(stamps))])
+    segment = np.searchsorted(stamps, edges, side="right") - 1
+    before = np.clip(segment, 0, None)
+    partial = 0.5 * (at + values[before]) * (edges - stamps[before])
+    alike = segment[:, 1:] == segment[:, :-1]
+    across = np.diff(whole[before] + partial, axis=1) / np.diff(edges, axis=1)
+    return np.asarray(np.where(alike, 0.5 * (at[:, 1:] + at[:, :-1]), across))
 
 
 def _snapped(times: np.ndarray, stamps: Times, tolerance: float) -> np.ndarray:

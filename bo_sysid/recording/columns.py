@@ -35,7 +35,7 @@ class ColumnRule:
         unwrap: True for an angle that jumps by a turn, or the size of the jump in SI units.
         signed: bits of an unsigned integer that holds a signed one, as registers do: above half of
             its range it is negative; 0 for a number as it stands.
-        hold: "zero" or "none"; None for what the kind of channel says.
+        hold: "zero", "linear" or "none"; None for what the kind of channel says.
         clock: column of the time stamps in [s]; None for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
 
@@ -99,7 +99,7 @@ class ClockRule:
     Attributes:
         source: column of the time stamps (``from`` in a study); None for the recording's time.
         unit: unit of that column; None where the file says it or it is seconds.
-        hold: "zero" or "none"; None for what the kind of channel says.
+        hold: "zero", "linear" or "none"; None for what the kind of channel says.
         shift: added to the stamps, in [s]: how much later than stamped its channels happened.
     """
 

@@ -60,7 +60,7 @@ def to_recording(
             rules.setdefault(column, ColumnRule())
     mapper = _Mapper(table, rules, clock_rules)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
-    if all(channel.hold == "zero" for channel in channels.values()):
+    if all(channel.hold != "none" for channel in channels.values()):
         raise RecordingError(
             f"{table.source}: no column is a measured channel (qpos.<joint>, qvel.<joint>, "
             f"sensor.<name>); it has {', '.join(map(repr, table.columns))}. "
@@ -131,6 +131,9 @@ class _Mapper:
         held = [n for n, c in channels.items() if c.hold == "zero"]
         if held:
             sentences.append(f"Held between samples (zero order): {', '.join(held)}.")
+        interpolated = [n for n, c in channels.items() if c.hold == "linear"]
+        if interpolated:
+            sentences.append(f"Interpolated between samples: {', '.join(interpolated)}.")
         used = {rule.source or name for name, rule in self.rules.items()}
         used |= {clock.column for clock in self._clocks.values()}
         unused = [column for column in self.table.columns if column not in used]

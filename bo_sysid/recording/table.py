@@ -23,7 +23,7 @@ class RawTable:
         columns: samples by column name; numbers, truth values, time stamps or text.
         clocks: name of the column that holds the time stamps of a column, where the file says so.
         units: unit of a column, where the file says so.
-        holds: "zero" or "none" by column, where the file says so.
+        holds: "zero", "linear" or "none" by column, where the file says so.
         name: name of the recording, where the file says so.
         notes: what the reader did, and what the file says was done before.
     """

@@ -26,7 +26,7 @@ _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 UNUSED = "Columns not used: "
 """What the note of a recording begins with that lists them."""
 
-Hold = Literal["none", "zero"]
+Hold = Literal["none", "zero", "linear"]
 UNNAMED = "recording"
 """Name of a recording that was given none; written to a file, it takes that file's."""
 
@@ -41,7 +41,9 @@ class Channel:
         unit: unit of `values` as the model has it (rad, m, rad/s, N m, …); may be empty.
         source: where the samples came from, for messages.
         hold: "zero" where the value applies from its stamp until the next one (controls, goals,
-            auxiliary inputs); "none" where it was measured at the stamp and says nothing between.
+            auxiliary inputs); "linear" where such an input changes all the time and was sampled at
+            the stamp (a measured duty, current or voltage); "none" where it was measured at the
+            stamp and says nothing between.
     """
 
     time: Times
@@ -74,7 +76,9 @@ class Channel:
         object.__setattr__(self, "values", values)
 
     def at(self, time: Times) -> Samples:
-        """Return the value held at each of `time`; before the first stamp, the first value."""
+        """Return the value at each of `time`, held or interpolated; beyond the ends, that there."""
+        if self.hold == "linear":
+            return np.asarray(np.interp(time, self.time, self.values))
         row = np.searchsorted(self.time, time, side="right") - 1
         return np.asarray(self.values[np.clip(row, 0, None)])
 

@@ -67,7 +67,7 @@ def _write_csv(recording: Recording, path: Path) -> None:
     import pandas as pd
 
     for name, channel in recording.channels.items():
-        if (channel.hold == "zero") != (name.split(".", 1)[0] in HELD_KINDS):
+        if channel.hold != ("zero" if name.split(".", 1)[0] in HELD_KINDS else "none"):
             raise RecordingError(
                 f"{recording.name}: channel {name!r} has hold {channel.hold!r}, which its kind "
                 "does not imply and CSV cannot say; write Parquet"

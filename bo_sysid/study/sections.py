@@ -76,8 +76,9 @@ class Column(Section):
     """true for an angle that jumps by a turn, or the size of the jump in SI units (of time: s)."""
     signed: Literal[0, 8, 16, 32] = 0
     """Bits of an unsigned integer that holds a signed one, as the registers of servos do."""
-    hold: Literal["none", "zero"] | None = None
-    """zero: a value applies until the next stamp; none: it was measured at the stamp."""
+    hold: Literal["none", "zero", "linear"] | None = None
+    """zero: a value applies until the next stamp; linear: an input that changes all the time was
+    sampled (a measured duty or current); none: it was measured at the stamp."""
     clock: Name | None = None
     """Name of the column with the time stamps, in s."""
     missing: Literal["error", "skip"] = "error"
@@ -91,8 +92,9 @@ class Clock(Section):
     """Name of the column with the time stamps; the recording's own where left out."""
     unit: Name | None = None
     """Unit of that column; s, or what the file says, where left out."""
-    hold: Literal["none", "zero"] | None = None
-    """zero: a value applies until the next stamp; none: it was measured at the stamp."""
+    hold: Literal["none", "zero", "linear"] | None = None
+    """zero: a value applies until the next stamp; linear: an input that changes all the time was
+    sampled (a measured duty or current); none: it was measured at the stamp."""
     shift: Real = 0.0
     """Added to the stamps, in s: how much later than stamped the channels happened."""
 

@@ -9,6 +9,9 @@ import numpy as np
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.registry import reader, require_content
 from bo_sysid.recording.table import RawTable
+from bo_sysid.recording.value import Hold
+
+_HOLDS: dict[bytes, Hold] = {b"zero": "zero", b"linear": "linear"}
 
 
 @reader(".parquet", ".pq")
@@ -29,11 +32,7 @@ def read_parquet(path: Path) -> RawTable:
         source=str(path),
         columns=columns,
         units={n: m[b"unit"].decode() for n, m in described.items() if b"unit" in m},
-        holds={
-            n: "zero" if m[b"hold"] == b"zero" else "none"
-            for n, m in described.items()
-            if b"hold" in m
-        },
+        holds={n: _HOLDS.get(m[b"hold"], "none") for n, m in described.items() if b"hold" in m},
         name=own.get("name", ""),
         notes=(*own.get("notes", ()), *left_out),
     )
