@@ -23,6 +23,17 @@ def test_commands_of_a_wide_range_and_a_slow_rate_stay_within_reason() -> None:
     assert len(limited(step, 1e-3, 1e-3).time) < 1e5
 
 
+@pytest.mark.parametrize("dt", [0.001, 0.004])
+def test_a_lag_of_a_sampled_input_is_that_of_its_interpolant(dt: float) -> None:
+    """A ramp comes out as late as the lag is long, whatever the stamps."""
+    stamps = np.cumsum(np.random.default_rng(1).uniform(0.003, 0.02, 200))
+    ramp = Channel(stamps, 2.0 * stamps, hold="linear")
+    middle = 1.0 + 0.5 * dt  # a step's mean is its value in the middle
+    for out, late in ((lagged(ramp, 0.03, dt), 0.03), (limited(ramp, 1e6, dt), 0.0)):
+        got = control_steps(out, np.array([1.0]), 20, dt)[0]
+        np.testing.assert_allclose(got, 2.0 * (middle + dt * np.arange(20) - late), atol=1e-7)
+
+
 @pytest.mark.parametrize(("dt", "off"), [(0.002, 1e-4), (0.005, 4e-4)])
 def test_a_lag_of_jittered_commands_does_not_depend_on_the_step(dt: float, off: float) -> None:
     """In units of the lag of 4 ms: what differs from its output at 10 µs, along its change."""

@@ -213,6 +213,17 @@ def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
     between = 0.5 * (duty.time[3] + duty.time[4])
     assert duty.at(np.array([between]))[0] == pytest.approx(0.5 * (WAVE[3] + WAVE[4]))
     assert "Interpolated between samples: aux.duty." in recording.notes
+    with pytest.raises(RecordingError, match=r"sensor.s: hold is 'linear', which is for inputs"):
+        read({"sensor.s": {"from": "s", "hold": "linear"}}, s=WAVE)
+
+
+def test_empty_cells_of_a_sampled_input_are_interpolated_across():
+    values = np.where(np.arange(WAVE.size) == 5, np.nan, WAVE)
+    rule = {"from": "s", "hold": "linear", "missing": "skip"}
+    recording = read({"aux.duty": rule}, s=values)
+    duty = recording.channels["aux.duty"]
+    assert duty.at(TIME[5:6])[0] == pytest.approx(0.5 * (WAVE[4] + WAVE[6]))
+    assert any("what lies between is interpolated" in note for note in recording.notes)
 
 
 def test_rules_can_be_given_as_values():

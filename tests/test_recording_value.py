@@ -61,6 +61,20 @@ def test_a_recording_needs_a_channel():
         Recording("r", {})
 
 
+def test_parts_and_frames_of_a_sampled_input_keep_what_lies_between():
+    time = np.arange(0.0, 1.0, 0.1)
+    channels = {
+        "qpos.a": Channel(time, np.sin(time)),
+        "aux.i": Channel(time[::3], time[::3] ** 2, hold="linear"),
+    }
+    recording = Recording("r", channels)
+    part = recording.between(0.4, 0.8)
+    assert part.channels["aux.i"].hold == "linear"
+    at = np.array([0.4, 0.5])
+    np.testing.assert_allclose(part.channels["aux.i"].at(at), channels["aux.i"].at(at))
+    np.testing.assert_allclose(recording.to_frame()["aux.i"], channels["aux.i"].at(time))
+
+
 def test_from_arrays_indexes_coordinates_and_holds_controls():
     recording = Recording.from_arrays(
         TIME,

@@ -326,3 +326,27 @@ def test_activations_are_what_the_controls_before_led_to(before: str) -> None:
     first = 7 * np.arange(len(windows))
     expected = np.column_stack([slow, held])[first]
     np.testing.assert_allclose(windows.start.act[1:], expected[1:], atol=1e-9)
+
+
+def test_a_torque_that_was_measured_acts_as_late_as_it_did() -> None:
+    """A plant is stepped with a torque that never rests; a log has every tenth of its values."""
+    model = Model.from_xml(ACTING.replace('ctrlrange="-1 1"', ""))
+    plant = model.compile()
+    data, rows = mujoco.MjData(plant), []
+    for k in range(3000):
+        told = 3.0 * np.sin(0.02 * k + np.array([0.0, 1.0]))
+        if k % 10 == 0:
+            rows.append([1e-3 * k, *data.qpos, *told])
+        data.ctrl[:] = 3.0 * np.sin(0.02 * (k + 0.5) + np.array([0.0, 1.0]))  # a step's mean
+        mujoco.mj_step(plant, data)
+    time, a, b, *ctrl = np.transpose(rows)
+    errors = []
+    for hold in ("zero", "linear"):
+        inputs = {
+            f"ctrl.{n}": Channel(time, u, hold=hold)
+            for n, u in zip(("slow", "held"), ctrl, strict=True)
+        }
+        motion = {"qpos.a": Channel(time, a), "qpos.b": Channel(time, b)}
+        windows, prediction = forecast(model, Recording(hold, {**motion, **inputs}), 20)
+        errors.append(np.abs(windows.residual(prediction.values)[2:-2]).max())
+    assert errors[1] < 0.1 * errors[0]

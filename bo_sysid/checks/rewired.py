@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from bo_sysid.checks.hypothesis import Wire
-from bo_sysid.recording import HELD_KINDS, Channel, Recording
-from bo_sysid.recording.value import Hold
+from bo_sysid.recording import Channel, Recording
 
 
 def rewired(
@@ -26,9 +25,7 @@ def _rewired(recording: Recording, wires: Mapping[str, Wire], delay: float, kind
     for name, own in recording.channels.items():
         wire = wires.get(name, Wire(name))
         c = recording.channels[wire.source]
-        held = name.split(".", 1)[0] in HELD_KINDS
-        hold: Hold = own.hold if wire.source == name else ("zero" if held else "none")
         time = c.time + delay if name.startswith(f"{kind}.") else c.time
         values = wire.sign * wire.scale * c.values + wire.offset
-        channels[name] = Channel(time, values, own.unit, c.source, hold)
+        channels[name] = Channel(time, values, own.unit, c.source, own.hold)
     return Recording(recording.name, channels, recording.notes)

@@ -1,8 +1,8 @@
 """What lies between a command and the force: filters over a whole recorded control.
 
-Each returns a channel whose values hold from their stamps on. Where the output moves between
-two stamps, the filter works on a grid of the simulation's time step `dt` and gives the mean over
-each step, so that the answer does not depend on the step.
+Each returns a channel. Where its values move between two stamps in a way of their own, the filter
+works on a grid of the simulation's time step `dt` and gives the mean over each step, held, so that
+the answer does not depend on the step.
 """
 
 from dataclasses import replace
@@ -30,7 +30,8 @@ def lagged(channel: Channel, lag: float, dt: float) -> Channel:
     gain = -np.expm1(-dt / lag)
     end = lfilter([gain], [1.0, gain - 1.0], u, zi=(1.0 - gain) * u[:1])[0]
     begin = np.concatenate([u[:1], end[:-1]])
-    return replace(channel, time=time, values=u + (begin - u) * (lag / dt) * gain)
+    mean = u + (begin - u) * (lag / dt) * gain
+    return replace(channel, time=time, values=mean, hold="zero")
 
 
 def delayed(channel: Channel, delay: float) -> Channel:
@@ -55,7 +56,7 @@ def limited(channel: Channel, rate: float, dt: float) -> Channel:
     u + (y - u)·t/(2h); one that does not reach it, y ± rate·h/2.
     """
     time, u = _gridded(channel, dt, float(np.ptp(channel.values)) / rate)
-    return replace(channel, time=time, values=_ramped(u, rate * dt))
+    return replace(channel, time=time, values=_ramped(u, rate * dt), hold="zero")
 
 
 def _ramped(u: Float[np.ndarray, " S"], most: float) -> Float[np.ndarray, " S"]:

@@ -3,8 +3,9 @@
 Duplicate stamps: the first sample is kept; where a rule skips empty cells, the first that is not
 empty, for a merged log may write its channels in rows of their own. Gaps, dropped samples and
 jitter: kept as recorded, for predictions are compared at the recorded instants. A measurement is
-never invented: nothing is interpolated, resampled or filled. Time that runs backwards, a value that
-is not finite and an empty cell that no rule explains are errors. Rows count from 0.
+never invented: nothing that is predicted is interpolated, resampled or filled. Time that runs
+backwards, a value that is not finite and an empty cell that no rule explains are errors. Rows count
+from 0.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,14 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.alignment import GAP, Sampling
-from bo_sysid.recording.value import Channel
+from bo_sysid.recording.value import Channel, Hold
 
 JITTER = 0.05  # intervals that spread by more than this share of their median are mentioned
+_KEPT: Mapping[Hold, str] = {
+    "zero": "the value before it is held",
+    "linear": "what lies between is interpolated",
+    "none": "no measurement was made up",
+}
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,7 @@ def read_clock(column: str, stamps: np.ndarray, where: str) -> Clock:
 
 
 def usable_rows(
-    values: np.ndarray, clock: Clock, where: str, *, held: bool, skip_missing: bool
+    values: np.ndarray, clock: Clock, where: str, *, hold: Hold, skip_missing: bool
 ) -> tuple[np.ndarray, list[str]]:
     """Return the rows of a column that become samples, and what is to be said about them.
 
@@ -87,7 +93,7 @@ def usable_rows(
         values: samples as numbers; NaN is an empty cell.
         clock: the clock of the column.
         where: file, channel and column, for messages.
-        held: whether the value is held between its samples.
+        hold: what the value does between its samples.
         skip_missing: whether an empty cell means that the row holds no new sample.
 
     Raises:
@@ -95,7 +101,7 @@ def usable_rows(
     """
     notes = []
     size = clock.stamps.size
-    if held and len(values) == clock.length - 1:
+    if hold != "none" and len(values) == clock.length - 1:
         size = min(size, len(values))
         notes.append("one sample fewer than time stamps; the last stamp has no value")
     elif len(values) != clock.length:
@@ -114,8 +120,7 @@ def usable_rows(
         filled = _first_filled(values[:size], rows)
         missing, rows = rows.size - filled.size, filled
         if missing:
-            kept = "the value before it is held" if held else "no measurement was made up"
-            notes.append(f"{_counted(missing, 'empty cell')} skipped; {kept}")
+            notes.append(f"{_counted(missing, 'empty cell')} skipped; {_KEPT[hold]}")
     bad = rows[~np.isfinite(values[rows])]
     if bad.size:
         remedy = (
@@ -179,7 +184,7 @@ def motion_flaws(source: str, channels: Mapping[str, Channel]) -> list[str]:
     Raises:
         RecordingError: no position moves (no measured channel where positions were not recorded).
     """
-    measured = {n: c for n, c in channels.items() if c.hold == "none"}
+    measured = {n: c for n, c in channels.items() if not c.continuous}
     frozen = [n for n, c in measured.items() if np.ptp(c.values) == 0]
     positions = [n for n in measured if n.startswith("qpos.")] or list(measured)
     if set(positions) <= set(frozen):

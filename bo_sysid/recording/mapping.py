@@ -60,7 +60,7 @@ def to_recording(
             rules.setdefault(column, ColumnRule())
     mapper = _Mapper(table, rules, clock_rules)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
-    if all(channel.hold != "none" for channel in channels.values()):
+    if all(channel.continuous for channel in channels.values()):
         raise RecordingError(
             f"{table.source}: no column is a measured channel (qpos.<joint>, qvel.<joint>, "
             f"sensor.<name>); it has {', '.join(map(repr, table.columns))}. "
@@ -105,7 +105,7 @@ class _Mapper:
         stated = self._stated_clock(name, rule, column)
         clock = self._clock(stated)
         skip = rule.missing == "skip"
-        rows, notes = usable_rows(raw, clock, where, held=hold == "zero", skip_missing=skip)
+        rows, notes = usable_rows(raw, clock, where, hold=hold, skip_missing=skip)
         filled = np.flatnonzero(~np.isnan(raw))
         dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
         self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
@@ -145,6 +145,11 @@ class _Mapper:
         clock_rule = self._clock_rule(name)
         stated = rule.hold or (clock_rule.hold if clock_rule else None)
         default: Hold = "zero" if _kind(name) in HELD_KINDS else "none"
+        if stated == "linear" and default == "none":
+            raise RecordingError(
+                f"{self.table.source}: {name}: hold is 'linear', which is for inputs "
+                f"({', '.join(sorted(HELD_KINDS))}); what is predicted is never interpolated"
+            )
         return stated or self.table.holds.get(column, default)
 
     def _clock_rule(self, name: str) -> ClockRule | None:

@@ -75,6 +75,11 @@ class Channel:
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "values", values)
 
+    @property
+    def continuous(self) -> bool:
+        """Whether it has a value between its stamps, as inputs have: held or interpolated."""
+        return self.hold != "none"
+
     def at(self, time: Times) -> Samples:
         """Return the value at each of `time`, held or interpolated; beyond the ends, that there."""
         if self.hold == "linear":
@@ -183,13 +188,13 @@ class Recording:
     def to_frame(self) -> pd.DataFrame:
         """Return the channels as columns beside ``time``.
 
-        Held channels are given at the stamps of all channels; measured channels are NaN where
-        they have no sample.
+        Inputs are given, held or interpolated, at the stamps of all channels; measured channels are
+        NaN where they have no sample.
         """
         time = np.unique(np.concatenate([c.time for c in self.channels.values()]))
         columns: dict[str, Any] = {"time": time}
         for name, channel in self.channels.items():
-            if channel.hold == "zero":
+            if channel.continuous:
                 columns[name] = channel.at(time)
             else:
                 full = np.full(time.size, np.nan)
@@ -203,11 +208,11 @@ class Recording:
         return {n[len(start) :]: c for n, c in self.channels.items() if n.startswith(start)}
 
     def between(self, start: float, stop: float) -> "Recording":
-        """Return the part from `start` to before `stop`, in [s]; holds reach in from before."""
+        """Return the part from `start` to before `stop`, in [s]; inputs reach in from before."""
         channels = {}
         for name, c in self.channels.items():
             first, last = np.searchsorted(c.time, [start, stop])
-            if c.hold == "zero":
+            if c.continuous:
                 first = max(int(np.searchsorted(c.time, start, side="right")) - 1, 0)
                 # a command that did not change within the part brings a neighbour along
                 first, last = max(min(first, int(last) - 2), 0), max(int(last), 2)

@@ -1,5 +1,7 @@
 """Activations at the start of a window: what actuators with memory made of the controls before."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -48,12 +50,12 @@ def activations(
             continue
         elif kind == _INTEGRATOR:
             first = _held_position(compiled, recording, a)
-            act[:, own] = first + _integral(recording.channels[control], start)[:, None]
+            act[:, own] = first + _integral(_held(recording.channels[control]), start)[:, None]
             if compiled.actuator_actlimited[a]:
                 act[:, own] = np.clip(act[:, own], *compiled.actuator_actrange[a])
         elif count == 1 and kind in LAGS:
             lag = float(compiled.actuator_dynprm[a, 0])
-            act[:, address] = _lagging(_clipped(compiled, recording, control, k), lag, start)
+            act[:, address] = _lagging(_held(_clipped(compiled, recording, control, k)), lag, start)
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
     return act
@@ -64,8 +66,15 @@ def _clipped(compiled: mujoco.MjModel, recording: Recording, control: str, k: in
     channel = recording.channels[control]
     if not compiled.actuator_ctrllimited[k]:
         return channel
-    values = np.clip(channel.values, *compiled.actuator_ctrlrange[k])
-    return Channel(channel.time, values, channel.unit, channel.source, channel.hold)
+    return replace(channel, values=np.clip(channel.values, *compiled.actuator_ctrlrange[k]))
+
+
+def _held(channel: Channel) -> Channel:
+    """Return a control that is held: an interpolated one at its mean over each interval."""
+    if channel.hold != "linear":
+        return channel
+    means = 0.5 * (channel.values[:-1] + channel.values[1:])
+    return replace(channel, values=np.append(means, channel.values[-1]), hold="zero")
 
 
 def _lagging(channel: Channel, lag: float, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:

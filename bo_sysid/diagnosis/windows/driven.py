@@ -34,7 +34,7 @@ def _one(model: mujoco.MjModel, recording: Recording, laws: Sequence[Controller]
     time = next(iter(positions.values())).time
     qpos = {n: np.interp(time, c.time, c.values) for n, c in positions.items()}
     qvel = {n: np.gradient(q, time) for n, q in qpos.items()}
-    held = {n: c.at(time) for n, c in recording.channels.items() if c.hold != "none"}
+    held = {n: c.at(time) for n, c in recording.channels.items() if c.continuous}
     ctrl = {model.actuator(a).name: np.zeros(time.size) for a in controlled(model)}
     ctrl |= {n.removeprefix("ctrl."): v for n, v in held.items() if n.startswith("ctrl.")}
     step = float(np.median(np.diff(time)))
