@@ -31,7 +31,7 @@ from bo_sysid.parameters import Parameter
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
-ROUNDS, CONTACT_ROUNDS = 10, 2
+ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 10, 25, 2
 _GEARED_ROUNDS = 5
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
@@ -76,6 +76,9 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
             for rig in LARGE:
                 for id in ("dry_friction", "armature"):
                     yield "group", (rig,), seed, id
+    for seed in range(ROUNDS, ROUNDS if quick else PAIR_ROUNDS):  # few of a round reach 2 sigma
+        for rig in rigs:
+            yield "pair", (rig,), seed, ""
     for seed in range(0 if quick else CONTACT_ROUNDS):  # minutes each
         for rig in CONTACT:
             for id in TOUCHING:
