@@ -458,6 +458,12 @@ def test_edits_that_touch_no_mass_keep_the_masses_of_settotalmass_to_the_last_bi
     np.testing.assert_array_equal(model.compile([wind]).body_mass, model.compile().body_mass)
 
 
+def test_a_model_with_settotalmass_is_hashed_and_written_without_a_warning(tmp_path):
+    model = Model.from_dm_control("cheetah", "run")  # a warning is an error in these tests
+    assert model.sha256 == Model.from_dm_control("cheetah", "run").sha256
+    model.export(tmp_path / "cheetah.xml")
+
+
 def test_compiling_for_simulation_is_cheap():
     model = Model.from_dm_control("cheetah", "run")
 

@@ -1,6 +1,8 @@
 """Compile a spec, with MuJoCo's complaints turned into messages for the user."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import ceil
 
 import mujoco
@@ -22,10 +24,7 @@ def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.Mj
     Raises:
         ModelError: MuJoCo refuses the model.
     """
-    with warnings.catch_warnings():
-        if spec.compiler.settotalmass > 0:
-            # The attribute still works; it is released before any mass is edited (inertia.py).
-            warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+    with _settotalmass_accepted():
         if after:  # many models are tried; of the one that was read it is said
             warnings.filterwarnings("ignore", message="Inertia matrix is too close to singular")
         try:
@@ -34,6 +33,23 @@ def compile_spec(spec: mujoco.MjSpec, source: str, after: str = "") -> mujoco.Mj
             raise ModelError(
                 f"{source}: the model does not compile{after}: {mujoco_message(error)}"
             ) from None
+
+
+def spec_xml(spec: mujoco.MjSpec) -> str:
+    """Return a spec as MJCF."""
+    with _settotalmass_accepted():
+        return str(spec.to_xml())
+
+
+@contextmanager
+def _settotalmass_accepted() -> Iterator[None]:
+    """Silence that `settotalmass` is deprecated.
+
+    It still works, and is released before any mass is edited (inertia.py).
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+        yield
 
 
 def mujoco_message(error: Exception) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 
 from bo_sysid.errors import ModelError
-from bo_sysid.mjcf.compiling import mujoco_message
+from bo_sysid.mjcf.compiling import mujoco_message, spec_xml
 from bo_sysid.runs import atomic
 
 
@@ -31,7 +31,7 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     _copy_assets(spec, path.with_name(f"{path.stem}_assets"), source)
     with _all_digits():
-        text = _LONG_NUMBER.sub(lambda number: repr(float(number[0])), spec.to_xml())
+        text = _LONG_NUMBER.sub(lambda number: repr(float(number[0])), spec_xml(spec))
     with atomic(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
         try:

@@ -13,7 +13,13 @@ import numpy as np
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import sources
 from bo_sysid.mjcf.commands import controlled
-from bo_sysid.mjcf.compiling import compile_spec, coordinates, keep_delays, refit_keyframes
+from bo_sysid.mjcf.compiling import (
+    compile_spec,
+    coordinates,
+    keep_delays,
+    refit_keyframes,
+    spec_xml,
+)
 from bo_sysid.mjcf.export import write_mjcf
 from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass, same_inertia
 from bo_sysid.mjcf.loops import Loops
@@ -219,7 +225,10 @@ class Model:
     @property
     def sha256(self) -> str:
         """Hash of the model as written, with the meshes and height fields that its files hold."""
-        digest, compiled = hashlib.sha256(self.spec().to_xml().encode()), self.compile(visuals=True)
+        digest, compiled = (
+            hashlib.sha256(spec_xml(self.spec()).encode()),
+            self.compile(visuals=True),
+        )
         for name in ("mesh_vert", "mesh_face", "hfield_data"):
             array = np.ascontiguousarray(getattr(compiled, name))
             digest.update(f"{name} {array.shape}".encode() + array.tobytes())

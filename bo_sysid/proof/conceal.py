@@ -17,7 +17,6 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +85,7 @@ def suite_record(path: Path, overrides: Mapping[str, Any]) -> dict[str, Any]:
     machines = {
         name: {
             "file": m.file.model_dump(mode="json", exclude_none=True),
-            "model_sha256": sha256(m.model.spec().to_xml().encode()).hexdigest(),
+            "model_sha256": m.model.sha256,
         }
         for name, m in loaded.machines.items()
     }
