@@ -10,8 +10,9 @@ from diagnosis_plant import Planted
 from diagnosis_rigs import CONTACT, LOGS, RIGS, load
 from diagnosis_strange import STRANGE
 
+from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
-from bo_sysid.diagnosis.answer.findings import Finding, findings
+from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.windows.evidence import Evidence
@@ -28,6 +29,7 @@ from bo_sysid.effects import CATALOGUE
 from bo_sysid.execution import threads
 from bo_sysid.mjcf import Address
 from bo_sysid.parameters import Parameter
+from bo_sysid.proof.marks import MOST_IN_CLASS, class_size, named, offers
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
@@ -132,15 +134,17 @@ def judged(case: Case) -> dict[str, object]:
     outcome = explain(located)
     seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
     found = outcome.fit
-    said = findings(found, evidence.machine, 1.0, ())
-    truth = {(p.effect, p.site) for p in case.truth}
-    got = {c.key for c in found.members}
-    alike = [{c.key for c in f.members} for f in located.decision.equivalents[:2]]
+    said = make_answer(located.decision, outcome, evidence.machine).findings
+    told = [f.as_json() for f in said]
+    truth = frozenset((p.effect, p.kind, p.site) for p in case.truth)
+    got = named(told)
+    alone = len(got) == len(told)  # no time step is named beside them
+    few = alone and class_size(told) <= MOST_IN_CLASS
     return {
         "truth": [[p.effect, p.site, p.value, p.size] for p in case.truth],
         "found": [[f.effect, f.site, f.quantity.value] for f in said],
-        "right": got == truth,
-        "class": got == truth or truth in alike,
+        "right": alone and got == truth,
+        "class": (alone and got == truth) or (few and offers(told, truth)),
         "flagged": outcome.unexplained.flagged,
         "site": outcome.unexplained.site,
         "depends_on": list(outcome.unexplained.depends_on),

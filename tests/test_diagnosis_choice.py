@@ -277,7 +277,7 @@ def test_the_speed_of_stribeck_friction_is_told_and_its_bend_where_it_has_one(
     J, covariance = np.zeros((*best.residual.shape, c.size)), np.eye(c.size)
     hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
     (finding,) = findings(
-        replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance), machine, 1.0, ()
+        replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance), machine, 1.0
     )
     assert set(finding.details) == {"coulomb", "speed"} | ({"bend"} if bend else set())
 
@@ -288,7 +288,7 @@ def test_intervals_of_details_end_where_nothing_was_searched_for(friction) -> No
     hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
     J, covariance = np.zeros((*best.residual.shape, c.size)), 1e20 * np.eye(c.size)
     blind = replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance)
-    (finding,) = findings(blind, machine, 1.0, ())
+    (finding,) = findings(blind, machine, 1.0)
     for i, name in enumerate(("damping over stiffness", "damping on the link"), 1):
         assert finding.details[name].interval == (c.low[i], c.high[i])
 

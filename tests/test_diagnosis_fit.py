@@ -184,7 +184,7 @@ def test_an_effect_is_found_beside_a_parameter_that_is_at_its_bound() -> None:
     assert whole == pytest.approx(0.05, rel=0.03)
     edits, _ = edits_and_parts(replace(best.hypothesis, members=(), x=()), evidence.machine)
     fitted = replace(evidence.machine, model=arm().compile(edits))
-    (finding,) = findings(best, evidence.machine, 1.0, (), fitted)
+    (finding,) = findings(best, evidence.machine, 1.0, fitted)
     repaired = arm().compile(edits_and_parts(best.hypothesis, evidence.machine)[0])
     assert finding.after == pytest.approx(repaired.joint("elbow").damping[0])
     assert finding.before == arm().compile().joint("elbow").damping[0]

@@ -131,7 +131,7 @@ def test_the_interval_of_a_bend_says_how_little_the_recordings_tell_of_it() -> N
     problem, Q = search.prepared.problem, search.frame.Q
     best = needed(search)
     fit = with_shapes_unsure(problem, Q, best)
-    (friction,) = findings(fit, problem.machine, 1.0, ())
+    (friction,) = findings(fit, problem.machine, 1.0)
     bend = friction.details["bend"]
     assert bend.interval[0] < 8e-4 < bend.interval[1]
     deviation = float(fit.spread[0][-1])
@@ -184,7 +184,7 @@ def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> Non
     )
     best = locate(made).decision.best
     assert holding(best) == ("elbow",)  # and any friction would do the same where it rests
-    (finding,) = findings(best, made.machine, 1.0, ())
+    (finding,) = findings(best, made.machine, 1.0)
     assert (finding.effect, finding.site) == ("dry_friction", "elbow")
     low, high = finding.quantity.interval
     assert low < 0.9 < high < 1.5
@@ -274,7 +274,7 @@ def test_friction_that_the_model_has_right_may_bend(fitted: bool) -> None:
     assert best.x[0][0] == pytest.approx(0.0, abs=0.01 * level)
     assert best.members[0].shapes[-1] == pytest.approx(bend, rel=0.3)
     assert not holding(best)  # as slopes by what changes alone would say
-    (finding,) = findings(best, evidence.machine, 1.0, ())
+    (finding,) = findings(best, evidence.machine, 1.0)
     assert finding.sentence.startswith("The dry friction at the shoulder, 0.1 N m in the model, ")
     assert finding.after == pytest.approx(level, rel=0.01)
 

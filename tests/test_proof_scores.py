@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from bo_sysid.proof.marks import class_size, equivalents, mark, mark_effects, named
+from bo_sysid.proof.marks import class_size, mark, mark_effects, named, offers
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed
 from bo_sysid.proof.score import Scores, score
@@ -122,16 +122,41 @@ def test_an_equivalent_excuses_its_own_finding_alone():
     assert mark(both, answer(half))["confident_wrong"]
 
 
-def test_an_equivalent_may_replace_its_finding_or_the_whole_answer():
-    told = [
-        finding("payload", "hand", kind="body", others=[[entry("armature", "elbow")]]),
-        finding("joint_spring", "elbow"),
-    ]
-    sets = equivalents(told, named(told))
+def test_an_equivalent_replaces_the_findings_that_list_it():
+    instead = [entry("armature", "elbow")]
+    payload = finding("payload", "hand", kind="body", others=[instead])
     spring = ("joint_spring", "joint", "elbow")
     armature = ("armature", "joint", "elbow")
-    assert frozenset({armature}) in sets
-    assert frozenset({armature, spring}) in sets
+    beside = [payload, finding("joint_spring", "elbow")]
+    assert offers(beside, named(beside))
+    assert offers(beside, frozenset({armature, spring}))
+    assert not offers(beside, frozenset({armature}))
+    assert not offers(beside, frozenset({spring}))
+    assert offers(
+        [payload, finding("joint_spring", "elbow", others=[instead])], frozenset({armature})
+    )
+    kept = [payload | {"equivalents": [[*instead, entry("joint_spring", "elbow")]]}, beside[1]]
+    assert offers(kept, frozenset({armature, spring}))
+
+
+def test_two_findings_may_be_exchanged_at_once():
+    """Two findings with a class of two each: which of four sets it is stays open."""
+    told = [
+        finding("armature", "elbow", others=[[entry("link_inertia", "forearm", kind="body")]]),
+        finding("viscous_damping", "elbow", others=[[entry("back_emf", "motor", kind="actuator")]]),
+    ]
+    both = truth(
+        concealed("link_inertia", "forearm", kind="body"),
+        concealed("back_emf", "motor", kind="actuator"),
+    )
+    assert class_size(told) == 2
+    marks = mark(both, answer(*told))
+    assert marks["right"]
+    assert not marks["wrong_name"]
+    inertia, damping = named(both["effects"][:1]), named([told[1]])
+    assert offers(told, inertia | damping)
+    assert not offers(told, inertia)
+    assert not offers(told, inertia | named(both["effects"]) | damping)
 
 
 def test_nothing_found_where_nothing_is_concealed_is_right():

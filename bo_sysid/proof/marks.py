@@ -1,11 +1,12 @@
 """Marking one case: the answer against the truth, as plain comparisons of sets.
 
 An answer is a set of (effect, kind, site). It is right where it equals the concealed set. Where it
-is not, the classes are looked at: the sets that the answer itself calls equivalent. A finding
+is not, the classes are looked at: what the answer itself says may stand for a finding. A finding
 about the time step is true of every plant here and counts neither for nor against.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ CONFIDENT = 0.9
 """Probability from which on a wrong name is a confident wrong name."""
 
 MOST_IN_CLASS = 3
-"""Members of a class of equivalent sets that counts as an answer."""
+"""Names that a finding may have, its own and its equivalents, where its class counts."""
 
 NOTHING, UNKNOWN = "(nothing)", "(unknown)"
 """What an answer without names calls an effect."""
@@ -54,12 +55,11 @@ def mark(truth: Mapping[str, Any], answer: Mapping[str, Any] | None) -> dict[str
     }
     told: Mapping[str, Any] = answer or {"verdict": "failed", "findings": [], "alternatives": []}
     found = named(told["findings"])
-    classes = equivalents(told["findings"], found)
     marks |= {
         "verdict": told["verdict"],
         "found": words(found),
         "probability": stated(told),
-        **_set_marks(concealed, found, classes, told),
+        **_set_marks(concealed, found, told),
         **_unknown_marks(truth, told),
         **forecast_errors(told),
     }
@@ -91,25 +91,28 @@ def decade(size: float) -> str:
     return DECADES[0] if size < LEAST else DECADES[1] if size < 10 else DECADES[2]
 
 
-def equivalents(findings: Sequence[Mapping[str, Any]], found: Named) -> tuple[Named, ...]:
-    """Return the sets that an answer says it cannot tell from its own, itself first.
+def offers(findings: Sequence[Mapping[str, Any]], names: Named) -> bool:
+    """Return whether an answer says a set, or that it cannot tell it from what it says.
 
-    An equivalent of a finding may replace that finding or the whole answer; both are readings.
+    An equivalent may stand in the place of the finding that lists it, beside others that are
+    exchanged as well or not; where all the findings that it lacks list it, it is the whole answer.
     """
-    readings: dict[Named, None] = {found: None}
-    for finding in findings:
-        rest = found - named([finding])
-        for other in finding.get("equivalents", ()):
-            whole = named(other)
-            readings.setdefault(whole)
-            readings.setdefault(rest | whole)
-    return tuple(readings)
+    ways = [[named([f]), *map(named, f.get("equivalents", ()))] for f in findings]
+    if all(own[0] <= names or names in own[1:] for own in ways) and any(
+        names in own[1:] for own in ways
+    ):
+        return True
+    fitting = [[way for way in own if way <= names] for own in ways]
+    return any(frozenset().union(*chosen) == names for chosen in product(*fitting))
 
 
 def class_size(findings: Sequence[Mapping[str, Any]]) -> int:
-    """Return how many sets an answer offers as equivalent, itself included."""
-    others = {named(other) for finding in findings for other in finding.get("equivalents", ())}
-    return 1 + len(others - {named(findings)})
+    """Return how many names an answer has for the finding with most of them, its own included."""
+    whole = named(findings)
+    others = (
+        {named(other) for other in f.get("equivalents", ())} - {whole, named([f])} for f in findings
+    )
+    return 1 + max(map(len, others), default=0)
 
 
 def stated(told: Mapping[str, Any]) -> float:
@@ -119,8 +122,8 @@ def stated(told: Mapping[str, Any]) -> float:
     """
     own = [float(f["probability"]) for f in told["findings"] if f.get("probability") is not None]
     if own:
-        equal = {named(other) for f in told["findings"] for other in f.get("equivalents", ())}
-        among = (a for a in told.get("alternatives", ()) if named(a["findings"]) in equal)
+        others = (a for a in told.get("alternatives", ()) if named(a["findings"]))
+        among = (a for a in others if offers(told["findings"], named(a["findings"])))
         return min(min(own) + sum(float(a["probability"]) for a in among), 1.0)
     return max(0.0, 1.0 - sum(float(a["probability"]) for a in told.get("alternatives", ())))
 
@@ -132,9 +135,7 @@ def forecast_errors(told: Mapping[str, Any]) -> dict[str, float]:
     return {m: float("nan") if v is None else float(v) for m, v in values.items()}
 
 
-def _set_marks(
-    concealed: Named, found: Named, classes: Sequence[Named], told: Mapping[str, Any]
-) -> dict[str, Any]:
+def _set_marks(concealed: Named, found: Named, told: Mapping[str, Any]) -> dict[str, Any]:
     others = [a["findings"] for a in told.get("alternatives", ())]
     strange = [bool(a) and all(f["effect"] == "unknown" for f in a) for a in others]
     alternatives = [
@@ -148,11 +149,12 @@ def _set_marks(
         for f in told["findings"]
         if not named([f]) <= concealed and not (few and _offers(f, concealed))
     ]
+    in_class = few and offers(told["findings"], concealed)
     return {
         "top1": found == concealed,
         "top2": concealed in (found, second),
         "class_size": size,
-        "in_class": few and concealed in classes,
+        "in_class": in_class,
         "detected": bool(found) or told["verdict"] == "unknown-physics",
         "wrong_name": bool(wrong),
         "confident_wrong": any(float(f.get("probability") or 0.0) >= CONFIDENT for f in wrong),

@@ -108,16 +108,19 @@ def set_text(members: Sequence[Mapping[str, Any]]) -> str:
 
 
 def told_apart(findings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a sentence for each set that the recordings do not tell from the findings."""
-    said = []
-    for other in (e for f in findings for e in f["equivalents"]):
-        own, theirs = _without(findings, other), _without(other, findings)
-        said.append(
-            f"These recordings do not tell {set_text(own)} from {set_text(theirs)}."
-            if own and theirs
-            else f"These recordings do not tell it from {set_text(other)}."
-        )
-    return list(dict.fromkeys(said))
+    """Return a sentence for each set that the recordings do not tell from findings.
+
+    A set stands in the place of the findings that list it.
+    """
+    said: dict[str, None] = {}
+    for finding in findings:
+        for other in finding["equivalents"]:
+            own = _without([f for f in findings if other in f["equivalents"]], other)
+            theirs = _without(other, findings)
+            apart = f"{set_text(own)} from {set_text(theirs)}"
+            what = apart if theirs else f"whether there is {set_text(own)}"
+            said[f"These recordings do not tell {what}."] = None
+    return list(said)
 
 
 def _without(

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
+from bo_sysid.diagnosis.answer.exchanges import Entry, Key, exchanges
 from bo_sysid.diagnosis.answer.experiment import Experiment
 from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.answer.findings import Finding, findings, named
@@ -20,7 +21,7 @@ from bo_sysid.runs import plain
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
 _FEW, _LISTED = 4, 0.005  # other sets that are always told; probability of further ones
-_EQUIVALENTS = 3
+_EQUIVALENTS = 3  # told of one name
 _UNHEARD = 0.02  # probability that it is something outside the catalogue
 _STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
 _BESIDE_UNKNOWN = 0.3  # the same where something stays unexplained
@@ -129,7 +130,8 @@ def make_answer(
     answered = {best.key, kept.key} if kept.members else {kept.key}
     shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))
     probability = float(sum(shares.get(key, 0.0) for key in answered))
-    found = findings(kept, machine, probability, _equivalents(decision, kept, machine), fitted)
+    alike = _equivalents(decision, kept, machine)
+    found = findings(kept, machine, probability, fitted, alike)
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)
@@ -151,17 +153,17 @@ def make_answer(
 
 def _equivalents(
     decision: Decision, kept: Fit, machine: Machine
-) -> tuple[tuple[Mapping[str, Any], ...], ...]:
-    """Return the sets told apart by nothing, without the names that a learned law replaced."""
-    named_at = {c.key for c in kept.members}
+) -> dict[Key, tuple[tuple[Entry, ...], ...]]:
+    """Return what may stand for each name, without the names that a learned law replaced."""
+    named_at = frozenset(c.key for c in kept.members)
     out = {c.key for c in decision.best.members} - named_at
-    found: dict[frozenset[Any], tuple[Mapping[str, Any], ...]] = {}
-    for fit in decision.equivalents[:_EQUIVALENTS]:
+    found: dict[frozenset[Key], tuple[Entry, ...]] = {}
+    for fit in decision.equivalents:
         rest = tuple(m for m in named(fit, machine) if (m["effect"], m["site"]) not in out)
-        key = frozenset((m["effect"], m["site"]) for m in rest)
+        key = frozenset((str(m["effect"]), str(m["site"])) for m in rest)
         if rest and key != named_at:
             found.setdefault(key, rest)
-    return tuple(found.values())
+    return exchanges(named_at, found, _EQUIVALENTS)
 
 
 def verdict(families: Collection[Family], unexplained: Unexplained) -> Verdict:

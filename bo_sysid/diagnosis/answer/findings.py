@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.answer.exchanges import Entry, Key
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
 from bo_sysid.effects import Machine, Site, unit_at
@@ -50,7 +51,7 @@ class Finding:
         details: further components by name.
         group: id of the effect that was found on several sites at once, None otherwise.
         probability: of the set that the finding belongs to.
-        equivalents: other sets that the recordings do not tell from this one.
+        equivalents: sets that may stand in its place, for all that the recordings tell.
         sentence: to be read aloud.
         x: the magnitudes, as the effect takes them.
     """
@@ -64,7 +65,7 @@ class Finding:
     details: Mapping[str, Quantity]
     group: str | None
     probability: float
-    equivalents: tuple[tuple[Mapping[str, object], ...], ...]
+    equivalents: tuple[tuple[Entry, ...], ...]
     sentence: str
     x: tuple[float, ...]
 
@@ -103,8 +104,8 @@ def findings(
     fit: Fit,
     machine: Machine,
     probability: float,
-    equivalents: tuple[tuple[Mapping[str, object], ...], ...],
     fitted: Machine | None = None,
+    equivalents: Mapping[Key, tuple[tuple[Entry, ...], ...]] = MappingProxyType({}),
 ) -> tuple[Finding, ...]:
     """Return the findings of a fit.
 
@@ -112,9 +113,9 @@ def findings(
         fit: of the set that is answered.
         machine: with the nominal model.
         probability: of the set.
-        equivalents: other sets that the recordings do not tell from it.
         fitted: with the model that the effects are added to, in which the study's parameters were
             fitted; the nominal one where left out.
+        equivalents: what may stand in the place of each, by effect and site.
     """
     fitted = fitted or machine
     found, slices = [], slices_of(fit.members)
@@ -137,7 +138,7 @@ def findings(
                 details,
                 _group_words(label, candidate, fit),
                 probability,
-                equivalents,
+                equivalents.get(candidate.key, ()),
                 sentence(candidate, quantity, before, begun, details),
                 tuple(float(v) for v in candidate.full(x)),
             )
@@ -145,7 +146,7 @@ def findings(
     return tuple(found)
 
 
-def named(fit: Fit, machine: Machine) -> tuple[Mapping[str, object], ...]:
+def named(fit: Fit, machine: Machine) -> tuple[Entry, ...]:
     """Return the set of a fit as {effect, kind, site, value} each."""
     return tuple(
         {

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from bo_sysid.diagnosis.answer.argmin import ArgminSets
+from bo_sysid.diagnosis.answer.exchanges import irreducible
 from bo_sysid.diagnosis.answer.findings import Finding, amount, plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
@@ -68,7 +69,9 @@ def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
     best, said = decision.best, dict[str, list[str]]()
-    for f in decision.equivalents[:_RIVALS]:
+    alike = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
+    sets = irreducible(frozenset(c.key for c in best.members), list(alike))
+    for f in [alike[s] for s in sets][:_RIVALS]:
         theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
         if theirs and ours:
             said.setdefault(ours, []).append(theirs)
