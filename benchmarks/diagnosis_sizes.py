@@ -52,9 +52,8 @@ class Sizes:
 
     def alike(self, drawn: Sequence[tuple[Candidate, np.ndarray]]) -> bool:
         """Whether two effects make the same difference, up to its size: no recording parts them."""
-        made = [self._made(c, x) for c, x in drawn]
-        one, two = (d.ravel() / np.linalg.norm(d) for d in made)
-        return bool(abs(one @ two) > _ALIKE)
+        one, two = (self._made(c, x).ravel() for c, x in drawn)
+        return bool(abs(one @ two) > _ALIKE * np.linalg.norm(one) * np.linalg.norm(two))
 
     def _made(self, c: Candidate, x: np.ndarray) -> np.ndarray:
         r = self._problem.residual(Hypothesis((c,), (x,)), self._prepared.start)
