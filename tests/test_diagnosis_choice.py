@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from diagnosis_helpers import SIGMA, arm, candidate, record
+from diagnosis_helpers import ARM, SIGMA, arm, candidate, record
 from numpy.testing import assert_allclose
 
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.argmin import argmin_sets
 from bo_sysid.diagnosis.answer.experiment import _still, next_experiment
-from bo_sysid.diagnosis.answer.explain import explain
+from bo_sysid.diagnosis.answer.explain import Unexplained, explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
     bending,
@@ -25,7 +25,7 @@ from bo_sysid.diagnosis.answer.hints import (
     unrepeated,
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
-from bo_sysid.diagnosis.answer.sentences import doubts, rivals
+from bo_sysid.diagnosis.answer.sentences import disputed_sentence, doubts, rivals
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search
@@ -36,6 +36,8 @@ from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller
 from bo_sysid.study.outer import Limit
@@ -194,6 +196,56 @@ def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
         assert np.abs(data.qpos).max() < 0.62
 
 
+def walled() -> Model:
+    """Return the arm between two walls that its hand reaches at .4 rad."""
+    walls = "".join(
+        f'<geom type="box" size=".01 1 1" pos="{x} 0 -.5" contype="1" conaffinity="1"/>'
+        for x in (-0.2, 0.2)
+    )
+    text = ARM.read_text().replace("<worldbody>", f"<worldbody>{walls}", 1)
+    return Model.from_xml(text.replace('mass="0.6"', 'mass="0.6" contype="1" conaffinity="1"'))
+
+
+def touched(model: mujoco.MjModel, controls: pd.DataFrame) -> bool:
+    """Return whether anything touches while the arm follows controls."""
+    model.dof_frictionloss[1] = 0.02
+    data, touching = mujoco.MjData(model), False
+    for _, row in controls.iterrows():
+        data.ctrl[:] = row[["ctrl.shoulder", "ctrl.elbow"]]
+        mujoco.mj_step(model, data)
+        touching |= data.ncon > 0
+    return touching
+
+
+def test_no_motion_is_proposed_in_which_parts_of_the_machine_would_touch(friction) -> None:
+    """Contact is left out of what explains free motion, and not of what is to be recorded next."""
+    decision = friction.decision
+    rival = next(f for f in decision.fits if f.members and f is not decision.best)
+    free = replace(friction, decision=replace(decision, equivalents=(rival,)))
+    between = replace(free, evidence=replace(free.evidence, given=walled()))
+    outcome = explain(friction)
+    anywhere = next_experiment(free, outcome, {}).controls
+    assert touched(walled().compile(), anywhere)
+    clear = next_experiment(between, outcome, {}).controls
+    assert clear is not None
+    assert not touched(walled().compile(), clear)
+
+
+def test_a_hold_out_in_which_something_touches_is_judged_with_contact() -> None:
+    t = np.arange(0, 3, 0.01)
+
+    def swinging(far: float) -> Recording:
+        moved = {"shoulder": far * np.sin(4 * t), "elbow": far * np.cos(3 * t)}
+        return Recording.from_arrays(t, qpos=moved, ctrl=moved)
+
+    evidence = make_evidence(walled(), [swinging(0.1)], threads=1)
+    assert not can_touch(evidence.machine.model)
+    assert evidence.as_it_moved([swinging(0.2)]) is evidence
+    whole = evidence.as_it_moved([swinging(1.0)])
+    assert whole.model is evidence.given
+    assert can_touch(whole.machine.model)
+
+
 def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> None:
     spring = [("joint_spring", "joint", "elbow", [0.15, 0.0])]
     with_it, without = record(spring, duration=4.0, seed=1), record(duration=4.0, seed=2)
@@ -201,7 +253,15 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     outcome = explain(found)
     assert outcome.fit.members == ()
     assert outcome.unexplained.flagged
+    assert outcome.unexplained.share == 1.0  # of what the nominal model leaves
     assert outcome.sessions.table.empty
+    said = disputed_sentence(outcome.disputed)
+    assert said.startswith("The recordings do not agree on a spring at the elbow: no finding")
+    assert disputed_sentence(()) == ""
+    quiet = replace(outcome, unexplained=Unexplained(outcome.unexplained.share))
+    answer = make_answer(found.decision, quiet, found.evidence.machine)
+    stranger = next(a for a in answer.alternatives if a["findings"][0]["effect"] == "unknown")
+    assert stranger["probability"] == max(a["probability"] for a in answer.alternatives)
 
 
 def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> None:

@@ -1,6 +1,7 @@
 """The study that goes on with a repaired model, beside parameters that the study had."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -211,6 +212,15 @@ def test_what_is_no_parameter_says_why(tmp_path: Path, finding: Finding, why: st
     assert why in first
     assert rest[0] == "version: 1"
     assert "parameters" not in yaml.safe_load("\n".join(rest))
+
+
+def test_a_spring_that_went_whole_has_no_rest_angle(tmp_path: Path) -> None:
+    gone = found("joint_spring", "joint", "elbow", -1.0, "N m/rad")
+    assert "# no parameter: joint_spring at elbow" in study_on(tmp_path, [gone], lambda spec: None)
+    left = replace(gone, before=5.0, after=4.0)
+    text = study_on(tmp_path, [left], lambda spec: spec.joint("elbow").stiffness.__setitem__(0, 4))
+    (parameter,) = yaml.safe_load(text)["parameters"]
+    assert parameter["address"] == "joint[elbow].stiffness"
 
 
 def test_what_was_written_says_that_it_steps_finer() -> None:

@@ -130,9 +130,10 @@ def test_springs_that_cancel_rest_nowhere() -> None:
 
 def rubbing(site: str, value: float, before: float = 0.0, group: str | None = None) -> Finding:
     quantity = Quantity(value, "N m", (value - 0.03, value + 0.03))
+    said = f"The {site} is not as in the model." if before else f"{site} rubs that the model lacks."
     return Finding(
         "dry_friction", "joint", site, quantity, before, before + value, {}, group, 0.9, (),
-        f"The {site} rubs.", (value,),
+        said, (value,),
     )  # fmt: skip
 
 
@@ -144,11 +145,13 @@ def test_a_group_of_three_is_said_in_one_sentence_and_two_in_two() -> None:
         "Dry friction on 3 joints, which the model lacks: a 1.00 ± 0.03 N m, b 2.00 ± 0.03 N m, "
         "c 4.00 ± 0.03 N m."
     ]
-    more = [rubbing(j, 1.0, 0.5, "dry friction on 3 joints") for j in "abc"]
-    assert found_sentences(more)[0].startswith("Dry friction on 3 joints, beyond the model's: a")
+    more = [rubbing(j, -0.2, 0.5, "dry friction on 3 joints") for j in "abc"]
+    assert found_sentences(more)[0].startswith(
+        "Dry friction on 3 joints differs from the model's by: a -0.20 ± 0.03 N m, b"
+    )
     two = [rubbing(j, 1.0, group="dry friction on 2 joints") for j in "ab"]
     assert found_sentences([*two, rubbing("c", 2.0)]) == [
-        "The a rubs.",
-        "The b rubs.",
-        "The c rubs.",
+        "a rubs that the model lacks.",
+        "b rubs that the model lacks.",
+        "c rubs that the model lacks.",
     ]

@@ -246,6 +246,8 @@ def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
     [
         ({"kind": "jiont"}, r"unknown kind of site 'jiont'; did you mean 'joint'"),
         ({"shapes": 1}, r"shapes is 1 of 1 components"),
+        ({"sentence": "{sit} has {value}"}, r"nothing is called \{sit\}; did you mean 'site'"),
+        ({"sentence": "{site has {value}"}, r"sentence: .*; a brace is written twice"),
     ],
 )
 def test_an_effect_that_cannot_be_is_refused_when_it_is_registered(change, said) -> None:

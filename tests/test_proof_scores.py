@@ -178,6 +178,17 @@ def test_below_two_sigma_cannot_tell_is_accepted_and_a_wrong_name_is_not():
     assert not mark(truth(DRY), answer())["acceptable"]
 
 
+def test_what_may_be_missed_is_small_together():
+    large = concealed("payload", "hand", kind="body", size=25.0)
+    small = concealed("dry_friction", "elbow", size=1.5)
+    both = truth(large, small)
+    assert not mark(both, answer())["acceptable"]
+    assert mark(both, answer(finding("payload", "hand", kind="body")))["acceptable"]
+    assert not mark(both, answer(finding("dry_friction", "elbow")))["acceptable"]
+    group = truth(*(concealed("armature", f"joint {k}", size=1.9) for k in range(6)))
+    assert not mark(group, answer())["acceptable"]
+
+
 def test_an_outsider_is_to_be_flagged_located_and_never_named():
     magnet = concealed("magnet", "elbow", known=False, depends_on=("position",))
     said = {"share": 0.4, "kind": "joint", "site": "elbow", "depends_on": ["position", "speed"]}

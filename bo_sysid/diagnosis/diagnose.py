@@ -16,6 +16,7 @@ from bo_sysid.diagnosis.answer.holdout import Holdout, judge
 from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.diagnosis.answer.sentences import (
+    disputed_sentence,
     doubts,
     found_sentences,
     parameters_sentence,
@@ -116,16 +117,22 @@ class Diagnosis:
         """The answer in words."""
         fitted = parameters_sentence(self.parameters)
         said = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
+        disputed = disputed_sentence(self.outcome.disputed)
+        if disputed:
+            said.append(disputed)
         if not said:
             once = ", once its parameters are fitted" if fitted else ""
             said = [f"Nothing that these recordings could show is missing from the model{once}."]
-        said += rivals(self.located.decision, self.evidence.machine)
+        whole = self.outcome.fit.key == self.located.decision.best.key  # no name was withdrawn
+        if whole:
+            said += rivals(self.located.decision, self.evidence.machine)
         instead = stood_in_sentence(self.evidence.nuisances, self.outcome.fit)
         said += [words for words in (fitted, instead) if words]
-        said += doubts(self.located.decision, self.searched)
+        if whole:
+            said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
             said.append("The machine is in contact, where names are hints and not yet findings.")
-        best = self.located.decision.best
+        best = self.outcome.fit
         if self.answer.findings and not self.contact and leaves_much(best):
             least = self.located.search.least
             said.append(left_sentence(best, self.evidence.most, least))
@@ -171,7 +178,7 @@ def diagnose(
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    unsure = contact or doubtful(located.decision.best, evidence.machine)
+    unsure = contact or doubtful(outcome.fit, evidence.machine)
     answer = make_answer(
         located.decision, outcome, evidence.machine, experiment,
         doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),

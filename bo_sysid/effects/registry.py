@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from string import Formatter
 from types import MappingProxyType
 from typing import Any, get_args
 
@@ -62,6 +63,23 @@ def _require_valid(id: str, fields: Mapping[str, Any]) -> None:
             f"effect {id!r}: shapes is {shapes} of {count} components; at least one of them must "
             "be a magnitude"
         )
+    _require_placeholders(id, fields)
+
+
+def _require_placeholders(id: str, fields: Mapping[str, Any]) -> None:
+    """Refuse a sentence that asks for what a finding does not have."""
+    known = ["site", "value", "interval", *(c.name for c in fields.get("components", ()))]
+    try:
+        asked = [name for _, name, *_ in Formatter().parse(str(fields["sentence"])) if name]
+    except ValueError as error:
+        raise StudyError(f"effect {id!r}: sentence: {error}; a brace is written twice") from None
+    if fields.get("details") is not None:  # it says by itself which details there are
+        return
+    for name in asked:
+        if name not in known:
+            raise StudyError(
+                f"effect {id!r}: sentence: nothing is called {{{name}}}; {nearest(name, known)}"
+            )
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:

@@ -7,6 +7,7 @@ about the time step is true of every plant here and counts neither for nor again
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from math import hypot
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 Named: TypeAlias = frozenset[tuple[str, str, str]]
 
 LEAST = 2.0
-"""Size in sensor sigma below which "cannot tell" is right."""
+"""Size in sensor sigma of all that an answer lacks, below which it may lack it."""
 
 CONFIDENT = 0.9
 """Probability from which on a wrong name is a confident wrong name."""
@@ -64,7 +65,7 @@ def mark(truth: Mapping[str, Any], answer: Mapping[str, Any] | None) -> dict[str
         **forecast_errors(told),
     }
     marks["right"] = _right(marks)
-    marks["acceptable"] = marks["right"] or (0 < size < LEAST and marks["answered"] and not found)
+    marks["acceptable"] = marks["right"] or _little_missed(truth["effects"], found, marks)
     return marks
 
 
@@ -179,6 +180,15 @@ def _unknown_marks(truth: Mapping[str, Any], told: Mapping[str, Any]) -> dict[st
         "located": flagged and said.get("site") in sites,
         "dependence": flagged and bool(depends & set(said.get("depends_on", ()))),
     }
+
+
+def _little_missed(
+    effects: Sequence[Mapping[str, Any]], found: Named, marks: Mapping[str, Any]
+) -> bool:
+    """Return whether an answer has no wrong name and lacks what together is too small to tell."""
+    missed = hypot(*(float(e["size"]) for e in effects if not named([e]) <= found))
+    names_alone = marks["answered"] and marks["missing"] and not marks["wrong_name"]
+    return bool(names_alone and missed < LEAST)
 
 
 def _right(marks: Mapping[str, Any]) -> bool:

@@ -124,7 +124,7 @@ def make_answer(
     """
     best, kept = decision.best, outcome.fit
     none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
-    if outcome.unexplained.flagged and best.members and not kept.members:
+    if best.members and not kept.members:
         none_of_these = 1.0 - _BESIDE_UNKNOWN
     posterior = (1.0 - none_of_these) * decision.probability
     answered = {best.key, kept.key} if kept.members else {kept.key}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -25,6 +26,7 @@ from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Site
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.excite.limits import Limits
+from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Trajectory
 from bo_sysid.study.outer import Limit
@@ -95,7 +97,8 @@ def next_experiment(
     problem = located.prepared.problem
     machine = problem.machine
     separates = tuple(named(f, machine) for f in (best, *rivals))
-    separation, name, controls = _most_telling(problem, best, rivals, stated)
+    bounds = _Bounds.of(located.evidence.given, stated)
+    separation, name, controls = _most_telling(problem, best, rivals, bounds)
     if controls is None or separation < _TELLS:
         return Experiment(_in_words(best, rivals), separates, separation, None)
     one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
@@ -108,18 +111,40 @@ def next_experiment(
     )
 
 
+@dataclass(frozen=True)
+class _Bounds:
+    """What a motion must keep: the study's limits, and that no parts of the machine touch.
+
+    Attributes:
+        stated: the study's limits.
+        limits: the same of every degree of freedom, within those of the model.
+        whole: the compiled model with all that can touch. Recordings in which nothing does are
+            explained without.
+    """
+
+    stated: Mapping[str, Limit]
+    limits: Limits
+    whole: mujoco.MjModel
+
+    @classmethod
+    def of(cls, given: Model, stated: Mapping[str, Limit]) -> "_Bounds | None":
+        """Return the bounds of the given model; None where limits are not known of its joints."""
+        try:
+            return cls(stated, Limits.of(given, stated), given.compile())
+        except StudyError:  # they are known of hinges and slides only
+            return None
+
+
 def _most_telling(
-    problem: Problem, best: Fit, rivals: Sequence[Fit], stated: Mapping[str, Limit]
+    problem: Problem, best: Fit, rivals: Sequence[Fit], bounds: _Bounds | None
 ) -> tuple[float, str, Float[np.ndarray, "T nu"] | None]:
     """Return the motion that a rival is worst at, with its name and separation; None if none."""
     found: tuple[float, str, np.ndarray | None] = (0.0, "", None)
-    try:
-        limits = Limits.of(problem.model, stated)
-    except StudyError:  # limits are known of hinges and slides only: words must do
+    if bounds is None:  # words must do
         return found
     for name, controls in _motions(problem):
         try:
-            told = _kept(problem, best, limits, stated, controls)
+            told = _kept(problem, best, bounds, controls)
             if told is None:
                 continue
             separation = min(_separation(problem, r, told[1]) for r in rivals)
@@ -194,19 +219,15 @@ def _motions(problem: Problem) -> Iterator[tuple[str, Float[np.ndarray, "T nu"]]
 
 
 def _kept(
-    problem: Problem,
-    best: Fit,
-    limits: Limits,
-    stated: Mapping[str, Limit],
-    controls: Float[np.ndarray, "T nu"],
+    problem: Problem, best: Fit, bounds: _Bounds, controls: Float[np.ndarray, "T nu"]
 ) -> tuple[Float[np.ndarray, "T nu"], Recording] | None:
     """Return controls so small that the motion keeps the limits, and the motion; None if none."""
     middle = controls.mean(axis=0)
     for _ in range(_TRIES):
         one = _posed(problem, _still(problem, controls), len(controls) - 1)
         told = one.simulate(best.hypothesis, one.windows.start)
-        over = limits.violation([problem.machine.model], told.trajectory, told.ctrl, 1.0)[0]
-        if over == 0.0 and _within_reach(problem, stated, told.trajectory):
+        over = bounds.limits.violation([bounds.whole], told.trajectory, told.ctrl, 1.0)[0]
+        if over == 0.0 and _within_reach(problem, bounds.stated, told.trajectory):
             return controls, _shown(one, told, controls)
         controls = middle + _SMALLER * (controls - middle)
     return None

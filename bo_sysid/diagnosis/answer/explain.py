@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     needed_beside,
     slopes_reach,
 )
-from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import coarsened
 from bo_sysid.diagnosis.windows.windowing import in_contact
@@ -106,6 +106,7 @@ class Outcome:
         sessions: the magnitudes recording by recording.
         law_alone: the nominal model with nothing but a learned law, to compare with; None where
             no law says anything.
+        disputed: names that the recordings disagree on, which are no findings for that.
 
     From here on every hypothesis is stepped with the coarsest time step whose own error is little
     beside what the hypothesis leaves (`coarsened`); `Hypothesis.numerics` says which.
@@ -118,12 +119,13 @@ class Outcome:
     timestep: float
     sessions: Sessions
     law_alone: Hypothesis | None = None
+    disputed: tuple[Candidate, ...] = ()
 
 
 def explain(located: Located) -> Outcome:
     """Keep the names that hold beside a flexible law, and learn that law where one is needed."""
     decision, problem = located.decision, located.prepared.problem
-    fit, sessions, unknown, unexplained = _held(located)
+    fit, sessions, unknown, unexplained, disputed = _held(located)
     error = _forecast_error(located) if unknown.flagged or in_contact(problem) else None
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
@@ -137,15 +139,22 @@ def explain(located: Located) -> Outcome:
             unexplained = _said(replace(unknown, clues=(clue,)))
         if error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
+            unexplained = replace(unexplained, share=_share(fit, nominal))
         if not fit.members and alone is not None:
             unexplained = _said(found)
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
-    return Outcome(fit, refitted, repaired, unexplained, problem.windows.timestep, sessions, alone)
+    step = problem.windows.timestep
+    return Outcome(fit, refitted, repaired, unexplained, step, sessions, alone, disputed)
 
 
-def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
-    """Return the names that hold, their magnitudes by recording, and what they leave."""
+def _held(
+    located: Located,
+) -> tuple[Fit, Sessions, Unknown, Unexplained, tuple[Candidate, ...]]:
+    """Return the names that hold, their magnitudes by recording, and what they leave.
+
+    The last are the names that recordings disagree on.
+    """
     decision, problem = located.decision, located.prepared.problem
     fit, unknown = decision.best, examine(problem, decision)
     unexplained = _said(unknown)
@@ -153,12 +162,20 @@ def _held(located: Located) -> tuple[Fit, Sessions, Unknown, Unexplained]:
         unexplained = _placed(located, unexplained)
     if unknown.law is not None and slopes_reach(problem, fit, decision.nominal):
         fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
-    named = fit.key
+    named = fit.members
     fit, sessions = _agreed(located, fit)
-    if fit.key != named and not unknown.flagged:  # what they disagree on is left unexplained
+    disputed = tuple(c for c in named if c.key not in {d.key for d in fit.members})
+    if disputed and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
         unexplained = _said(unknown)
-    return fit, sessions, unknown, unexplained
+    if fit.key != decision.best.key:
+        unexplained = replace(unexplained, share=_share(fit, decision.nominal))
+    return fit, sessions, unknown, unexplained, disputed
+
+
+def _share(fit: Fit, nominal: Fit) -> float:
+    """Return what a fit leaves of what the nominal model leaves unexplained, 1 at most."""
+    return min(fit.excess / max(nominal.excess, 1e-9), 1.0)
 
 
 def _refuted(

@@ -197,7 +197,8 @@ def sentence(
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
         more = {name: amount(q) for name, q in details.items()}
-        text = text.format_map({**more, "site": site, "value": size, "interval": ""})
+        between = f"{quantity.interval[0]:.4g} to {quantity.interval[1]:.4g}"
+        text = text.format_map({**more, "site": site, "value": size, "interval": between})
     if bend:
         text += f" It gives way by {amount(bend)} before it slips."
     return text[0].upper() + text[1:]

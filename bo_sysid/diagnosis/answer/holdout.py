@@ -147,7 +147,11 @@ class Holdout:
 
 
 def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording]) -> Holdout:
-    """Return the errors of nominal, refitted and repaired model on the hold-out."""
+    """Return the errors of nominal, refitted and repaired model on the hold-out.
+
+    Where something touches in it, the models have contact, as those have that anyone is given.
+    """
+    evidence = evidence.as_it_moved(recordings)
     nominal, refitted = Hypothesis(), outcome.refitted
     as_it_is = not refitted.free and not refitted.numerics
     models = {
@@ -246,11 +250,10 @@ def _free_runs(
     except RecordingError:
         return [], {}, pd.DataFrame()
     made, rows = _each(models, partial(forecast, problem, past)), []
+    joints = {f"qpos.{n}": "rad" if j.hinge else "m" for n, j in evidence.machine.joints.items()}
     for name, errors in made.items():
-        hinges = {
-            j.hinge for n, j in evidence.machine.joints.items() if f"qpos.{n}" in errors.channel
-        }
-        unit = "rad" if hinges == {True} else "m" if hinges == {False} else "SI"
+        units = {joints.get(channel, "SI") for channel in errors.channel}
+        unit = units.pop() if len(units) == 1 else "SI"
         error = float(np.sqrt(np.mean(np.square(list(errors.channel.values())))))
         rows.append({**_row("free_run", free, name, error), "unit": unit})
     shown = traces(problem, past, {name: errors.residual for name, errors in made.items()})

@@ -111,7 +111,8 @@ def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
         own = _named(model, [a.format(site=finding.site) for a in _BRISTLES])
         return [_parameter(model, finding, "", own)]
     places = _ADDRESSES.get(finding.effect, {})
-    named = {detail: a.format(site=finding.site) for detail, a in places.items()}
+    told = {d: a for d, a in places.items() if not d or d in finding.details}
+    named = {detail: a.format(site=finding.site) for detail, a in told.items()}
     placed = {d: [a, *_carried(model, finding)] for d, a in named.items()}
     held = {
         d: own

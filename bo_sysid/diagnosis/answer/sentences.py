@@ -15,6 +15,7 @@ from bo_sysid.effects.contract import unit_at
 
 _RIVALS = 3
 _TOLD = 8  # parameters
+_LACKS = "that the model lacks"  # in a sentence about what is not there at all
 _MANY = 3  # members of a group from which on one sentence says them all
 
 
@@ -35,9 +36,9 @@ def found_sentences(findings: Sequence[Finding]) -> list[str]:
 def _group_sentence(name: str, members: Sequence[Finding]) -> str:
     """Return "Dry friction on 3 joints, which the model lacks: base 4.01 ± 0.04 N m, …"."""
     each = ", ".join(f"{f.site.replace('_', ' ')} {amount(f.quantity)}" for f in members)
-    there = any(f.before for f in members)
-    beside = "beyond the model's" if there else "which the model lacks"
-    return f"{name[0].upper()}{name[1:]}, {beside}: {each}."
+    lacks = all(_LACKS in f.sentence for f in members)
+    beside = ", which the model lacks" if lacks else " differs from the model's by"
+    return f"{name[0].upper()}{name[1:]}{beside}: {each}."
 
 
 def parameters_sentence(parameters: pd.DataFrame) -> str:
@@ -66,6 +67,21 @@ def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
     return f"{', '.join(out)} {verb} not fitted: the friction that was found stands there instead."
 
 
+def disputed_sentence(disputed: Sequence[Candidate]) -> str:
+    """Return what recordings disagree on, in words; empty where they do not."""
+    if not disputed:
+        return ""
+    each = [_at_site(c) for c in disputed]
+    return (
+        f"The recordings do not agree on {', nor on '.join(each)}: no finding is made of what "
+        "differs so much between them."
+    )
+
+
+def _at_site(c: Candidate) -> str:
+    return c.effect.noun + ("" if c.site.kind == "world" else f" at {spoken(c.site)}")
+
+
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
     best, said = decision.best, dict[str, list[str]]()
@@ -87,9 +103,8 @@ def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> st
     for c, x in zip(fit.members, fit.x, strict=True):
         if c.key in {d.key for d in other.members}:
             continue
-        where = "" if c.site.kind == "world" else f" at {spoken(c.site)}"
         value, unit = c.effect.reported(c.full(x), machine, c.site), _unit(c, machine)
-        words.append(f"{c.effect.noun}{where}" + (f" ({value:.3g}{unit})" if sized else ""))
+        words.append(_at_site(c) + (f" ({value:.3g}{unit})" if sized else ""))
     return " with ".join(words)
 
 

@@ -74,8 +74,15 @@ class Evidence:
         if following:
             said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
-            said.append("Nothing of the model touches in these recordings: contact is left out.")
+            said.append("Nothing touches in the training recordings: contact is left out there.")
         return (*said, *_rates(self.recordings, self.model))
+
+    def as_it_moved(self, recordings: Sequence[Recording]) -> "Evidence":
+        """Return the same with contact, where it was left out and something touches in others."""
+        if self.model is self.given or _as_it_moved(self.given, recordings) is not self.given:
+            return self
+        whole = replace(self.machine, model=self.given.compile())
+        return replace(self, model=self.given, machine=whole)
 
     @property
     def rigid(self) -> "Evidence":
