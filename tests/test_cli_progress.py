@@ -42,6 +42,21 @@ def test_time_left_is_right_after_a_resume(
     assert capsys.readouterr().err.splitlines()[-1] == f"x {50 + step}/{50 + of}, {left} left"
 
 
+def test_time_left_is_that_of_the_count_that_goes_on(capsys: pytest.CaptureFixture[str]) -> None:
+    """Behind the answers of a proof come its oracle's, counted from one again."""
+    clock = Clock()
+    report = Lines("reveal", every=5.0, clock=clock)
+    for step in range(1, 5):
+        clock.now += 60.0
+        report(Progress(step, 4, "case"))
+    for step in range(1, 3):
+        clock.now += 10.0
+        report(Progress(step, 4, "oracle"))
+    assert capsys.readouterr().err.splitlines()[-2:] == [
+        "reveal 1/4, 0:30 left: oracle", "reveal 2/4, 0:20 left: oracle",
+    ]  # fmt: skip
+
+
 def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -51,6 +51,7 @@ class Lines:
         self._title, self._every, self._clock = title, every, clock
         self._began = self._last = self._told = clock()
         self._first: int | None = None
+        self._step = 0
         self._at = ""
 
     def __call__(self, progress: Progress) -> None:
@@ -66,9 +67,13 @@ class Lines:
         if not progress.step:
             print(f"{self._title}: {progress.message}", file=sys.stderr, flush=True)
             return
-        now = self._told = self._clock()
+        before, now = self._told, self._clock()
+        self._told = now
         if self._first is None:
             self._first = progress.step - 1  # a resumed run does not begin at zero
+        elif progress.step < self._step:  # another count begins
+            self._first, self._began = progress.step - 1, before
+        self._step = progress.step
         if now - self._last < self._every and progress.step < progress.of:
             return
         self._last = now
