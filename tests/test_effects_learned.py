@@ -118,3 +118,23 @@ def test_the_unknown_is_a_law_of_position_and_speed() -> None:
     q = np.array([low + 3 * step, low + 5 * step])
     force = part.law(LawInputs(0 * q, {"hinge": q}, {"hinge": 0 * q}, {}, {}, 0.001))
     np.testing.assert_allclose(force, scale.force * np.array([1.0, np.exp(-2.0)]), rtol=1e-3)
+
+
+def test_beyond_what_was_recorded_a_law_stays_as_it_is_at_the_end() -> None:
+    rod = pendulum()
+    scale = rod.machine.joints["hinge"]
+    terms = [t for t in features("hinge", rod.machine) if t.name.startswith("position")]
+    half = 0.5 * scale.span
+    edge = np.array([scale.middle - half, scale.middle + half])
+    law = learned_force(terms, np.linspace(-1.0, 2.0, len(terms)), scale.force)
+
+    def force(q: np.ndarray) -> np.ndarray:
+        return law(LawInputs(0 * q, {"hinge": q}, {"hinge": 0 * q}, {}, {}, 0.001))
+
+    at_the_ends = force(edge)
+    assert (np.abs(at_the_ends) > 0.5 * scale.force).all()
+    outwards = np.array([-scale.span, scale.span])
+    for share in (0.3, 5.0):
+        np.testing.assert_allclose(
+            force(edge + share * outwards), at_the_ends, atol=5e-3 * scale.force
+        )

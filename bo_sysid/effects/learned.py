@@ -123,11 +123,14 @@ def _summed(group: Sequence[tuple[Feature, float]]) -> Term:
 
 
 def _bumps(count: int, low: float, high: float) -> list[Shape]:
-    """Return Gaussians at even distances that overlap at 0.9 of their height."""
+    """Return Gaussians at even distances that overlap at 0.9 of their height.
+
+    Beyond the range, of which nothing is known, each stays as it is at its end.
+    """
     width = max((high - low) / (count - 1), 1e-9)
 
     def bump(centre: float) -> Shape:
-        return lambda x: np.exp(-0.5 * ((x - centre) / width) ** 2)
+        return lambda x: np.exp(-0.5 * ((np.clip(x, low, high) - centre) / width) ** 2)
 
     return [bump(float(c)) for c in np.linspace(low, high, count)]
 
