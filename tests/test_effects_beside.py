@@ -127,6 +127,41 @@ def test_filters_keep_to_their_controls_behind_an_actuator_without_one(machine, 
     np.testing.assert_allclose(stepper.data.qpos, plain.qpos, atol=1e-12)
 
 
+RATED = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body>
+  <joint name="j" axis="0 1 0" damping=".1"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02"
+  mass="1"/></body></worldbody><actuator>
+  <intvelocity name="a" joint="j" gear="2" kp="40" kv="3" actrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("recut", [False, True])
+def test_the_goal_of_a_servo_that_integrates_is_in_what_its_encoder_reads(recut, tmp_path) -> None:
+    """It holds where it is switched on, whatever its encoder reads there.
+
+    Windows are cut once, from what was recorded, or again where the reading is undone.
+    """
+    model, offset = Model.from_xml(RATED), 0.1
+    data, rows = mujoco.MjData(plant := model.compile()), []
+    data.qpos[0] = 0.2
+    data.act[0] = 2 * 0.2
+    for k in range(1500):
+        data.ctrl[0] = np.sin(0.01 * k)
+        rows.append([data.time, data.qpos[0], data.qvel[0], data.ctrl[0]])
+        mujoco.mj_step(plant, data)
+    time, q, v, u = np.transpose(rows)
+    log = Recording.from_arrays(time, qpos={"j": q + offset}, qvel={"j": v}, ctrl={"a": u})
+    effect, parts = CATALOGUE["encoder_offset"], []
+    site, machine = Site("joint", "j"), survey(plant, [log])
+    edit = [lambda spec: parts.extend(effect.parts(spec, site, np.array([offset]), machine))]
+    model.export(tmp_path / "edited.xml", edit)
+    edited = Model.from_file(tmp_path / "edited.xml")
+    seen = as_commanded_and_measured(log, parts, 0.002)
+    again = cut(edited, [seen], horizon=250)
+    act = again.start.act if recut else cut(model, [log], horizon=250).start.act
+    start = State(again.start.qpos, again.start.qvel, act)
+    found = Engine(1).rollout(edited.compile(), start, again.ctrl)
+    np.testing.assert_allclose(found.qpos[:, 1:, 0], again.observed[..., 0], atol=1e-9)
+
+
 def test_a_force_is_held_as_in_the_search(machine, tmp_path) -> None:
     law = LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}, hold=0.01)
     made = Beside(machine, (), (law,))

@@ -39,7 +39,7 @@ def _encoder_extent(site: Site, machine: Machine) -> Extent:
     extent=_encoder_extent,
     noun="an encoder offset",
     sentence="The encoder of {site} reads {value} too much.",
-    form="reading; a servo's control shifts along",
+    form="reading; a servo's control shifts along, behind an integrator its bias",
     evidence="gravity, or the other links, act as at another posture",
     separation="several postures; a known posture at rest",
     family="sensing",
@@ -51,10 +51,19 @@ def encoder_offset(
     """The encoder reads x[0] more than the joint's position; a servo's goal shifts along.
 
     A servo's force is g u + b r (q + x[0]) with gain g, bias b per length and gear r, so that its
-    control shifts by b r x[0] / g.
+    control shifts by b r x[0] / g. One that integrates its control, a rate, has b r x[0] in its
+    bias instead: its activation is in what the encoder reads, where it begins.
     """
-    servos = [a for a in machine.actuators.values() if a.joint == site.name and a.servo and a.gain]
-    filters = tuple(_goal(a.name, a.bias[1] * a.gear * float(x[0]) / a.gain) for a in servos)
+    filters = []
+    for servo in machine.actuators.values():
+        if servo.joint != site.name or not servo.servo or not servo.gain:
+            continue
+        if spec.actuator(servo.name).dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            a = with_own_bias(spec, servo.name, machine)
+            a.biasprm[0] += a.biasprm[1] * servo.gear * float(x[0])
+        else:
+            shift = servo.bias[1] * servo.gear * float(x[0]) / servo.gain
+            filters.append(_goal(servo.name, shift))
     return (Reading(f"qpos.{site.name}", offset=float(x[0])), *filters)
 
 
