@@ -153,6 +153,20 @@ def test_a_channel_without_a_sample_in_any_window_has_no_error(fitted: bool) -> 
     assert np.isnan(found[1])
 
 
+def test_a_channel_without_a_sample_in_any_window_is_not_compared() -> None:
+    """Nothing tells its spread; what the other channels say is as without it."""
+    windows = oscillator_windows(count=50, horizon=8)
+    observed = windows.observed.copy()
+    observed[..., 1] = np.nan
+    blind, alone = replace(windows, observed=observed), Whitening.of(windows)
+    whitening = Whitening.of(blind)
+    np.testing.assert_array_equal(whitening.scale, [alone.scale[0], np.inf])
+    simulator, other = Oscillator((STIFFNESS, DAMPING)), np.array([[4.0, 0.1]])
+    deviation = Deviation(simulator, blind, whitening)(other).deviation
+    own = Whitening(windows.channels, np.array([alone.scale[0], np.inf]), alone.source)
+    assert deviation == Deviation(simulator, windows, own)(other).deviation > 0
+
+
 def test_whitening_takes_known_noise_before_spread() -> None:
     windows = oscillator_windows()
     whitening = Whitening.of(windows, {"qpos": 0.003})

@@ -45,12 +45,14 @@ class Whitening:
     def of(cls, windows: Windows, noise: Mapping[str, float] | None = None) -> "Whitening":
         """Return the known sensor noise of each channel, else its recorded spread.
 
+        A channel without a sample in any window has an infinite scale: it is not compared.
+
         Args:
             windows: gives channels and their spread.
             noise: standard deviation by channel name or by kind (``qpos``), in their units.
         """
         noise = noise or {}
-        spread = np.nanstd(windows.observed.reshape(-1, len(windows.channels)), axis=0)
+        spread = _spread(windows)
         floor = np.finfo(float).tiny
         scale, source = [], []
         for k, name in enumerate(windows.channels):
@@ -212,6 +214,13 @@ class Deviation:
             norms = np.sqrt(np.einsum("whc,whc->w", residual, residual) / residual.shape[1])
             norms[prediction.diverged | ~(norms < self.penalty)] = self.penalty
             yield norms, prediction.diverged
+
+
+def _spread(windows: Windows) -> Float[np.ndarray, " c"]:
+    """Return the standard deviation of each channel, 0 where nothing of it was recorded."""
+    observed = windows.observed.reshape(-1, len(windows.channels))
+    there = np.isfinite(observed).any(axis=0)
+    return np.asarray(np.nanstd(np.where(there, observed, 0.0), axis=0))
 
 
 def _extent(windows: Windows) -> Float[np.ndarray, " c"]:
