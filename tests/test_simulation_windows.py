@@ -328,6 +328,25 @@ def test_activations_are_what_the_controls_before_led_to(before: str) -> None:
     np.testing.assert_allclose(windows.start.act[1:], expected[1:], atol=1e-9)
 
 
+@pytest.mark.parametrize("limits", ['actrange="-.5 .5"', 'ctrlrange="-.4 .3"'])
+def test_an_activation_that_integrates_stops_where_mujoco_stops_it(limits: str) -> None:
+    """It leaves the end of its range as soon as its control turns."""
+    model = Model.from_xml(ACTING.replace('actrange="-2 2"', limits))
+    plant = model.compile()
+    data, rows = mujoco.MjData(plant), []
+    for k in range(600):
+        rate = (0.6, -0.6, 0.3)[k // 200]
+        rows.append([0.01 * k, *data.qpos, data.act[1], 0.0, rate])
+        data.ctrl[:] = 0.0, rate
+        for _ in range(10):
+            mujoco.mj_step(plant, data)
+    time, a, b, held, *ctrl = np.transpose(rows)
+    motion = {"qpos": {"a": a, "b": b}, "ctrl": {"slow": ctrl[0], "held": ctrl[1]}}
+    windows = cut(model, [Recording.from_arrays(time, **motion)], horizon=7)
+    expected = held[7 * np.arange(len(windows))]
+    np.testing.assert_allclose(windows.start.act[:, 1], expected, atol=1e-9)
+
+
 def test_a_torque_that_was_measured_acts_as_late_as_it_did() -> None:
     """A plant is stepped with a torque that never rests; a log has every tenth of its values."""
     model = Model.from_xml(ACTING.replace('ctrlrange="-1 1"', ""))

@@ -49,10 +49,9 @@ def activations(
         elif control not in recording.channels:
             continue
         elif kind == _INTEGRATOR:
-            first = _held_position(compiled, recording, a)
-            act[:, own] = first + _integral(_held(recording.channels[control]), start)[:, None]
-            if compiled.actuator_actlimited[a]:
-                act[:, own] = np.clip(act[:, own], *compiled.actuator_actrange[a])
+            first, ends = _held_position(compiled, recording, a), _act_range(compiled, a)
+            rate = _held(_clipped(compiled, recording, control, k))
+            act[:, own] = _integral(rate, first, ends, start)[:, None]
         elif count == 1 and kind in LAGS:
             lag = float(compiled.actuator_dynprm[a, 0])
             act[:, address] = _lagging(_held(_clipped(compiled, recording, control, k)), lag, start)
@@ -93,11 +92,33 @@ def _lagging(channel: Channel, lag: float, at: Float[np.ndarray, " W"]) -> Float
     return np.asarray(u[row] + (begin[row] - u[row]) * np.exp(-since / lag))
 
 
-def _integral(channel: Channel, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:
-    """Return the integral of a held channel from its first stamp to some times."""
-    whole = np.concatenate([[0.0], np.cumsum(channel.values[:-1] * np.diff(channel.time))])
+def _act_range(compiled: mujoco.MjModel, a: int) -> tuple[float, float]:
+    """Return the least and the largest activation of an actuator; infinite without a range."""
+    if not compiled.actuator_actlimited[a]:
+        return -np.inf, np.inf
+    low, high = compiled.actuator_actrange[a]
+    return float(low), float(high)
+
+
+def _integral(
+    channel: Channel, first: float, ends: tuple[float, float], at: Float[np.ndarray, " W"]
+) -> Float[np.ndarray, " W"]:
+    """Return the integral of a held channel at some times, clamped wherever it would leave a range.
+
+    Args:
+        channel: a rate.
+        first: the integral at the channel's first stamp.
+        ends: its least and its largest value.
+        at: `W` times in [s].
+    """
+    low, high = ends
+    begin = np.empty(len(channel.time))
+    begin[0] = min(max(first, low), high)
+    for k, change in enumerate((channel.values[:-1] * np.diff(channel.time)).tolist()):
+        begin[k + 1] = min(max(begin[k] + change, low), high)
     row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
-    return np.asarray(whole[row] + channel.values[row] * (at - channel.time[row]))
+    since = at - channel.time[row]
+    return np.asarray(np.clip(begin[row] + channel.values[row] * since, low, high))
 
 
 def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> float:
