@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from effect_bench import MOTOR, SERVO, SLIDE, Bench, G, pendulum, period
+from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum, period
 from effect_machines import case
 
 from bo_sysid.effects import CATALOGUE, Hidden, Site, applicable
@@ -283,3 +283,26 @@ class TestInertia:
         cart = case("cart-pole").machine
         assert [s.name for s in applicable(CATALOGUE[id], cart)] == ["pole"]
         assert len(applicable(CATALOGUE["payload"], cart)) == 2
+
+
+@pytest.mark.parametrize(
+    ("id", "x", "added"),
+    [
+        ("viscous_damping", [0.3], lambda q, v: -0.3 * v),
+        ("joint_spring", [2.0, 0.5], lambda q, v: 0.5 - 2.0 * q),
+        ("constant_force", [1.0], lambda q, v: 1.0),
+    ],
+)
+@pytest.mark.parametrize("own", ['springdamper=".5 .7"', ""])
+def test_what_pulls_at_a_joint_is_added_to_what_mujoco_derives(own, id, x, added) -> None:
+    """A joint with `springdamper` has a stiffness and a damping that no number says."""
+    arm = Bench(PENDULUM.format(actuator=MOTOR, damping=0.0).replace('damping="0.0"', own))
+    model, _ = arm.edited(id, "joint", "hinge", x)
+    for q, v in ((0.4, -0.6), (-0.3, 0.5)):
+        passive = []
+        for m in (arm.machine.model, model):
+            data = mujoco.MjData(m)
+            data.qpos[0], data.qvel[0] = q, v
+            mujoco.mj_forward(m, data)
+            passive.append(data.qfrc_passive[0])
+        assert passive[1] - passive[0] == pytest.approx(added(q, v), abs=2e-6)
