@@ -12,6 +12,8 @@ from bo_sysid.effects import CATALOGUE, Hidden, Site, applicable
 from bo_sysid.effects.bristles import bristled
 from bo_sysid.simulation.lockstep import LawInputs
 
+HINGE = Site("joint", "hinge")
+
 
 @pytest.fixture(scope="module")
 def slide() -> Bench:
@@ -306,3 +308,20 @@ def test_what_pulls_at_a_joint_is_added_to_what_mujoco_derives(own, id, x, added
             mujoco.mj_forward(m, data)
             passive.append(data.qfrc_passive[0])
         assert passive[1] - passive[0] == pytest.approx(added(q, v), abs=2e-6)
+
+
+@pytest.mark.parametrize(("id", "x"), [("joint_spring", [2.0, 0.5]), ("constant_force", [0.5])])
+@pytest.mark.parametrize("own", ['stiffness="2 3 0" springref="10"', 'stiffness="0 3 4"'])
+def test_a_spring_beside_one_with_higher_terms_adds_its_own_force(own, id, x) -> None:
+    """The pendulum moves as plain MuJoCo has it, with the force applied at every step."""
+    hinge = PENDULUM.format(actuator=MOTOR, damping=0.1).replace('damping="0.1"', own)
+    arm = Bench(hinge)
+    _, q, _ = arm.effect(id, "joint", "hinge", x, 1.0, q=0.3)
+    data = mujoco.MjData(arm.machine.model)
+    data.qpos[0] = 0.3
+    for shown in q[:, 0]:
+        assert shown == pytest.approx(data.qpos[0], abs=1e-9)
+        data.qfrc_applied[0] = x[-1] - (x[0] * data.qpos[0] if len(x) > 1 else 0.0)
+        mujoco.mj_step(arm.machine.model, data)
+    details = CATALOGUE[id].details
+    assert details is None or not details(np.array(x), arm.machine, HINGE)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import passive_motor
-from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
+from bo_sysid.effects.contract import Component, Extent, Force, Magnitudes, Part, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.joints import settle_springdamper
@@ -21,14 +21,17 @@ _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a
 
 def add_spring(
     spec: mujoco.MjSpec, joint: str, stiffness: float, force: float, machine: Machine
-) -> None:
+) -> Force | None:
     """Add a spring to a joint: the force ``force - stiffness·q``.
 
     Together with a spring that the joint has, this is again one spring: stiffnesses add, and the
     rest position is where the sum of the forces vanishes. A constant force alone becomes a spring
-    so weak, and so far away, that its force does not change.
+    so weak, and so far away, that its force does not change. Beside a spring that is no straight
+    line, whose higher terms would move with the rest position, it is a force law.
     """
     j = spec.joint(joint)
+    if np.any(np.asarray(j.stiffness[1:])):
+        return Force(joint, lambda m: force - stiffness * m.qpos[joint])
     settle_springdamper(j, machine.model)
     angle = np.pi / 180 if j.compiler.degree and j.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
     at_zero = j.stiffness[0] * j.springref * angle + force
@@ -37,6 +40,7 @@ def add_spring(
         total = total + _WEAK * abs(at_zero)
     j.stiffness[0] = total
     j.springref = at_zero / total / angle if total else 0.0
+    return None
 
 
 def _stiffness(site: Site, machine: Machine) -> float:
@@ -54,11 +58,15 @@ def _spring_extent(site: Site, machine: Machine) -> Extent:
 
 
 def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
-    """Return where the joint's whole spring rests, the model's with it: k q = k₀ q₀ + x[1]."""
+    """Return where the joint's whole spring rests, the model's with it: k q = k₀ q₀ + x[1].
+
+    Nothing where the model's is no straight line.
+    """
     own = _stiffness(site, machine)
     joint = machine.model.joint(site.name)
     stiffness = own + float(x[0])
-    if abs(stiffness) <= _NO_SPRING * (abs(own) + abs(float(x[0]))):
+    bent = bool(np.any(machine.model.jnt_stiffnesspoly[joint.id]))
+    if bent or abs(stiffness) <= _NO_SPRING * (abs(own) + abs(float(x[0]))):
         return {}
     begun = own * float(machine.model.qpos_spring[joint.qposadr[0]])
     return {"rest angle": ((begun + float(x[1])) / stiffness, "rad")}
@@ -79,9 +87,9 @@ def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
     force=lambda site, x, machine: lambda m: x[1] - x[0] * m.qpos[site.name],
     details=_rest_angle,
 )
-def joint_spring(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+def joint_spring(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
     """Spring of stiffness x[0] with the force x[1] at position 0: rest position x[1]/x[0]."""
-    add_spring(spec, site.name, float(x[0]), float(x[1]), machine)
+    return add_spring(spec, site.name, float(x[0]), float(x[1]), machine)
 
 
 def _constant_extent(site: Site, machine: Machine) -> Extent:
@@ -102,9 +110,9 @@ def _constant_extent(site: Site, machine: Machine) -> Extent:
     force=lambda site, x, machine: lambda m: np.full_like(m.qvel[site.name], x[0]),
     grouped=True,
 )
-def constant_force(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
+def constant_force(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
     """A constant force along the joint."""
-    add_spring(spec, site.name, 0.0, float(x[0]), machine)
+    return add_spring(spec, site.name, 0.0, float(x[0]), machine)
 
 
 def _cogging_extent(site: Site, machine: Machine) -> Extent | None:
