@@ -87,6 +87,27 @@ def test_what_a_servo_takes_from_an_encoder_that_scales(way, torque) -> None:
     assert data.actuator_force[0] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("share", [-0.5, 0.4])
+def test_kp_of_normalised_controls_keeps_what_they_ask_for(share) -> None:
+    """Controls of -1 to 1 ask for -.4 to .6 rad: the gain is no kp, which is 100 N m/rad."""
+    servo = (
+        '<actuator><general name="servo" joint="hinge" gainprm="50" biastype="affine" '
+        'biasprm="10 -100 -2" ctrlrange="-1 1"/></actuator>'
+    )
+    arm, effect, site = pendulum(servo), CATALOGUE["servo_kp"], Site("actuator", "servo")
+    assert effect.nominal(site, arm.machine) == 100.0
+    extent = effect.extent(site, arm.machine)
+    assert (extent.probe, extent.low, extent.high) == ((2.0,), (-90.0,), (300.0,))
+    x, q, v, u = 100.0 * share, 0.3, -0.7, 0.8
+    model, _ = arm.edited("servo_kp", "actuator", "servo", [x])
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, u
+    mujoco.mj_forward(model, data)
+    goal = 0.1 + 0.5 * u
+    assert data.actuator_force[0] == pytest.approx((100.0 + x) * (goal - q) - 2.0 * v)
+    assert rest(arm, model, u) == pytest.approx(balance(100.0 + x, goal), abs=1e-5)
+
+
 def test_an_encoder_offset_shifts_the_goal_along() -> None:
     arm = pendulum(SERVO)
     model, (reading, goal) = arm.edited("encoder_offset", "joint", "hinge", [0.2])

@@ -17,7 +17,7 @@ from bo_sysid.effects.contract import (
     Signal,
     Site,
 )
-from bo_sysid.effects.machine import ChannelScale, Machine
+from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
 from bo_sysid.effects.registry import effect
 
 _SAG = 0.005  # of a supply's voltage: less is no sag
@@ -48,14 +48,15 @@ def actuator_gain(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machi
 
 
 def _kp(site: Site, machine: Machine) -> float:
-    return actuator_at(site, machine).gain
+    """Return what a servo does per length: its gain is another where its control is no length."""
+    return -actuator_at(site, machine).bias[1]
 
 
 def _kp_extent(site: Site, machine: Machine) -> Extent | None:
-    a = actuator_at(site, machine)
-    if not (a.servo and a.gain > 0 and affine(site, machine)):
+    a, kp = actuator_at(site, machine), _kp(site, machine)
+    if not (kp > 0 and a.gain > 0 and affine(site, machine)):
         return None
-    return Extent((0.02 * a.gain,), (-0.9 * a.gain,), (3 * a.gain,))
+    return Extent((0.02 * kp,), (-0.9 * kp,), (3 * kp,))
 
 
 @effect(
@@ -71,13 +72,25 @@ def _kp_extent(site: Site, machine: Machine) -> Extent | None:
     separation="goals at rest under load",
 )
 def servo_kp(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Change the gain and the position bias of a servo together, as its file has them.
+    """Change the position bias of a servo by -x[0]; gain and constant bias keep the goal.
 
-    They are the actuator's own, per its length: behind a gear, the joint has gear² times as much.
+    A servo's force is kp (goal - length) with the goal (g u + b) / kp: normalised controls have
+    another gain g than kp, and a constant b. All are the actuator's own, per its length: behind a
+    gear, the joint has gear² times as much.
     """
     a = with_own_bias(spec, site.name, machine)
-    a.gainprm[0] = a.gainprm[0] + x[0]
+    per_control, constant = _goal(a, actuator_at(site, machine))
+    a.gainprm[0] = a.gainprm[0] + x[0] * per_control
+    a.biasprm[0] = a.biasprm[0] + x[0] * constant
     a.biasprm[1] = a.biasprm[1] - x[0]
+
+
+def _goal(a: mujoco.MjsActuator, nominal: ActuatorScale) -> tuple[float, float]:
+    """Return how a servo's goal grows with its control, and its goal at zero: g / kp and b / kp."""
+    gain, constant, kp = float(a.gainprm[0]), float(a.biasprm[0]), -float(a.biasprm[1])
+    if not kp:  # a parameter took it away
+        gain, constant, kp = nominal.gain, nominal.bias[0], -nominal.bias[1]
+    return gain / kp, constant / kp
 
 
 def _kd(site: Site, machine: Machine) -> float:

@@ -39,17 +39,22 @@ def _compose_gain(draft: Draft, c: Concealed) -> None:
     draft.change_drive(a, gain=drive.gain * factor, bias=(b0, b1, b2))
 
 
+def _own_kp(place: Place) -> float:
+    """Return what a servo does per length of its own."""
+    return -float(place.machine.compiled.actuator_biasprm[place.actuator, 1])
+
+
 def _kp(rng: np.random.Generator, place: Place) -> Concealed:
-    gain = float(place.machine.compiled.actuator_gainprm[place.actuator, 0])
     unit = _servo_unit(place, "N m/rad")
-    return Concealed("servo_kp", "actuator", place.site, 0.05 * gain * sign(rng), unit)
+    return Concealed("servo_kp", "actuator", place.site, 0.05 * _own_kp(place) * sign(rng), unit)
 
 
 def _compose_kp(draft: Draft, c: Concealed) -> None:
     a = _at(draft, c)
     drive = draft.drives[a]
     b0, b1, b2 = drive.bias
-    draft.change_drive(a, gain=drive.gain + c.value, bias=(b0, b1 - c.value, b2))
+    gain = drive.gain - c.value * (drive.gain / b1)  # the goal (gain u + b0) / -b1 stays
+    draft.change_drive(a, gain=gain, bias=(b0 - c.value * (b0 / b1), b1 - c.value, b2))
 
 
 def _kd(rng: np.random.Generator, place: Place) -> Concealed:
@@ -70,7 +75,7 @@ def _servo_unit(place: Place, unit: str) -> str:
 
 
 def _kp_most(place: Place) -> float:
-    return 0.7 * float(place.machine.compiled.actuator_gainprm[place.actuator, 0])
+    return 0.7 * _own_kp(place)
 
 
 def _kd_most(place: Place) -> float:
