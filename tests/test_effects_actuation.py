@@ -367,3 +367,32 @@ def test_forces_that_laws_read_are_clipped_as_mujoco_does() -> None:
         applied[k] = data.qfrc_actuator[0]
     np.testing.assert_allclose(scale.force(u, q, v), applied, atol=1e-12)
     assert scale.force_max == pytest.approx(np.abs(applied).max(), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("drive", "follows"),
+    [
+        ('<position name="a" joint="j" kp="40" kv="2" timeconst=".1"/>', True),
+        ('<general name="a" joint="j" dyntype="filter" dynprm=".2" ctrlrange="-.4 .4"/>', True),
+        ('<intvelocity name="a" joint="j" kp="40" kv="3" actrange="-.5 .5"/>', False),
+    ],
+)
+def test_forces_of_actuators_with_memory_are_those_of_their_activations(drive, follows) -> None:
+    """Steps of the control, of which plain MuJoCo makes much less than the command asks for."""
+    plant = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" axis="0 1 0" '
+        'damping=".1"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body>'
+        f"</worldbody><actuator>{drive}</actuator></mujoco>"
+    )
+    data, rows = mujoco.MjData(plant), []
+    for k in range(2000):
+        data.ctrl[0] = (0.0, 0.6, -0.6, 0.9)[k // 100 % 4]
+        rows.append([data.time, data.qpos[0], data.ctrl[0]])
+        mujoco.mj_step(plant, data)
+        rows[-1].append(data.qfrc_actuator[0])
+    time, q, u, force = np.transpose(rows)
+    log = Recording.from_arrays(time, qpos={"j": q}, ctrl={"a": u})
+    scale = survey(plant, [log]).actuators["a"]
+    assert scale.force_max == pytest.approx(np.abs(force).max(), rel=0.15)
+    assert scale.force_std == pytest.approx(force.std(), rel=0.1)
+    assert (scale.plain, scale.follows) == (True, follows)

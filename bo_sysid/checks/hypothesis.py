@@ -12,10 +12,10 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
+from bo_sysid.effects.memory import LAGS
 from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
-from bo_sysid.simulation.activations import LAGS
 
 _FLOOR = 1e-3  # what the model may leave unexplained of any balance
 

@@ -232,7 +232,7 @@ def _sags(channel: ChannelScale) -> bool:
 
 def _sag_extent(site: Site, machine: Machine) -> Extent | None:
     supply = _supply(site, machine)
-    if supply is None or not affine(site, machine):
+    if supply is None or not affine(site, machine) or not actuator_at(site, machine).follows:
         return None
     sag = machine.scales[supply].high - machine.scales[supply].low
     return Extent((0.2 * sag,), (0.0,), (4 * sag,))

@@ -210,7 +210,7 @@ def asymmetric_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine:
 def _load_extent(site: Site, machine: Machine) -> Extent | None:
     joint = machine.joints[site.name]
     drives = [machine.actuators[a] for a in joint.actuators]
-    if not any(a.plain and a.ctrl_max > 0 for a in drives):
+    if not any(a.plain and a.follows and a.ctrl_max > 0 for a in drives):
         return None
     return Extent(
         (0.02, 0.0),
@@ -224,7 +224,7 @@ def _load_extent(site: Site, machine: Machine) -> Extent | None:
 def _load(site: Site, machine: Machine) -> Callable[[Motion], Signal]:
     """Return the force that the actuators of a joint command."""
     joint = machine.joints[site.name]
-    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain]
+    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain and a.follows]
 
     def load(m: Motion) -> Signal:
         q, v = m.qpos[site.name], m.qvel[site.name]

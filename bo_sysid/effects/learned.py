@@ -182,7 +182,7 @@ def _of_drive(joint: JointScale, machine: Machine) -> list[Feature]:
         if a.ctrl_max > 0:
             ctrl = _control(a)
             found += [Feature("control", f"{a.name}^{p}", ctrl, _power(a, p)) for p in (1, 2, 3)]
-        if a.ctrl_max > 0 and a.plain:
+        if a.ctrl_max > 0 and a.plain and a.follows:
             name = f"torque of {a.name} against motion"
             found.append(Feature("load", name, _load(a, joint), np.asarray, _turning(joint)))
     return found

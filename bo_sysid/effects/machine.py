@@ -67,6 +67,8 @@ class ActuatorScale:
         jumps: percentiles of the recorded control's changes from sample to sample, largest first.
         ctrl_limits: to which the model clips controls, None where it does not.
         force_limits: to which it clips the actuator's force, None where it does not.
+        follows: whether what acts is the control, or lags behind it; not, as of an integrator,
+            something else of which laws are not told.
     """
 
     name: str
@@ -85,9 +87,16 @@ class ActuatorScale:
     jumps: tuple[float, ...]
     ctrl_limits: tuple[float, float] | None = None
     force_limits: tuple[float, float] | None = None
+    follows: bool = True
 
     def force(self, ctrl: Signal, q: Signal, v: Signal) -> Signal:
-        """Return the force along the joint that a plain actuator makes, within its limits."""
+        """Return the force along the joint that a plain actuator makes, within its limits.
+
+        Args:
+            ctrl: what acts: the control, or the activation that follows it.
+            q: position of the joint in [rad] or [m].
+            v: its velocity.
+        """
         b, gear = self.bias, self.gear
         u = ctrl if self.ctrl_limits is None else np.clip(ctrl, *self.ctrl_limits)
         force = self.gain * u + b[0] + b[1] * gear * q + b[2] * gear * v

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.effects.memory import LAGS, activation, remembers
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
 from bo_sysid.mjcf.compiling import coordinates
@@ -24,6 +25,7 @@ _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_FOLLOWING = (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
@@ -126,30 +128,40 @@ def _actuator(
         jumps=_jumps(recordings, f"ctrl.{name}"),
         ctrl_limits=_limits(bool(model.actuator_ctrllimited[a]), model.actuator_ctrlrange[a]),
         force_limits=_limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a]),
+        follows=int(model.actuator_dyntype[a]) in _FOLLOWING,
     )
-    return _as_used(bare, recordings, None if joint is None else motion.get(joint))
+    return _as_used(bare, model, recordings, None if joint is None else motion.get(joint))
 
 
 def _as_used(
-    bare: ActuatorScale, recordings: Sequence[Recording], motion: _Motion | None
+    bare: ActuatorScale,
+    model: mujoco.MjModel,
+    recordings: Sequence[Recording],
+    motion: _Motion | None,
 ) -> ActuatorScale:
     """Return an actuator with the controls and forces of the recordings.
 
     Args:
         bare: the actuator as the model has it.
+        model: has it.
         recordings: with its control, or without.
         motion: of the joint that it drives, None where there is none or it was not recorded.
     """
     key = f"ctrl.{bare.name}"
-    if motion is not None and all(key in r.channels for r in recordings):
-        held = [r.channels[key].at(t) for r, t in zip(recordings, motion.times, strict=True)]
-        u = np.concatenate(held)
-        force = bare.force(u, motion.q, motion.v)
+    told = [r for r in recordings if key in r.channels]
+    known = motion is not None and len(told) == len(recordings)
+    times = motion.times if motion is not None and known else [r.channels[key].time for r in told]
+    at = list(zip(told, times, strict=True))
+    u = np.concatenate([r.channels[key].at(t) for r, t in at]) if at else np.zeros(1)
+    acting, acted = bare, u
+    if at and remembers(model, a := model.actuator(bare.name).id):
+        acting = replace(bare, ctrl_limits=None)
+        acted = np.concatenate([activation(model, r, a, t) for r, t in at])
+    if motion is not None and known:
+        force = acting.force(acted, motion.q, motion.v)
     else:
-        held = [r.channels[key].values for r in recordings if key in r.channels]
-        u = np.concatenate(held) if held else np.zeros(1)
-        unbiased = replace(bare, bias=(0.0, 0.0, 0.0))  # where it is, is not known
-        force = unbiased.force(u, np.zeros(1), np.zeros(1))
+        unbiased = replace(acting, bias=(0.0, 0.0, 0.0))  # where it is, is not known
+        force = unbiased.force(acted, np.zeros(1), np.zeros(1))
     top = max(float(np.abs(force).max()), _FLOOR)
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
     return replace(

@@ -1,20 +1,14 @@
 """Activations at the start of a window: what actuators with memory made of the controls before."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.arrays import Ctrl
+from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import controlled, driven_joint
-from bo_sysid.recording import Channel, Recording
-
-LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-"""Kinds of activation that follow a control as a first-order lag."""
-_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-_SHORTEST = 1e-9  # [s] of a time constant: less is none
+from bo_sysid.mjcf.commands import controlled
+from bo_sysid.recording import Recording
 
 
 def activations(
@@ -42,93 +36,14 @@ def activations(
         if address < 0:
             continue
         control = model.ctrl_channels[k]
-        name, kind = control.replace("ctrl.", "act.", 1), int(compiled.actuator_dyntype[a])
+        name = control.replace("ctrl.", "act.", 1)
         own = slice(address, address + count)
         if count == 1 and name in recording.channels:
             act[:, own] = recording.channels[name].at(start)[:, None]
         elif control not in recording.channels:
             continue
-        elif kind == _INTEGRATOR:
-            first, ends = _held_position(compiled, recording, a), _act_range(compiled, a)
-            rate = _held(_clipped(compiled, recording, control, k))
-            act[:, own] = _integral(rate, first, ends, start)[:, None]
-        elif count == 1 and kind in LAGS:
-            lag = float(compiled.actuator_dynprm[a, 0])
-            act[:, address] = _lagging(_held(_clipped(compiled, recording, control, k)), lag, start)
+        elif remembers(compiled, a):
+            act[:, address] = activation(compiled, recording, a, start)
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
     return act
-
-
-def _clipped(compiled: mujoco.MjModel, recording: Recording, control: str, k: int) -> Channel:
-    """Return the k-th control within the range to which it is clamped before it acts."""
-    channel = recording.channels[control]
-    if not compiled.actuator_ctrllimited[k]:
-        return channel
-    return replace(channel, values=np.clip(channel.values, *compiled.actuator_ctrlrange[k]))
-
-
-def _held(channel: Channel) -> Channel:
-    """Return a control that is held: an interpolated one at its mean over each interval."""
-    if channel.hold != "linear":
-        return channel
-    means = 0.5 * (channel.values[:-1] + channel.values[1:])
-    return replace(channel, values=np.append(means, channel.values[-1]), hold="zero")
-
-
-def _lagging(channel: Channel, lag: float, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:
-    """Return f at some times, for τ f' = u - f, from f = u on at the first stamp.
-
-    While u is held, f = u + (f₀ - u) exp(-t/τ).
-    """
-    lag = max(lag, _SHORTEST)
-    u, kept = channel.values, np.exp(-np.diff(channel.time) / lag)
-    begin = np.empty_like(u)
-    begin[0] = u[0]
-    for k, share in enumerate(kept.tolist()):
-        begin[k + 1] = u[k] + (begin[k] - u[k]) * share
-    row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
-    since = np.maximum(at - channel.time[row], 0.0)
-    return np.asarray(u[row] + (begin[row] - u[row]) * np.exp(-since / lag))
-
-
-def _act_range(compiled: mujoco.MjModel, a: int) -> tuple[float, float]:
-    """Return the least and the largest activation of an actuator; infinite without a range."""
-    if not compiled.actuator_actlimited[a]:
-        return -np.inf, np.inf
-    low, high = compiled.actuator_actrange[a]
-    return float(low), float(high)
-
-
-def _integral(
-    channel: Channel, first: float, ends: tuple[float, float], at: Float[np.ndarray, " W"]
-) -> Float[np.ndarray, " W"]:
-    """Return the integral of a held channel at some times, clamped wherever it would leave a range.
-
-    Args:
-        channel: a rate.
-        first: the integral at the channel's first stamp.
-        ends: its least and its largest value.
-        at: `W` times in [s].
-    """
-    low, high = ends
-    begin = np.empty(len(channel.time))
-    begin[0] = min(max(first, low), high)
-    for k, change in enumerate((channel.values[:-1] * np.diff(channel.time)).tolist()):
-        begin[k + 1] = min(max(begin[k] + change, low), high)
-    row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
-    since = at - channel.time[row]
-    return np.asarray(np.clip(begin[row] + channel.values[row] * since, low, high))
-
-
-def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> float:
-    """Return the activation at which an actuator that holds its joint's position makes no force."""
-    joint = driven_joint(compiled, a)
-    if joint is None or not compiled.actuator_biasprm[a, 1]:
-        return 0.0
-    name = f"qpos.{joint}"
-    if name not in recording.channels:
-        return 0.0
-    length = compiled.actuator_gear[a, 0] * recording.channels[name].values[0]
-    b, gain = compiled.actuator_biasprm[a], compiled.actuator_gainprm[a, 0]
-    return float(-(b[0] + b[1] * length) / gain) if gain else 0.0
