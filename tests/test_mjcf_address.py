@@ -280,6 +280,8 @@ def test_mass_of_one_geom_among_several(machine):
 class Quantity:
     addresses: tuple[str, ...]
     apply: Literal["set", "scale", "add"] = "set"
+    low: float = 0.0
+    high: float = 1.0
 
 
 def test_parameters_are_independent_of_their_order(machine):

@@ -8,6 +8,7 @@ from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Engine, MujocoSimulator
 from bo_sysid.simulation.cutting import cut
@@ -102,3 +103,46 @@ def test_buffers_hold_the_commands_of_the_last_steps() -> None:
         own = np.ascontiguousarray(past[row, -5:, 1:])
         mujoco.mj_initCtrlHistory(compiled, data, compiled.actuator("late").id, None, own)
         np.testing.assert_array_equal(batch.bind("history")[row], data.history)
+
+
+def told_late(delay: float) -> Recording:
+    """What plain MuJoCo computes of `ONE` with a delay in [s] and a buffer that is long enough."""
+    late = f' delay="{delay}" nsample="40" interp="linear"'
+    plant = mujoco.MjModel.from_xml_string(ONE.format(late=late))
+    data, time = mujoco.MjData(plant), np.arange(0, 3, 0.004)
+    u = np.repeat(np.random.default_rng(0).normal(size=len(time) // 5), 5)
+    q, v = np.zeros((2, len(time)))
+    for k in range(len(time)):
+        q[k], v[k], data.ctrl[0] = data.qpos[0], data.qvel[0], u[k]
+        mujoco.mj_step(plant, data)
+    return Recording.from_arrays(time, qpos={"a": q}, qvel={"a": v}, ctrl={"late": u})
+
+
+LONGER = Parameter("delay", ("actuator[late].delay",), 0.005, 0.065, steps=7)
+
+
+@pytest.mark.parametrize("late", ["", ' delay=".005" nsample="3" interp="linear"'])
+def test_a_candidate_may_have_a_longer_delay_than_its_models_buffer(late: str) -> None:
+    """The model's buffer holds 8 ms at most, or nothing: every candidate would be as late."""
+    model = Model.from_xml(ONE.format(late=late or ' interp="linear"'))
+    windows = cut(model, [told_late(0.035)], horizon=10, parameters=[LONGER])
+    simulator = MujocoSimulator(model, (LONGER,), Engine(1))
+    found = simulator.predictions(LONGER.grid[:, None], windows)
+    off = [np.abs(windows.residual(f.values)[6:]).max() for f in found]
+    assert LONGER.grid[np.argmin(off)] == pytest.approx(0.035)
+    assert min(off) < 1e-9
+    assert sorted(off)[1] > 1e-3
+
+
+def test_diagnosis_follows_a_parameter_that_is_a_longer_delay() -> None:
+    late = Model.from_xml(ONE.format(late=' delay=".005" nsample="3" interp="linear"'))
+    evidence = make_evidence(
+        late, [told_late(0.035)], parameters=[LONGER], noise={"qpos": 1e-6}, threads=1
+    )
+    problem = windows_of(evidence, 20, 0.004)
+    start, nuisances = problem.windows.start, evidence.nuisances
+    sets = [Hypothesis((), (), nuisances, (np.array([x]),)) for x in LONGER.grid - 0.005]
+    left = [problem.residual(h, start)[3:] for h in sets]
+    off = [np.abs(r).max() for r in left]
+    assert np.argmin(off) == 3
+    assert min(off) < 1e-3  # sigma

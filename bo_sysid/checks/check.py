@@ -169,6 +169,7 @@ def _windows(
         timestep=timestep,
         signals=study_signals(study, recordings),
         controlled=tuple(study.actuators),
+        parameters=study.parameter_set(model),
     )
     return windows.rows(windows.evenly(_WINDOWS))
 

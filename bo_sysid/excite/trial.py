@@ -198,7 +198,12 @@ class Trial:
 
     def information(self, controls: Float[np.ndarray, "R nu"]) -> Information:
         """Return what a recording of the nominal machine under the controls would say."""
-        windows = cut(self.model, [self.recorded(controls)], horizon=self._horizon)
+        windows = cut(
+            self.model,
+            [self.recorded(controls)],
+            horizon=self._horizon,
+            parameters=self.parameters,
+        )
         return information(self._simulator, self.point, windows, self.noise)
 
     def recorded(self, controls: Float[np.ndarray, "R nu"]) -> Recording:

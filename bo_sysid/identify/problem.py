@@ -207,4 +207,5 @@ def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: i
         horizon=horizon,
         signals=study_signals(study, recordings),
         controlled=tuple(study.actuators),
+        parameters=study.parameter_set(model),
     )

@@ -5,7 +5,14 @@ one in place; `Address` names a number in it.
 """
 
 from bo_sysid.mjcf.address import Address
-from bo_sysid.mjcf.edits import AddressEdit, address_edit, nominal, parameter_edits
+from bo_sysid.mjcf.edits import (
+    AddressEdit,
+    ParameterLike,
+    address_edit,
+    nominal,
+    parameter_edits,
+    room_for_delays,
+)
 from bo_sysid.mjcf.inertia import Inertial, inertial, make_explicit, scale_mass
 from bo_sysid.mjcf.loops import Loops
 from bo_sysid.mjcf.model import Edit, Model
@@ -17,10 +24,12 @@ __all__ = [
     "Inertial",
     "Loops",
     "Model",
+    "ParameterLike",
     "address_edit",
     "inertial",
     "make_explicit",
     "nominal",
     "parameter_edits",
+    "room_for_delays",
     "scale_mass",
 ]

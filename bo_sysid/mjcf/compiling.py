@@ -1,7 +1,7 @@
 """Compile a spec, with MuJoCo's complaints turned into messages for the user."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import ceil
 
@@ -89,22 +89,41 @@ def refit_keyframes(spec: mujoco.MjSpec, before: mujoco.MjModel, source: str) ->
             setattr(key, field, full.tolist())
 
 
-def keep_delays(spec: mujoco.MjSpec, before: float) -> None:
-    """Give actuators and sensors that are delayed buffers that last as long at a finer time step.
+def delays(spec: mujoco.MjSpec) -> dict[tuple[bool, str], float]:
+    """Return the delays in [s] of actuators (True) and sensors (False) by name."""
+    return {
+        (actuates, element.name): float(element.delay)
+        for actuates, elements in ((True, spec.actuators), (False, spec.sensors))
+        for element in elements
+    }
+
+
+def keep_delays(
+    spec: mujoco.MjSpec, step: float, written: Mapping[tuple[bool, str], float]
+) -> None:
+    """Give delayed actuators and sensors buffers that last at a finer step or a longer delay.
 
     MuJoCo holds `nsample` values, one for each step, and answers a question about earlier ones with
-    the oldest: without this a delay shrinks with the step.
+    the oldest: without this a delay shrinks with the step, and none is longer than the buffer.
 
     Args:
         spec: the changed spec.
-        before: the time step for which its buffers were made, in [s].
+        step: the time step for which its buffers were made, in [s].
+        written: the `delays` for which they were made.
     """
-    step = spec.option.timestep
-    if not step < before:
-        return
-    for element in (*spec.actuators, *spec.sensors):
-        if element.delay > 0 and element.nsample > 0:
-            element.nsample = max(element.nsample, ceil(element.delay / step) + 1)
+    finer = spec.option.timestep < step
+    for actuates, elements in ((True, spec.actuators), (False, spec.sensors)):
+        for e in elements:
+            longer = finer or e.delay > written.get((actuates, e.name), 0.0)
+            if e.delay > 0 and e.nsample > 0 and longer:
+                make_room(spec, e, e.delay)
+
+
+def make_room(
+    spec: mujoco.MjSpec, element: mujoco.MjsActuator | mujoco.MjsSensor, delay: float
+) -> None:
+    """Give an actuator or a sensor a buffer that is long enough for a delay in [s]."""
+    element.nsample = max(element.nsample, ceil(delay / spec.option.timestep) + 1)
 
 
 _KEY_FIELDS = ("qpos", "qvel", "act", "ctrl")

@@ -1,7 +1,7 @@
 """Edits that write values to addresses."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import mujoco
@@ -9,6 +9,7 @@ import numpy as np
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.compiling import make_room
 from bo_sysid.mjcf.model import Model
 from bo_sysid.mjcf.values import Target, write_value
 
@@ -25,11 +26,13 @@ class AddressEdit:
         text: what it does, for messages.
         writes: each number with its new value.
         model: the model.
+        room: delays with the longest that they may have, in [s], for which buffers are made.
     """
 
     text: str
     writes: tuple[tuple[Target, float], ...]
     model: Model
+    room: tuple[tuple[Target, float], ...] = ()
 
     @property
     def moves_mass(self) -> bool:
@@ -45,6 +48,8 @@ class AddressEdit:
         """Apply it to a copy of the model's spec, in place."""
         for target, value in self.writes:
             write_value(spec, self.model._forms.base_model, target, value)
+        for target, longest in self.room:
+            make_room(spec, spec.actuator(target.element), longest)
 
     def __str__(self) -> str:
         return self.text
@@ -61,6 +66,14 @@ class ParameterLike(Protocol):
     @property
     def apply(self) -> Apply:
         """How the value is applied."""
+
+    @property
+    def low(self) -> float:
+        """Lower bound."""
+
+    @property
+    def high(self) -> float:
+        """Upper bound."""
 
 
 def address_edit(
@@ -114,11 +127,12 @@ def parameter_edits(
     """Return the edits that give each parameter its value.
 
     Shapes and densities come first, then masses of bodies, then inertias, so that a body's mass
-    is what was asked for whatever its geoms' sizes became.
+    is what was asked for whatever its geoms' sizes became. Buffers of delays are as long for any
+    values within the bounds.
 
     Args:
         model: the model to be edited.
-        parameters: d parameters with `addresses` and `apply`.
+        parameters: d parameters with `addresses`, `apply` and bounds.
         values: d values.
 
     Raises:
@@ -131,8 +145,31 @@ def parameter_edits(
             for t in resolve(model, address):
                 if owner.setdefault((t.kind, t.element, t.name, t.index), i) != i:
                     raise ModelError(f"{model.source}: two parameters share {t.address}")
-        edits.append(address_edit(model, parameter.addresses, float(value), parameter.apply))
+        edit = address_edit(model, parameter.addresses, float(value), parameter.apply)
+        edits.append(replace(edit, room=_longest_delays(model, parameter)))
     return sorted(edits, key=lambda edit: edit.stage)
+
+
+def room_for_delays(model: Model, parameters: Sequence[ParameterLike]) -> list[AddressEdit]:
+    """Return the edits that leave a model as it is but for buffers, as `parameter_edits` has them.
+
+    Args:
+        model: the model to be edited.
+        parameters: whose bounds say how long delays may be.
+    """
+    rooms = [_longest_delays(model, p) for p in parameters]
+    return [AddressEdit("buffers of delays", (), model, room) for room in rooms if room]
+
+
+def _longest_delays(model: Model, parameter: ParameterLike) -> tuple[tuple[Target, float], ...]:
+    """Return the delays of actuators that a parameter has, with the longest within its bounds."""
+    targets = [t for address in parameter.addresses for t in resolve(model, address)]
+    ends = (parameter.low, parameter.high)
+    return tuple(
+        (t, max(_applied(t.nominal, end, parameter.apply) for end in ends))
+        for t in targets
+        if (t.kind, t.name) == ("actuator", "delay")
+    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Protocol, runtime_checkable
 
 import mujoco
 
@@ -11,20 +10,9 @@ from bo_sysid.mjcf.edits import ParameterLike, parameter_edits
 from bo_sysid.mjcf.model import Model
 
 
-@runtime_checkable
-class Ranged(ParameterLike, Protocol):
-    """A parameter whose value lies between two bounds."""
-
-    @property
-    def low(self) -> float:
-        """Lower bound."""
-
-    @property
-    def high(self) -> float:
-        """Upper bound."""
-
-
-def actuator_extremes(model: Model, parameters: Sequence[Ranged]) -> tuple[mujoco.MjModel, ...]:
+def actuator_extremes(
+    model: Model, parameters: Sequence[ParameterLike]
+) -> tuple[mujoco.MjModel, ...]:
     """Return models among which each actuator has its largest force per command and its least.
 
     Gear times gain is linear in each of the parameters that it follows from, so that its ends are
@@ -48,13 +36,15 @@ def actuator_extremes(model: Model, parameters: Sequence[Ranged]) -> tuple[mujoc
     return tuple(model.compile(e) for e in edits)
 
 
-def _actuators(model: Model, parameter: Ranged) -> set[str]:
+def _actuators(model: Model, parameter: ParameterLike) -> set[str]:
     """Return the names of the actuators that have numbers of a parameter."""
     targets = (t for address in parameter.addresses for t in resolve(model, address))
     return {t.element for t in targets if t.kind == "actuator"}
 
 
-def _corners(parameters: Sequence[Ranged], free: Sequence[bool]) -> Iterator[tuple[float, ...]]:
+def _corners(
+    parameters: Sequence[ParameterLike], free: Sequence[bool]
+) -> Iterator[tuple[float, ...]]:
     """Yield the corners of the box of the parameters that are free, the others at their least."""
     ends = [(p.low, p.high) if f else (p.low,) for p, f in zip(parameters, free, strict=True)]
     return itertools.product(*ends)

@@ -16,6 +16,7 @@ from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.compiling import (
     compile_spec,
     coordinates,
+    delays,
     keep_delays,
     refit_keyframes,
     spec_xml,
@@ -330,7 +331,7 @@ class Model:
     def _apply(
         self, spec: mujoco.MjSpec, edits: Sequence[Edit], timestep: float | None
     ) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-        written = spec.option.timestep
+        written, late = spec.option.timestep, delays(spec)
         if timestep is not None and not timestep > 0:
             raise ModelError(f"{self.source}: timestep {timestep:g} s must be above 0")
         spec.option.timestep = timestep or written  # edits ask what a step resolves
@@ -338,7 +339,7 @@ class Model:
             edit(spec)
         if timestep is not None:  # whatever the edits make of it
             spec.option.timestep = timestep
-        keep_delays(spec, written)
+        keep_delays(spec, written, late)
         if spec.keys and self._changes_coordinates(spec):
             refit_keyframes(spec, self._forms.model, self.source)
         done = "; ".join(str(edit) for edit in edits if hasattr(edit, "moves_mass"))

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf import Loops, Model
+from bo_sysid.mjcf import Loops, Model, ParameterLike, room_for_delays
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
@@ -36,6 +36,7 @@ def cut(
     timestep: float | None = None,
     signals: Sequence[str] = (),
     controlled: Sequence[str] = (),
+    parameters: Sequence[ParameterLike] = (),
 ) -> Windows:
     """Cut recordings into windows of `horizon` recorded instants.
 
@@ -51,11 +52,12 @@ def cut(
         signals: further held channels that laws read; `ELAPSED` is the time since the recording
             began.
         controlled: actuators whose control a law computes; they need no recorded control.
+        parameters: of the model; windows begin with the controls of the longest delays they allow.
 
     Raises:
         RecordingError: a joint or an actuator has no channel, or no window fits.
     """
-    compiled = model.compile(timestep=timestep)
+    compiled = model.compile(room_for_delays(model, parameters), timestep=timestep)
     dt = float(compiled.opt.timestep)
     layout = Layout.of(model, compiled)
     pieces = [
@@ -93,12 +95,12 @@ def _cut_one(
     fraction = instants / dt - step
     fraction[np.abs(fraction) < _ON_STEP] = 0.0
     steps = int((step + (fraction > 0)).max())
-    ctrl = _controls(model, compiled, recording, time[first], steps, dt, controlled)
+    ctrl = controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
     start, open_ = _on_loops(model.loops, recording, start)
     if late := remembered_steps(compiled):
         before = time[first] - late * dt
-        past = _controls(model, compiled, recording, before, late, dt, controlled)
+        past = controls(model, compiled, recording, before, late, dt, controlled)
         start = replace(start, past=past)
     return Windows(
         start=start,
@@ -200,7 +202,7 @@ def _without_gaps(
     return first[whole], (note,) if lost else ()
 
 
-def _controls(
+def controls(
     model: Model,
     compiled: mujoco.MjModel,
     recording: Recording,
@@ -209,6 +211,7 @@ def _controls(
     dt: float,
     controlled: Sequence[str],
 ) -> Ctrl:
+    """Return the recorded controls of the steps of length `dt` in [s] from each start on."""
     ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
     deaf = deaf_controls(compiled)
     for k, name in enumerate(model.ctrl_channels):

@@ -21,7 +21,8 @@ from bo_sysid.mjcf import Loops, Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
-from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.cutting import controls, cut
+from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.lockstep import force_laws
 from bo_sysid.simulation.windows import Layout, Windows
 
@@ -149,13 +150,29 @@ class Problem:
         """Return the windows' controls after the filters among `parts`."""
         return self._filtered(parts, windows, windows.ctrl, windows.time)
 
-    def _after(self, parts: Sequence[Part], windows: Windows, start: State) -> State:
+    def _after(
+        self, model: mujoco.MjModel, parts: Sequence[Part], windows: Windows, start: State
+    ) -> State:
         """Return starts that remember the controls before them at the windows' time step."""
-        past = windows.start.past
-        if past is None:
+        past, late = windows.start.past, remembered_steps(model)
+        if not late:
             return start
+        if past is None or past.shape[1] < late:  # parameters may have a longer delay
+            past = self._before(windows, late)
         before = windows.time - past.shape[1] * windows.timestep
         return replace(start, past=self._filtered(parts, windows, past, before))
+
+    def _before(self, windows: Windows, steps: int) -> Float[np.ndarray, "W D nu"]:
+        """Return the recorded controls of the last steps before each window."""
+        dt, start = windows.timestep, windows.time - steps * windows.timestep
+        told = [w.actuator for w in self.laws if isinstance(w, Controller)]
+        past = np.zeros((len(windows), steps, windows.ctrl.shape[2]))
+        for i, recording in enumerate(self.recordings):
+            own = windows.recording == i
+            past[own] = controls(
+                self.model, self.machine.model, recording, start[own], steps, dt, told
+            )
+        return past
 
     def _filtered(
         self,
@@ -186,7 +203,7 @@ class Problem:
         """Simulate all windows; `finer` divides the time step."""
         windows = self.windows if finer == 1 else refined(self.windows, finer)
         model, parts = self.compiled(hypothesis, windows.timestep)
-        ctrl, start = self.controls(parts, windows), self._after(parts, windows, start)
+        ctrl, start = self.controls(parts, windows), self._after(model, parts, windows, start)
         coordinates = Coordinates.between(self.machine.model, model, parts)
         torque = self._transmitted(hypothesis, start, ctrl, coordinates)
         whole = self.engine.rollout(
