@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import SIGMA, candidate, posed, record
+from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates
@@ -66,6 +66,27 @@ def test_signature_equals_the_difference_of_two_simulations(
     cosine = (signature * exact).sum() / np.linalg.norm(signature) / np.linalg.norm(exact)
     assert cosine > 0.99
     assert np.linalg.norm(signature) == pytest.approx(np.linalg.norm(exact), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("effect", "site"), [("actuator_lag", "elbow"), ("actuator_deadzone", "elbow")]
+)
+def test_signatures_of_commands_beyond_their_range_are_those_of_what_acts(effect, site) -> None:
+    spec = arm().spec()
+    for name, most in (("shoulder", 0.4), ("elbow", 0.1)):
+        spec.actuator(name).ctrllimited, spec.actuator(name).ctrlrange = True, [-most, most]
+    model, recording = Model("arm", "arm", spec), record(duration=4.0)
+    assert np.abs(recording.channels["ctrl.elbow"].values).max() > 0.15
+    machine = survey(model.compile(), [recording])
+    sigma = dict.fromkeys(("qpos.shoulder", "qpos.elbow"), SIGMA)
+    problem = pose(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
+    c, start = candidate(machine, effect, site), problem.windows.start
+    linear = linearise(problem, Hypothesis(), start)
+    signature = signatures(linear, [c])[..., 0].astype(float)
+    x = 0.3 * c.point
+    moved = problem.residual(Hypothesis(), start) - problem.residual(Hypothesis((c,), (x,)), start)
+    exact = project(linear.Q, moved) / x[0]
+    assert np.linalg.norm(signature - exact) < 0.1 * np.linalg.norm(exact)
 
 
 def test_columns_of_many_candidates_are_those_of_each_and_zero_of_those_left_out(prepared) -> None:

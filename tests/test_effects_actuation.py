@@ -396,3 +396,55 @@ def test_forces_of_actuators_with_memory_are_those_of_their_activations(drive, f
     assert scale.force_max == pytest.approx(np.abs(force).max(), rel=0.15)
     assert scale.force_std == pytest.approx(force.std(), rel=0.1)
     assert (scale.plain, scale.follows) == (True, follows)
+
+
+class TestCommandsBeyondTheirRange:
+    """MuJoCo clips a command before an activation or a delay acts on it."""
+
+    LIMITED = SLIDE.replace('gear="3"', 'gear="3" ctrlrange="-.4 .4"')
+    WAVE = 1.2 * np.sin(9 * np.arange(2000) * 0.001)
+
+    def moved(self, model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+        data, out = mujoco.MjData(model), []
+        for u in ctrl:
+            data.ctrl[:] = u
+            mujoco.mj_step(model, data)
+            out.append(data.qpos[0])
+        return np.array(out)
+
+    @pytest.mark.parametrize(
+        ("id", "x", "plain"),
+        [
+            ("actuator_lag", 0.05, 'dyntype="filterexact" dynprm=".0495"'),
+            ("actuator_delay", 0.02, 'delay=".02" nsample="21" interp="linear"'),
+        ],
+    )
+    def test_a_filter_acts_on_what_plain_mujoco_acts_on(self, id, x, plain) -> None:
+        bench, dt = Bench(self.LIMITED), 0.001
+        truth = self.LIMITED.replace("<motor", f"<general {plain}")
+        wanted = self.moved(mujoco.MjModel.from_xml_string(truth), self.WAVE)
+        told = Channel(np.arange(2000) * dt, self.WAVE, hold="zero")
+        out = control_steps(filtered(bench, id, x, told), np.zeros(1), 2000, dt)[0]
+        nominal = bench.model.compile()
+        found, plainly = self.moved(nominal, out), self.moved(nominal, self.WAVE)
+        assert np.abs(found - wanted).max() < 0.01 * np.abs(plainly - wanted).max()
+
+    def test_a_dead_zone_cuts_from_what_is_left(self) -> None:
+        told = Channel(np.arange(2.0), np.full(2, 1.2), hold="zero")
+        out = filtered(Bench(self.LIMITED), "actuator_deadzone", 0.1, told)
+        np.testing.assert_allclose(out.values, 0.3)
+
+    @pytest.mark.parametrize(
+        "before", ["", '<dcmotor joint="x" input="none" motorconst="1e-9" resistance="1"/>']
+    )
+    def test_scales_are_those_of_what_acts(self, before) -> None:
+        """Also behind an actuator without a control."""
+        xml = self.LIMITED.replace("<actuator>", f"<actuator>{before}")
+        t = np.arange(2000) * 0.002
+        u = 1.2 * np.sign(np.sin(9 * t))
+        recording = Recording.from_arrays(t, qpos={"x": np.sin(2 * t)}, ctrl={"drive": u})
+        drive = survey(Model.from_xml(xml).compile(), [recording]).actuators["drive"]
+        assert drive.ctrl_limits == (-0.4, 0.4)
+        assert drive.ctrl_max == pytest.approx(0.4)
+        assert drive.ctrl_std == pytest.approx(0.4, rel=1e-2)
+        assert drive.jumps[0] == pytest.approx(0.8)

@@ -1,10 +1,14 @@
 """Elements of actuation that several effects edit."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Site
+from bo_sysid.effects.contract import Filter, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.recording import Channel
 
 _NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
 _MOTOR_CONSTANT = 1e-6  # must be positive
@@ -32,6 +36,23 @@ def drives(site: Site, machine: Machine) -> bool:
 def affine(site: Site, machine: Machine) -> bool:
     """Whether it drives its joint by a force affine in control, length and velocity."""
     return drives(site, machine) and actuator_at(site, machine).plain
+
+
+def filter_of(a: ActuatorScale, change: Callable[[Channel, float], Channel]) -> Filter:
+    """Return a filter of an actuator's command, which it sees as the model clips it.
+
+    MuJoCo clips a control before anything else, as drives do. What filters make of a clipped
+    control lies within its limits, so that another one changes nothing by clipping again.
+
+    Args:
+        a: the actuator.
+        change: see `Filter`.
+    """
+
+    def within_limits(channel: Channel, timestep: float) -> Channel:
+        return change(replace(channel, values=a.clipped(channel.values)), timestep)
+
+    return Filter(a.name, within_limits)
 
 
 def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActuator:

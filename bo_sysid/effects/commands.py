@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import actuator_at, used
+from bo_sysid.effects.actuators import actuator_at, filter_of, used
 from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Site
 from bo_sysid.effects.filters import cut_out, delayed, lagged, limited
 from bo_sysid.effects.machine import Machine
@@ -24,8 +24,9 @@ def _lag_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((_LAGS[0],), (0.0,), (0.5,), tuple((p,) for p in _LAGS))
 
 
-def _lag_filter(site: Site, x: Magnitudes) -> Filter:
-    return Filter(site.name, lambda channel, dt: lagged(channel, float(x[0]), dt))
+def _lag_filter(site: Site, x: Magnitudes, machine: Machine) -> Filter:
+    a = actuator_at(site, machine)
+    return filter_of(a, lambda channel, dt: lagged(channel, float(x[0]), dt))
 
 
 def written_lag(lag: float, timestep: float) -> float:
@@ -41,7 +42,7 @@ def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine)
     """Write the lag as the actuator's activation, where it has none and the step resolves it."""
     a, lag, dt = spec.actuator(site.name), float(x[0]), spec.option.timestep
     if a.dyntype != mujoco.mjtDyn.mjDYN_NONE or lag < _RESOLVED * dt:
-        return _lag_filter(site, x)
+        return _lag_filter(site, x, machine)
     a.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
     a.dynprm[0] = written_lag(lag, dt)
     return None
@@ -62,7 +63,7 @@ def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine)
 )
 def actuator_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """First-order lag of the command with time constant x[0]."""
-    return _lag_filter(site, x)
+    return _lag_filter(site, x, machine)
 
 
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:
@@ -71,8 +72,9 @@ def _delay_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((_DELAYS[0],), (0.0,), (0.1,), tuple((p,) for p in _DELAYS))
 
 
-def _delay_filter(site: Site, x: Magnitudes) -> Filter:
-    return Filter(site.name, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
+def _delay_filter(site: Site, x: Magnitudes, machine: Machine) -> Filter:
+    a = actuator_at(site, machine)
+    return filter_of(a, lambda channel, dt: delayed(channel, max(float(x[0]), 0.0)))
 
 
 def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
@@ -83,7 +85,7 @@ def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     a, dt = spec.actuator(site.name), spec.option.timestep
     late = a.delay + float(x[0])
     if late < dt:
-        return _delay_filter(site, x)
+        return _delay_filter(site, x, machine)
     a.delay, a.nsample, a.interp = late, int(np.ceil(late / dt)) + 1, _INTERPOLATED
     return None
 
@@ -103,7 +105,7 @@ def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
 )
 def actuator_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The command arrives x[0] later."""
-    return _delay_filter(site, x)
+    return _delay_filter(site, x, machine)
 
 
 def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
@@ -127,7 +129,8 @@ def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """Commands within ±x[0] do nothing; beyond, x[0] is lost."""
-    return Filter(site.name, lambda channel, dt: cut_out(channel, float(x[0])))
+    a = actuator_at(site, machine)
+    return filter_of(a, lambda channel, dt: cut_out(channel, float(x[0])))
 
 
 def _fastest(site: Site, machine: Machine) -> float:
@@ -170,4 +173,5 @@ def _rate(x: Magnitudes, machine: Machine, site: Site) -> float:
 def command_rate(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The command changes no faster than the largest recorded rate less x[0]."""
     rate = max(_rate(x, machine, site), 1e-9)
-    return Filter(site.name, lambda channel, dt: limited(channel, rate, dt))
+    a = actuator_at(site, machine)
+    return filter_of(a, lambda channel, dt: limited(channel, rate, dt))

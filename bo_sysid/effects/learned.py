@@ -189,7 +189,7 @@ def _of_drive(joint: JointScale, machine: Machine) -> list[Feature]:
 
 
 def _control(a: ActuatorScale) -> Variable:
-    return Variable(f"ctrl.{a.name}", lambda m: m.ctrl[a.name], -a.ctrl_max, a.ctrl_max)
+    return Variable(f"ctrl.{a.name}", lambda m: a.clipped(m.ctrl[a.name]), -a.ctrl_max, a.ctrl_max)
 
 
 def _power(a: ActuatorScale, power: int) -> Shape:

@@ -58,7 +58,7 @@ class ActuatorScale:
         gain: force per control.
         bias: constant, per length, per velocity.
         servo: whether its force depends on the position of the joint.
-        ctrl_max: largest absolute control recorded.
+        ctrl_max: largest absolute control recorded, within the model's limits.
         ctrl_std: standard deviation of the recorded control.
         force_max: largest absolute force along the joint, within the model's limits.
         force_std: standard deviation of that force.
@@ -89,6 +89,10 @@ class ActuatorScale:
     force_limits: tuple[float, float] | None = None
     follows: bool = True
 
+    def clipped(self, ctrl: Signal) -> Signal:
+        """Return a control within the limits to which the model clips it before it acts."""
+        return ctrl if self.ctrl_limits is None else np.clip(ctrl, *self.ctrl_limits)
+
     def force(self, ctrl: Signal, q: Signal, v: Signal) -> Signal:
         """Return the force along the joint that a plain actuator makes, within its limits.
 
@@ -98,8 +102,7 @@ class ActuatorScale:
             v: its velocity.
         """
         b, gear = self.bias, self.gear
-        u = ctrl if self.ctrl_limits is None else np.clip(ctrl, *self.ctrl_limits)
-        force = self.gain * u + b[0] + b[1] * gear * q + b[2] * gear * v
+        force = self.gain * self.clipped(ctrl) + b[0] + b[1] * gear * q + b[2] * gear * v
         if self.force_limits is not None:
             force = np.clip(force, *self.force_limits)
         return np.asarray(gear * force)

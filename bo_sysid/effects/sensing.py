@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import with_own_bias
+from bo_sysid.effects.actuators import filter_of, with_own_bias
 from bo_sysid.effects.contract import (
     CHANNEL_UNIT,
     Component,
@@ -17,7 +17,7 @@ from bo_sysid.effects.contract import (
     Site,
 )
 from bo_sysid.effects.filters import shifted
-from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.machine import ActuatorScale, Machine
 from bo_sysid.effects.registry import effect
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
@@ -63,12 +63,12 @@ def encoder_offset(
             a.biasprm[0] += a.biasprm[1] * servo.gear * float(x[0])
         else:
             shift = servo.bias[1] * servo.gear * float(x[0]) / servo.gain
-            filters.append(_goal(servo.name, shift))
+            filters.append(_goal(servo, shift))
     return (Reading(f"qpos.{site.name}", offset=float(x[0])), *filters)
 
 
-def _goal(servo: str, shift: float) -> Filter:
-    return Filter(servo, lambda channel, dt: shifted(channel, shift))
+def _goal(servo: ActuatorScale, shift: float) -> Filter:
+    return filter_of(servo, lambda channel, dt: shifted(channel, shift))
 
 
 def _scaled_extent(site: Site, machine: Machine) -> Extent:

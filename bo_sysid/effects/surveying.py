@@ -107,7 +107,7 @@ def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
 def _actuator(
     model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
 ) -> ActuatorScale:
-    name, joint = model.actuator(a).name, _driven(model, a)
+    name, joint, k = model.actuator(a).name, _driven(model, a), int(model.actuator_ctrladr[a])
     affine = int(model.actuator_biastype[a]) == _AFFINE
     b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
     bare = ActuatorScale(
@@ -125,8 +125,8 @@ def _actuator(
         levels=(),
         plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
-        jumps=_jumps(recordings, f"ctrl.{name}"),
-        ctrl_limits=_limits(bool(model.actuator_ctrllimited[a]), model.actuator_ctrlrange[a]),
+        jumps=(),
+        ctrl_limits=_limits(bool(model.actuator_ctrllimited[k]), model.actuator_ctrlrange[k]),
         force_limits=_limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a]),
         follows=int(model.actuator_dyntype[a]) in _FOLLOWING,
     )
@@ -166,8 +166,9 @@ def _as_used(
     levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
     return replace(
         bare,
-        ctrl_max=float(np.abs(u).max()),
-        ctrl_std=float(u.std()),
+        ctrl_max=float(np.abs(bare.clipped(u)).max()),
+        ctrl_std=float(bare.clipped(u).std()),
+        jumps=_jumps(bare, recordings),
         force_max=top,
         force_std=float(force.std()),
         levels=tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
@@ -200,8 +201,9 @@ def _pushes(model: mujoco.MjModel, a: int) -> bool:
     return bool(np.any(model.actuator_gear[a, :3]))
 
 
-def _jumps(recordings: Sequence[Recording], channel: str) -> tuple[float, ...]:
-    held = [np.diff(r.channels[channel].values) for r in recordings if channel in r.channels]
+def _jumps(a: ActuatorScale, recordings: Sequence[Recording]) -> tuple[float, ...]:
+    own = [r.channels[key] for r in recordings if (key := f"ctrl.{a.name}") in r.channels]
+    held = [np.diff(a.clipped(channel.values)) for channel in own]
     moved = np.abs(np.concatenate(held)) if held else np.zeros(1)
     moved = moved[moved > 0]
     if not moved.size:

@@ -63,6 +63,16 @@ def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
     return np.repeat(deaf, model.actuator_ctrlnum)
 
 
+def clamped(
+    model: mujoco.MjModel, ctrl: Float[np.ndarray, "... nu"]
+) -> Float[np.ndarray, "... nu"]:
+    """Return controls as they act: within their ranges, where a model limits them."""
+    limited = model.actuator_ctrllimited.astype(bool)
+    low, high = model.actuator_ctrlrange.T
+    within = np.clip(ctrl, np.where(limited, low, -np.inf), np.where(limited, high, np.inf))
+    return np.asarray(within)
+
+
 def command_bounds(
     model: mujoco.MjModel,
     actuator: int,

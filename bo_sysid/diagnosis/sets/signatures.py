@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.effects import Force
+from bo_sysid.mjcf.commands import clamped
 from bo_sysid.mjcf.compiling import differ
 
 _BATCH = 24  # columns propagated at once
@@ -141,8 +142,9 @@ def _by_edits(linear: Linear, added: Hypothesis) -> tuple[np.ndarray, np.ndarray
         if isinstance(part, Force):
             w = w + _by_force(linear, part.joint, part.law(linear.along.anew))
     if new:
-        ctrl = problem.controls(parts, problem.windows)
-        change = _per_macro(ctrl - linear.ctrl[:, : ctrl.shape[1]], linear.macro, linear.macros)
+        told = problem.controls(parts, problem.windows)
+        ctrl, old = (clamped(model, u) for u in (told, linear.ctrl[:, : told.shape[1]]))
+        change = _per_macro(ctrl - old, linear.macro, linear.macros)
         if change.any():
             w = w + np.einsum("wmnu,wmu->wmn", linear.held(linear.E), change)
         before = observe(problem.layout, problem.windows, linear.trajectory, linear.parts)

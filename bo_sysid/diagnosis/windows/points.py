@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.windows.coordinates import Coordinates
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated
+from bo_sysid.mjcf.commands import clamped
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, tangent_difference
 from bo_sysid.simulation.lockstep import force_laws
 
@@ -140,13 +141,16 @@ def force_matrix(problem: Problem, points: StatePoints, W: int) -> Float[np.ndar
 
 
 def control_matrix(problem: Problem, points: StatePoints, W: int) -> Float[np.ndarray, "W K n nu"]:
-    """Return how a macro step changes with each control."""
+    """Return how a macro step changes with each control, within its limits."""
     P, n = points.base.shape
     E = np.empty((P, n, points.ctrl.shape[-1]))
     for k, name in enumerate(problem.model.ctrl_channels):
         actuator = problem.machine.actuators.get(name.removeprefix("ctrl."))
         size = 1e-3 * max(actuator.ctrl_max if actuator else 1.0, 1e-6)
-        ctrl = points.ctrl.copy()
+        ctrl = clamped(points.model, points.ctrl)
         ctrl[..., k] += size
-        E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / size
+        over = (clamped(points.model, ctrl) != ctrl).any(axis=(1, 2))  # there it moves inwards
+        ctrl[over, :, k] -= 2 * size
+        step = np.where(over, -size, size)[:, None]
+        E[..., k] = (points.stepped(ctrl=ctrl) - points.base) / step
     return E.reshape(W, P // W, *E.shape[1:])
