@@ -1,5 +1,7 @@
 """Activations at the start of a window: what actuators with memory made of the controls before."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from jaxtyping import Float
@@ -9,6 +11,7 @@ from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Recording
+from bo_sysid.simulation.windows import Windows
 
 
 def activations(
@@ -46,4 +49,27 @@ def activations(
             act[:, address] = activation(compiled, recording, a, start)
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
+    return act
+
+
+def activations_of(
+    model: Model,
+    compiled: mujoco.MjModel,
+    recordings: Sequence[Recording],
+    windows: Windows,
+    ctrl: Ctrl,
+) -> Float[np.ndarray, "W na"]:
+    """Return the activations with which windows of several recordings begin.
+
+    Args:
+        model: names the channels.
+        compiled: the same model, or with edits in it.
+        recordings: of which the windows were cut, with the controls that actuators were told.
+        windows: W windows.
+        ctrl: their `W x S x nu` controls.
+    """
+    act = np.zeros((len(windows), compiled.na))
+    for i, recording in enumerate(recordings):
+        own = windows.recording == i
+        act[own] = activations(model, compiled, recording, windows.time[own], ctrl[own])
     return act

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.windows.commanded import changed_activations
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.shown import observe
@@ -135,6 +136,8 @@ def _by_edits(linear: Linear, added: Hypothesis) -> tuple[np.ndarray, np.ndarray
     model, parts = problem.compiled(added)
     new = parts[len(linear.parts) :]
     w = _nothing(linear)
+    if changed_activations(linear.points.model, model, new):
+        return w, _simulated(linear, added)  # windows begin with other activations
     if differ(model, linear.points.model):
         step = linear.points.stepped(model) - linear.points.base
         w = w + linear.held(step.reshape(len(linear.start), -1, linear.A.shape[-1]))

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
@@ -21,6 +22,7 @@ from bo_sysid.mjcf import Loops, Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
+from bo_sysid.simulation.activations import activations_of
 from bo_sysid.simulation.cutting import controls, cut
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.lockstep import force_laws
@@ -182,22 +184,28 @@ class Problem:
         start: Float[np.ndarray, " W"],
     ) -> Float[np.ndarray, "W S nu"]:
         """Return controls of S steps from `start` on after the filters among `parts`."""
-        filters = [p for p in parts if isinstance(p, Filter)]
-        if not filters:
+        filtered = dict.fromkeys(p.actuator for p in parts if isinstance(p, Filter))
+        if not filtered:
             return recorded
-        ctrl = recorded.copy()
-        for actuator in dict.fromkeys(f.actuator for f in filters):
-            column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
-            for i, recording in enumerate(self.recordings):
-                own = windows.recording == i
+        ctrl, dt = recorded.copy(), windows.timestep
+        for i, recording in enumerate(commanded(self.recordings, parts, dt)):
+            own = windows.recording == i
+            for actuator in filtered:
+                column = self.model.ctrl_channels.index(f"ctrl.{actuator}")
                 channel = recording.channels[f"ctrl.{actuator}"]
-                for f in filters:
-                    if f.actuator == actuator:
-                        channel = f.change(channel, windows.timestep)
-                ctrl[own, :, column] = control_steps(
-                    channel, start[own], ctrl.shape[1], windows.timestep
-                )
+                ctrl[own, :, column] = control_steps(channel, start[own], ctrl.shape[1], dt)
         return ctrl
+
+    def _activated(
+        self, model: mujoco.MjModel, parts: Sequence[Part], windows: Windows, start: State,
+        ctrl: Float[np.ndarray, "W S nu"], coordinates: Coordinates,
+    ) -> State:  # fmt: skip
+        """Return starts with the activations that a hypothesis has led to."""
+        if not changed_activations(self.machine.model, model, parts):
+            return start
+        told = commanded(self.recordings, parts, windows.timestep)
+        act = activations_of(self.model, model, told, windows, ctrl)
+        return replace(start, act=act[:, coordinates.act])
 
     def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
         """Simulate all windows; `finer` divides the time step."""
@@ -205,6 +213,7 @@ class Problem:
         model, parts = self.compiled(hypothesis, windows.timestep)
         ctrl, start = self.controls(parts, windows), self._after(model, parts, windows, start)
         coordinates = Coordinates.between(self.machine.model, model, parts)
+        start = self._activated(model, parts, windows, start, ctrl, coordinates)
         torque = self._transmitted(hypothesis, start, ctrl, coordinates)
         whole = self.engine.rollout(
             model,

@@ -1,0 +1,88 @@
+"""Windows of actuators with a lag of their own begin as a hypothesis has it, by plain MuJoCo."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.mjcf import Model
+from bo_sysid.parameters import Parameter
+from bo_sysid.recording import Recording
+
+STEP, LAG, LATE = 0.002, 0.08, 15
+XML = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body><joint name="a"
+damping=".1"/><geom size=".05" pos=".3 0 0" mass="1"/></body></worldbody><actuator>
+<general name="drive" joint="a" dyntype="filterexact" dynprm="{lag}"/></actuator></mujoco>"""
+
+
+def recorded(lag: float, late: int, dead: float = 0.0) -> Recording:
+    """What plain MuJoCo does with commands that arrive `late` steps later, less a dead zone."""
+    plant = mujoco.MjModel.from_xml_string(XML.format(lag=lag))
+    data, time = mujoco.MjData(plant), np.arange(0, 5, STEP)
+    u = np.repeat(np.random.default_rng(0).uniform(-3, 3, len(time) // 50), 50)
+    told = np.concatenate([np.full(late, u[0]), u])
+    told = told - np.clip(told, -dead, dead)
+    data.act[0], q, v = told[0], np.zeros(len(time)), np.zeros(len(time))
+    for k in range(len(time)):
+        q[k], v[k], data.ctrl[0] = data.qpos[0], data.qvel[0], told[k]
+        mujoco.mj_step(plant, data)
+    return Recording.from_arrays(time, qpos={"a": q}, qvel={"a": v}, ctrl={"drive": u})
+
+
+def evidence_of(recording: Recording, parameters: tuple[Parameter, ...] = ()) -> Evidence:
+    return make_evidence(
+        Model.from_xml(XML.format(lag=LAG)),
+        [recording],
+        parameters=parameters,
+        noise={"qpos": 1e-6},
+        threads=1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("effect", "x", "late", "dead"),
+    [("actuator_delay", LATE * STEP, LATE, 0.0), ("actuator_deadzone", 0.5, 0, 0.5)],
+)
+def test_a_filter_before_a_lag_changes_the_activations_of_windows(effect, x, late, dead) -> None:
+    evidence = evidence_of(recorded(LAG, late, dead))
+    problem = windows_of(evidence, 20, STEP)
+    c = next(c for c in evidence.candidates if c.effect.id == effect)
+    start = problem.windows.start
+    off, nominal = (
+        np.abs(problem.residual(h, start)).max()
+        for h in (Hypothesis((c,), (np.array([x]),)), Hypothesis())
+    )
+    assert off < 1e-3  # sigma
+    assert nominal > 100
+
+
+def test_signatures_of_filters_before_a_lag_are_the_difference_of_two_simulations() -> None:
+    evidence = evidence_of(recorded(LAG, LATE))
+    problem = windows_of(evidence, 20, STEP)
+    c = next(c for c in evidence.candidates if c.effect.id == "actuator_delay")
+    start, x = problem.windows.start, 0.3 * c.point
+    linear = linearise(problem, Hypothesis(), start)
+    signature = signatures(linear, [c])[..., 0].astype(float)
+    moved = problem.residual(Hypothesis(), start) - problem.residual(Hypothesis((c,), (x,)), start)
+    exact = project(linear.Q, moved) / x[0]
+    assert np.linalg.norm(signature - exact) < 0.1 * np.linalg.norm(exact)
+
+
+def test_a_time_constant_that_is_a_parameter_changes_the_activations_of_windows() -> None:
+    tau = Parameter("lag", ("actuator[drive].dynprm[0]",), 0.02, 0.2)
+    evidence = evidence_of(recorded(0.05, 0), (tau,))
+    problem = windows_of(evidence, 20, STEP)
+    off = [
+        np.abs(problem.residual(at(evidence, lag), problem.windows.start)).max()
+        for lag in (0.04, 0.05, LAG)
+    ]
+    assert off[1] < 1e-3  # sigma
+    assert min(off[0], off[2]) > 10
+
+
+def at(evidence: Evidence, lag: float) -> Hypothesis:
+    return Hypothesis((), (), evidence.nuisances, (np.array([lag - LAG]),))
