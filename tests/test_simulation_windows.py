@@ -369,3 +369,29 @@ def test_a_torque_that_was_measured_acts_as_late_as_it_did() -> None:
         windows, prediction = forecast(model, Recording(hold, {**motion, **inputs}), 20)
         errors.append(np.abs(windows.residual(prediction.values)[2:-2]).max())
     assert errors[1] < 0.1 * errors[0]
+
+
+@pytest.mark.parametrize("horizon", [1, 10, 60])
+def test_candidates_begin_with_the_activations_of_their_own_time_constants(horizon: int) -> None:
+    """A window of one sample shows the time constant by its start alone."""
+    xml = ACTING.replace('ctrlrange="-1 1"', "")
+    plant = mujoco.MjModel.from_xml_string(xml.replace('dynprm=".04"', 'dynprm=".08"'))
+    data, rows = mujoco.MjData(plant), []
+    told = np.repeat(np.random.default_rng(0).uniform(-3, 3, (40, 2)), 50, axis=0)
+    data.act[0] = told[0, 0]
+    for k, u in enumerate(told):
+        rows.append([1e-3 * k, *data.qpos, *data.qvel, *u])
+        data.ctrl[:] = u
+        mujoco.mj_step(plant, data)
+    time, a, b, va, vb, slow, held = np.transpose(rows)
+    recording = Recording.from_arrays(
+        time, qpos={"a": a, "b": b}, qvel={"a": va, "b": vb}, ctrl={"slow": slow, "held": held}
+    )
+    model = Model.from_xml(xml)
+    lag = Parameter("lag", ("actuator[slow].dynprm[0]",), 0.02, 0.12, steps=6)
+    windows = cut(model, [recording], horizon=horizon, parameters=[lag])
+    found = MujocoSimulator(model, (lag,), Engine(1)).predictions(lag.grid[:, None], windows)
+    off = [np.abs(windows.residual(f.values)).max() for f in found]
+    assert lag.grid[np.argmin(off)] == pytest.approx(0.08)
+    assert min(off) < 1e-9
+    assert sorted(off)[1] > 1e-4

@@ -8,7 +8,8 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.memory import activation, remembers
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Model, ParameterLike
+from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.windows import Windows
@@ -73,3 +74,9 @@ def activations_of(
         own = windows.recording == i
         act[own] = activations(model, compiled, recording, windows.time[own], ctrl[own])
     return act
+
+
+def set_activations(model: Model, parameters: Sequence[ParameterLike]) -> bool:
+    """Whether parameters set time constants, so that each candidate has activations of its own."""
+    targets = [t for p in parameters for address in p.addresses for t in resolve(model, address)]
+    return any((t.kind, t.name) == ("actuator", "dynprm") for t in targets)

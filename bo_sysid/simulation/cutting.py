@@ -15,7 +15,7 @@ from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
-from bo_sysid.simulation.activations import activations
+from bo_sysid.simulation.activations import activations, set_activations
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
@@ -52,7 +52,8 @@ def cut(
         signals: further held channels that laws read; `ELAPSED` is the time since the recording
             began.
         controlled: actuators whose control a law computes; they need no recorded control.
-        parameters: of the model; windows begin with the controls of the longest delays they allow.
+        parameters: of the model; windows begin with the controls of the longest delays they allow,
+            and know of what activations follow where they differ by them.
 
     Raises:
         RecordingError: a joint or an actuator has no channel, or no window fits.
@@ -66,7 +67,9 @@ def cut(
     ]
     channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
     steps = max(p.steps for p in pieces)
-    return _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), dt)
+    joined = _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), dt)
+    told = tuple(recordings) if compiled.na and set_activations(model, parameters) else ()
+    return replace(joined, told=told)
 
 
 def _cut_one(

@@ -1,7 +1,7 @@
 """Simulators: parameter vectors and windows in, predictions at the recorded instants out."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from bo_sysid.arrays import Points
 from bo_sysid.mjcf import Edit, Loops, Model, parameter_edits
 from bo_sysid.parameters import Parameter
+from bo_sysid.simulation.activations import activations_of
 from bo_sysid.simulation.lockstep import Controller, ForceLaw
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.state import State
@@ -147,6 +148,8 @@ class MujocoSimulator:
         """Simulate `len(models)` candidates at once and take their predictions apart."""
         count, times = len(windows), len(models)
         start = windows.start.repeat(times) if starts is None else State.concatenated(starts)
+        if windows.told:
+            start = replace(start, act=self._activations(models, windows))
         run = models[0] if times == 1 else [m for m in models for _ in range(count)]
         if self._one_shot(windows, layout):
             return self._final(layout, run, start, windows, times)
@@ -163,6 +166,13 @@ class MujocoSimulator:
             part = trajectory.rows(slice(k * count, (k + 1) * count))
             out.append(Prediction(predicted(layout, windows, part), part.diverged))
         return out
+
+    def _activations(
+        self, models: Sequence[mujoco.MjModel], windows: Windows
+    ) -> Float[np.ndarray, "MW na"]:
+        """Return the activations with which each candidate begins, one after another."""
+        own = [activations_of(self.model, m, windows.told, windows, windows.ctrl) for m in models]
+        return np.concatenate(own)
 
     def _one_shot(self, windows: Windows, layout: Layout) -> bool:
         """Whether only the last state is observed, under constant controls and no law.

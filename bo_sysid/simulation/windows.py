@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from bo_sysid.arrays import Ctrl
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.joints import BALL, FREE
+from bo_sysid.recording import Recording
 from bo_sysid.simulation.state import State, Trajectory
 
 
@@ -29,6 +30,7 @@ class Windows:
         recording: `W` number of the recording that each window comes from.
         timestep: of the simulation, in [s].
         notes: what was done to cut them.
+        told: the recordings, where activations at the starts differ by parameters.
     """
 
     start: State
@@ -42,6 +44,7 @@ class Windows:
     recording: Int[np.ndarray, " W"]
     timestep: float
     notes: tuple[str, ...] = field(default=())
+    told: tuple[Recording, ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:
         return len(self.time)
