@@ -208,6 +208,23 @@ def test_a_delay_lasts_as_long_at_any_time_step(timestep, tmp_path):
     assert _arrivals(exported) == pytest.approx([0.05, 0.13], abs=0.005)
 
 
+def test_a_buffer_grows_with_an_edited_delay_and_stays_as_written_otherwise() -> None:
+    """Plain MuJoCo answers what is older than a buffer with its oldest value."""
+    short = DELAYED.replace('nsample="11"', 'nsample="6"')
+    model = Model.from_xml(short)
+    plain = _arrivals(mujoco.MjModel.from_xml_string(short))
+
+    def heavier(spec: mujoco.MjSpec) -> None:
+        spec.geoms[0].mass = 2.0
+
+    assert _arrivals(model.compile([heavier])) == plain
+    edited = model.compile([address_edit(model, ["actuator[a].delay"], 0.04)])
+    truth = short.replace('delay="0.02" nsample="6"', 'delay="0.04" nsample="30"', 1)
+    expected = _arrivals(mujoco.MjModel.from_xml_string(truth))
+    assert _arrivals(edited) == expected
+    assert expected[0] > plain[0] + 0.02
+
+
 def _arrivals(model: mujoco.MjModel) -> list[float]:
     """Return when the force of a command at 0.03 s, and a jump of the joint at 0.11 s, are felt."""
     data, dt = mujoco.MjData(model), model.opt.timestep
