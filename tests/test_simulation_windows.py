@@ -306,11 +306,16 @@ ACTING = """
 
 
 @pytest.mark.parametrize(
-    "before", ["", '<dcmotor joint="a" input="none" motorconst="1e-9" resistance="1"/>']
-)
-def test_activations_are_what_the_controls_before_led_to(before: str) -> None:
-    """Also behind an actuator without a control."""
-    model = Model.from_xml(ACTING.replace("<actuator>", f"<actuator>{before}"))
+    ("plain", "other"),
+    [
+        ("", ""),
+        ("<actuator>", '<actuator><dcmotor joint="a" input="none" motorconst="1e-9" '
+         'resistance="1"/>'),  # without a control
+        ('dynprm=".04"', 'dynprm=".04" actrange="-.3 .5"'),
+    ],
+)  # fmt: skip
+def test_activations_are_what_the_controls_before_led_to(plain: str, other: str) -> None:
+    model = Model.from_xml(ACTING.replace(plain, other, 1) if plain else ACTING)
     plant = model.compile()
     data, rows = mujoco.MjData(plant), []
     data.qpos[1] = data.act[1] = 0.3

@@ -29,11 +29,10 @@ def activation(
     A lag begins settled at its first control. An integrator that holds a position begins where its
     joint is.
     """
-    control = _held(_clipped(compiled, recording, a))
+    control, ends = _held(_clipped(compiled, recording, a)), _act_range(compiled, a)
     if int(compiled.actuator_dyntype[a]) in LAGS:
-        return _lagging(control, float(compiled.actuator_dynprm[a, 0]), at)
-    first, ends = _held_position(compiled, recording, a), _act_range(compiled, a)
-    return _integral(control, first, ends, at)
+        return _lagging(control, float(compiled.actuator_dynprm[a, 0]), ends, at)
+    return _integral(control, _held_position(compiled, recording, a), ends, at)
 
 
 def _clipped(compiled: mujoco.MjModel, recording: Recording, a: int) -> Channel:
@@ -53,20 +52,22 @@ def _held(channel: Channel) -> Channel:
     return replace(channel, values=np.append(means, channel.values[-1]), hold="zero")
 
 
-def _lagging(channel: Channel, lag: float, at: Float[np.ndarray, " W"]) -> Float[np.ndarray, " W"]:
+def _lagging(
+    channel: Channel, lag: float, ends: tuple[float, float], at: Float[np.ndarray, " W"]
+) -> Float[np.ndarray, " W"]:
     """Return f at some times, for τ f' = u - f, from f = u on at the first stamp.
 
-    While u is held, f = u + (f₀ - u) exp(-t/τ).
+    While u is held, f = u + (f₀ - u) exp(-t/τ), clamped wherever it would leave its range `ends`.
     """
     lag = max(lag, _SHORTEST)
     u, kept = channel.values, np.exp(-np.diff(channel.time) / lag)
     begin = np.empty_like(u)
-    begin[0] = u[0]
+    begin[0] = min(max(u[0], ends[0]), ends[1])
     for k, share in enumerate(kept.tolist()):
-        begin[k + 1] = u[k] + (begin[k] - u[k]) * share
+        begin[k + 1] = min(max(u[k] + (begin[k] - u[k]) * share, ends[0]), ends[1])
     row = np.clip(np.searchsorted(channel.time, at, side="right") - 1, 0, None)
     since = np.maximum(at - channel.time[row], 0.0)
-    return np.asarray(u[row] + (begin[row] - u[row]) * np.exp(-since / lag))
+    return np.asarray(np.clip(u[row] + (begin[row] - u[row]) * np.exp(-since / lag), *ends))
 
 
 def _act_range(compiled: mujoco.MjModel, a: int) -> tuple[float, float]:
