@@ -129,6 +129,19 @@ def test_a_blind_arm_settles_by_the_studys_rule(
     assert bool(settled) is settles
 
 
+def test_a_blind_arm_may_use_up_all_of_b(tmp_path: Path) -> None:
+    """Between two looks at the belief nothing is left to pick: it looks then, too."""
+    parameters = [p | {"steps": n} for p, n in zip(small()["parameters"], (7, 3), strict=True)]
+    study = small(parameters=parameters, search={"budget": 60})
+    drawn = ComparedProblem("small", Study.from_dict(study, tmp_path)).seeded(0)
+    last = dict(drawn["plant"]) | {"parameters": {"mass": 1.5, "damping": 0.3}}
+    data = {**drawn, "plant": last}
+    table = tabulate(TableJob(data, str(tmp_path), 0))
+    arm = Arm("full-grid", "full-grid", "argmax", "timeout", 1)
+    found = run_search(SearchJob(data, str(tmp_path), arm, 0, 0, table))
+    assert sorted(found["row"]) == list(range(21))
+
+
 def test_a_drawn_plant_has_one_of_the_categories(tmp_path: Path) -> None:
     mass, damping = small()["parameters"]
     kind = {**damping, "low": 0.0, "high": 0.2, "steps": 3, "ordered": False}

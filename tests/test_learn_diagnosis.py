@@ -236,7 +236,7 @@ def test_recordings_of_policies_are_corrected_as_the_first_ones(tmp_path: Path) 
     with Run.open(tmp_path / "run", study.resolved(relative_to=tmp_path), "learn") as run:
         source = MachineSource(scene, run)
         write_recording(shown, run.path("recordings/trajectory-01.csv"))
-        assert source.take(2, any_policy) is None
+        assert source.take(2, any_policy, scene) is None
         truth = shown.channels["qvel.hinge"].values / 1.25
         for recording in source.recordings(study):
             np.testing.assert_allclose(recording.channels["qvel.hinge"].values, truth, atol=1e-9)

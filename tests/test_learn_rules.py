@@ -15,6 +15,7 @@ from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import Floor, floor_of, lacks_physics
 from bo_sysid.learn.hand_over import share_beyond
+from bo_sysid.learn.identified import Identified
 from bo_sysid.learn.iteration import Iteration
 from bo_sysid.learn.learn import _doubts
 from bo_sysid.learn.scene import Scene
@@ -27,6 +28,7 @@ from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.plants.tasks.pendulum import PendulumSwingup
 from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.runs import plain
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 
@@ -162,6 +164,21 @@ def test_the_value_guided_rule_is_the_expected_difference(grid: CandidateSet) ->
     told = value_guided(broad, 0.5, 0.01, slope(grid, 0.0))
     assert not told.stop
     assert "hold 0 of P" in told.sentence
+    worthless = value_guided(p, 0.05, 0.01, lambda rows, times: Values(np.zeros((len(rows), 8))))
+    assert not worthless.stop
+
+
+def test_values_of_a_single_episode_are_written(grid: CandidateSet) -> None:
+    """The error of one episode is infinite, which JSON does not know."""
+    one = value_guided(
+        np.eye(len(grid))[0], 0.05, 0.01, lambda rows, times: Values(np.ones((len(rows), 1)))
+    )
+    settled = Identified(
+        rows=np.zeros(1, int), deviation=np.ones(1), entropy=np.zeros(1), fresh=1,
+        probabilities=np.ones(1), bootstrap=np.ones(1), mean=np.zeros(1),
+        reason=StopReason.CONVERGED, floor=Floor(1.0, 1.0, 0.0), guided=one.figures,
+    )  # fmt: skip
+    assert plain(settled.figures())["search_values"]["value"]["error"] is None
 
 
 def test_estimates() -> None:

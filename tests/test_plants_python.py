@@ -156,6 +156,26 @@ def test_a_termination_ends_trajectory_and_episode():
     assert np.abs(step.observation - step.final).max() > 0
 
 
+class Cut(Reach):
+    """Ends after a tenth of a second, and would have gone on."""
+
+    def get_termination(self, physics):
+        return 1.0 if physics.data.time > 0.1 else None
+
+
+def test_an_episode_that_is_cut_ends_and_is_no_termination():
+    """dm_control ends episodes at any discount that is not None; one is that of a time limit."""
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(Cut, model.compile())
+    environment = make_environment(task, compiled(model, task), 1)
+    environment.reset()
+    steps = roll(environment, 3)
+    assert [bool(s.truncated[0]) for s in steps] == [False, False, True]
+    assert not any(s.terminated[0] for s in steps)
+    plant = Plant(model, task=class_task(Cut, model.compile()))
+    assert plant.record(np.zeros((10, 2))).span[1] == pytest.approx(3 * Cut.control_timestep)
+
+
 def test_an_interrupted_environment_goes_on():
     task = suite_task("reacher", "easy")
     model = compiled(Model.from_dm_control("reacher", "easy"), task)
@@ -175,6 +195,9 @@ def test_wrong_tasks_name_the_rule():
     model = Model.from_dm_control("reacher", "easy").compile()
     with pytest.raises(StudyError, match="class dict is no dm_control Task: it has no initialize"):
         class_task(dict, model)
+    partly = type("Partly", (), {m: Reach.get_reward for m in dir(Reach) if "_step" not in m})
+    with pytest.raises(StudyError, match="class Partly is no dm_control Task: it has no before_st"):
+        class_task(partly, model)
     with pytest.raises(UserError, match="takes one model, not several"):
         make_environment(suite_task("finger", "spin"), [model], 1)
     with pytest.raises(PlantError, match=r"controls \(3, 1\) must be S x 2"):

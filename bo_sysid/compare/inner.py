@@ -177,7 +177,8 @@ class _Watch:
     ) -> tuple[Surrogate, ArgminBelief]:
         """Return surrogate and belief; for a blind acquisition mostly the surrogate of before."""
         count = len(history)
-        skipped = self._blind and count % EVERY and count < self._budget
+        whole = count == len(candidates)  # there is nothing left to pick blindly
+        skipped = self._blind and count % EVERY and count < self._budget and not whole
         if skipped and self._surrogate is not None:
             self._believed_at = time.perf_counter()
             return self._surrogate, _unknown(len(candidates))

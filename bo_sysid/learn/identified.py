@@ -20,7 +20,7 @@ from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import Verdict
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.recording import Recording
-from bo_sysid.runs import Run
+from bo_sysid.runs import Run, finite
 
 _BETWEEN = 5  # evaluations between two looks at the values, where these end the search
 
@@ -69,7 +69,7 @@ class Identified:
             "entropy": float(entr(self.probabilities).sum()),
             "entropy_bootstrap": float(entr(self.bootstrap).sum()),
             "search_stopped": self.reason.value,
-            "search_values": dict(self.guided),
+            "search_values": finite(dict(self.guided)),
             "floor": {
                 "deviation": self.floor.deviation,
                 "noise": self.floor.noise,

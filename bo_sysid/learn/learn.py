@@ -103,10 +103,10 @@ def _learned(study: Study, run: Run, progress: OnProgress, strict: bool) -> Lear
     while not done or not done[-1].verdict.stop:
         before = done[-1] if done else None
         number = len(done) + 1
-        waiting = source.take(number, before.policy if before else None)
+        now = before.scene if before else scene
+        waiting = source.take(number, before.policy if before else None, now)
         if waiting is not None:
             return _told(study, scene, source, done, run, waiting.message)
-        now = before.scene if before else scene
         done.append(reread(now, before, run) or iterate(now, source, before, run, tell))
     return _told(study, scene, source, done, run)
 

@@ -44,8 +44,14 @@ class Waiting(NamedTuple):
 class Source(Protocol):
     """Where real trajectories come from."""
 
-    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
-        """Have the recordings of iteration `number`, under the policy of the one before."""
+    def take(self, number: int, policy: LearnedPolicy | None, scene: Scene) -> Waiting | None:
+        """Have the recordings of iteration `number`, under the policy of the one before.
+
+        Args:
+            number: of the iteration, from 1 on.
+            policy: None in the first.
+            scene: in which the policy was learned: after a repair its commands have another range.
+        """
         ...
 
     def recordings(self, study: Study) -> tuple[Recording, ...]:
@@ -95,7 +101,7 @@ class PlantSource:
         told = run.read_json("trajectories.json") if run.has("trajectories.json") else []
         self._plant.resume([Trajectory(**entry) for entry in told])
 
-    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
+    def take(self, number: int, policy: LearnedPolicy | None, scene: Scene) -> Waiting | None:
         """Roll out one trajectory; one that breaks off is kept as far as it went.
 
         Raises:
@@ -192,7 +198,7 @@ class MachineSource:
             names = [r.name for r in self._first]
             run.write_json("first_recordings.json", {"names": names, "sha256": digest})
 
-    def take(self, number: int, policy: LearnedPolicy | None) -> Waiting | None:
+    def take(self, number: int, policy: LearnedPolicy | None, scene: Scene) -> Waiting | None:
         """Find the recording of iteration `number`, or write the policy and say what to record.
 
         Raises:
@@ -206,7 +212,7 @@ class MachineSource:
         there = [self._run.path(stem + ending) for ending in READERS]
         found = [path for path in there if path.is_file()]
         if not found:
-            return Waiting(hand_over(self._scene, self._run, policy, number - 1, stem))
+            return Waiting(hand_over(scene, self._run, policy, number - 1, stem))
         if len(found) > 1:
             both = " and ".join(path.name for path in found)
             raise RecordingError(f"{self._run.path(stem)}: {both} are there; only one may be")

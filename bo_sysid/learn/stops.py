@@ -198,7 +198,8 @@ def value_guided(
     """Return whether what P leaves open matters no longer for the policy.
 
     Σ_{P(β) ≥ η} P(β) |V(β) - V(argmax P)| ≤ ε |V(argmax P)|. Where candidates below η hold more
-    than half of P, the sum says nothing and the search goes on.
+    than half of P, or the policy is worth nothing on any of them, the sum says nothing and the
+    search goes on.
     """
     order = np.argsort(-probabilities, kind="stable")[:MOST_PROBABLE]
     rows = order[probabilities[order] >= eta]
@@ -217,6 +218,8 @@ def value_guided(
         "error": float(probabilities[rows[1:]] @ errors) if len(rows) > 1 else 0.0,
         "value": own._asdict(),
     }
+    if len(rows) > 1 and not own.mean and not apart.any():
+        return Verdict(False, "the policy is worth nothing wherever P is open", figures)
     allowed = epsilon * abs(own.mean)
     text = f"the expected difference of value is {total:.3g}; {allowed:.3g} is allowed"
     return Verdict(total <= allowed, text, figures)

@@ -22,6 +22,7 @@ class Applied(NamedTuple):
         reward: of the step.
         ended: the task ended the episode for good.
         diverged: the state stopped being finite; the last rows may repeat or restart.
+        cut: the task ended the episode, and what would have followed counts, as at a time limit.
     """
 
     rows: dict[str, np.ndarray]
@@ -29,6 +30,7 @@ class Applied(NamedTuple):
     reward: float
     ended: bool
     diverged: bool
+    cut: bool = False
 
 
 @runtime_checkable

@@ -180,7 +180,8 @@ class Plant:
             applied = machine.apply(control(done, observation))
             rows[-1]["ctrl"][-1] = applied.rows["ctrl"][0]  # applied from the last row's time on
             rows.append(applied.rows)
-            _, observation, given, ended, diverged = applied
+            _, observation, given, ended, diverged, cut = applied
+            ended |= cut
             reward += given
             done += 1
         columns = {f: np.concatenate([r[f] for r in rows]) for f in rows[0]}

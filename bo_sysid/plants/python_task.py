@@ -92,6 +92,8 @@ def class_task(cls: Any, model: mujoco.MjModel) -> PythonTask:
             "get_observation",
             "get_reward",
             "before_step",
+            "after_step",
+            "get_termination",
             "action_spec",
         )
         if not callable(getattr(cls, m, None))
@@ -205,12 +207,14 @@ class PythonMachine:
             diverged = True
             rows.append(self.present())
         self.task.after_step(self.physics)
+        discount = self.task.get_termination(self.physics)  # None goes on, as in dm_control
         return Applied(
             {field: np.concatenate([r[field] for r in rows]) for field in rows[0]},
             self.observe(),
             0.0 if diverged else self._reward(),
-            self.task.get_termination(self.physics) == 0.0,
+            discount == 0.0,
             diverged,
+            cut=discount not in (None, 0.0),
         )
 
     def _reward(self) -> float:
@@ -268,7 +272,8 @@ class PythonEnvironment:
         self._steps += 1
         final = np.concatenate([t.observation for t in told])
         terminated = np.array([t.ended or t.diverged for t in told])
-        truncated = (self._steps >= self.episode_steps) & ~terminated
+        cut = np.array([t.cut for t in told])
+        truncated = ((self._steps >= self.episode_steps) | cut) & ~terminated
         observation = final
         if (terminated | truncated).any():
             observation = final.copy()
