@@ -31,7 +31,7 @@ from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.report.check_text import checked_text
 from bo_sysid.simulation import Engine, MujocoSimulator, State, cut
 from bo_sysid.study import Study
@@ -146,6 +146,15 @@ def test_a_turn_that_wraps_beside_a_drop_out_is_found() -> None:
     wrap = find_wraps([log])["qpos.x"]
     assert wrap.period == 1.0
     assert wrap.jumps == 15
+
+
+def test_signs_of_a_quaternion_and_a_gripper_do_not_wrap() -> None:
+    q = np.column_stack([np.full_like(TIME, 0.5) + 1e-3 * np.sin(k + TIME) for k in range(4)])
+    q[(TIME > 2) & (TIME < 5)] *= -1  # the same attitude
+    flips = {f"qpos.root.{3 + k}": Channel(TIME, q[:, k]) for k in range(4)}
+    grip = Channel(TIME, np.floor(TIME) % 2)
+    log = Recording("log", {**flips, "qpos.grip": grip})
+    assert find_wraps([log]) == {}
 
 
 def test_one_knock_by_one_is_no_wrap() -> None:

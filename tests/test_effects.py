@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.checks.motion import excitation
 from bo_sysid.effects import (
     CATALOGUE,
     Effect,
@@ -219,6 +220,20 @@ def test_a_channel_that_only_some_recordings_have_is_no_site(arm) -> None:
     assert machine.channels == ("qpos.shoulder", "qpos.elbow")
     for own in CATALOGUE.values():
         assert "qvel.elbow" not in {s.name for s in applicable(own, machine)}
+
+
+def test_a_pause_in_a_log_is_no_motion(arm) -> None:
+    """Two sessions with the stamps of one clock have the scales of both, not of the pause."""
+    t = np.concatenate([np.arange(0, 5, 0.01), 86400 + np.arange(0, 5, 0.01)])
+    moved = {"shoulder": np.sin(4 * t), "elbow": np.cos(3 * t)}
+    log = Recording.from_arrays(t, qpos=moved, ctrl=moved)
+    first = log.between(0.0, 5.0)
+    both, one = survey(arm.compile(), [log]), survey(arm.compile(), [first])
+    for joint in ("shoulder", "elbow"):
+        assert both.joints[joint].speed == pytest.approx(one.joints[joint].speed, rel=0.1)
+        assert both.joints[joint].force == pytest.approx(one.joints[joint].force, rel=0.1)
+    told = excitation([log], arm.compile()).set_index("joint")
+    assert told.loc["shoulder", "speed"] == pytest.approx(4 / np.sqrt(2), rel=0.1)
 
 
 def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:

@@ -12,7 +12,7 @@ from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError
 from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.evolution import minimise
-from bo_sysid.excite.excite import excite
+from bo_sysid.excite.excite import _catalogue, excite
 from bo_sysid.excite.fourier import Series
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.multisine import multisines
@@ -412,3 +412,23 @@ def test_efforts_are_those_of_the_actuators_that_have_a_control() -> None:
     ctrl = np.full((1, 2, 1), 0.6)
     run = Engine(1).rollout(compiled, start, ctrl)
     assert limits.violation([compiled], run, ctrl, 0.0)[0] == pytest.approx(3 * 0.6 / 1.5)
+
+
+def test_a_parameter_of_the_study_is_not_looked_for_twice_however_it_is_written() -> None:
+    model = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    known = [Parameter("d", ("joint[j].damping[0]",), 0.0, 1.0, 11)]
+    assert {p.name for p in _catalogue(model, known)} == {
+        "joint[j].frictionloss", "joint[j].armature", "joint[j].stiffness",
+    }  # fmt: skip
+
+
+def test_the_effort_of_an_actuator_that_integrates_is_not_known() -> None:
+    model = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody><actuator>'
+        '<intvelocity name="drive" joint="j" kp="40" actrange="-1 1"/></actuator></mujoco>'
+    )
+    with pytest.raises(StudyError, match="effort is not known of actuator 'drive'"):
+        Limits.of(model, {"j": Limit(effort=1.5)})
+    assert np.isinf(Limits.of(model, {"j": Limit(velocity=1.5)}).effort).all()

@@ -1,6 +1,7 @@
 """`init`: studies from a model and nothing but raw logs."""
 
 import re
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -19,7 +20,9 @@ from bo_sysid.simulation import Engine, State
 from bo_sysid.starter.columns import derivatives, describe, words
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
+from bo_sysid.starter.matching import match
 from bo_sysid.starter.pose import pose_guesses
+from bo_sysid.starter.reading import clock_rule
 from bo_sysid.study import Study
 
 ROOT = Path(__file__).parent.parent
@@ -764,3 +767,25 @@ def test_a_gyro_beside_the_pose_of_a_base_is_no_position(place: str, turn: str) 
     compiled = Model.from_xml(text + "</mujoco>").compile()
     found = [g.column for g in pose_guesses(compiled, RawTable("log", columns))]
     assert found == [place.format(k) for k in "xyz"] + [turn.format(k) for k in "wxyz"]
+
+
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_a_log_may_count_from_another_number_than_the_model(first: int) -> None:
+    """Most numbers are shared, and none means the same where the first is another."""
+    time = np.arange(200) * 0.01
+    columns = {f"q{k + first}": np.sin((1 + k) * time) for k in range(4)}
+    told = describe(RawTable("log", {"time": time, **columns}))
+    joints = [f"joint_{k + 1}" for k in range(4)]
+    found = match("qpos", joints, [c for c in told if c.kind == "position"])
+    assert {g.channel: g.column for g in found} == {
+        f"qpos.joint_{k + 1}": f"q{k + first}" for k in range(4)
+    }
+
+
+def test_the_clock_is_the_column_that_is_called_time_or_never_falls() -> None:
+    time = np.arange(200) * 0.01
+    loop = 0.001 + 1e-5 * np.sin(7 * time)
+    for name in ("time", "stamp_time"):
+        table = RawTable("log", {"loop_time": loop, name: time})
+        columns = [replace(c, kind="time") for c in describe(table)]
+        assert clock_rule(table, columns).get("from", "time") == name

@@ -12,7 +12,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
-from bo_sysid.recording.alignment import GAP
+from bo_sysid.recording.alignment import GAP, stretches
 from bo_sysid.recording.noise import MOVES
 
 _FEWEST = 5  # samples on an even grid that tell how a joint moved
@@ -54,7 +54,9 @@ def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.Dat
 
 def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
     dt = float(np.median(np.diff(channel.time)))
-    grid = np.arange(channel.time[0], channel.time[-1], dt)
+    ends = [(channel.time[s.start], channel.time[s.stop - 1]) for s in stretches(channel.time)]
+    first, last = max(ends, key=lambda both: both[1] - both[0])  # pauses are no motion
+    grid = np.arange(first, last, dt)
     if len(grid) < _FEWEST:
         raise RecordingError(
             f"{recording}: {len(channel.time)} samples of qpos.{joint} tell nothing of how it "

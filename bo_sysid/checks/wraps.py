@@ -14,7 +14,8 @@ from bo_sysid.recording.mapping import twos_complement
 PERIODS = (2 * pi, pi, 360.0, 1.0, 256.0, 1024.0, 4096.0, 65536.0)
 """Jumps that are a turn: in radians, degrees, turns, encoder ticks.
 
-A jump of 1.0 must come twice: a joint in rad or m may be knocked as far once.
+A jump of 1.0 must come twice, and something must move between: a joint in rad or m may be knocked
+as far once, and a gripper that is told as 0 or 1 does nothing else.
 """
 _NEAR = 0.12  # relative difference of a jump from a turn
 _CLEAR = 4.0  # times the largest step that is no jump
@@ -51,12 +52,17 @@ def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:
         word = _word(np.concatenate(values))
         if word is not None:
             found[name] = word
-    for name in dict.fromkeys(n for r in recordings for n in r.channels if n.startswith("qpos.")):
+    for name in dict.fromkeys(n for r in recordings for n in r.channels if _turns(n)):
         steps = np.concatenate([_steps(r.channels[name]) for r in recordings if name in r.channels])
         wrap = _wrap(steps)
         if wrap is not None:
             found[name] = wrap
     return found
+
+
+def _turns(name: str) -> bool:
+    """Whether a channel is a position of one number: signs of a quaternion flip without a turn."""
+    return name.startswith("qpos.") and not name.rsplit(".", 1)[-1].isdigit()
 
 
 def _steps(channel: Channel) -> np.ndarray:
@@ -74,7 +80,8 @@ def _wrap(steps: np.ndarray) -> Wrap | None:
         jump = np.abs(size - period) < _NEAR * period
         rest = size[~jump]
         least = 2 if period == 1.0 else 1
-        if jump.sum() >= least and (not rest.size or rest.max() * _CLEAR < period):
+        still = period == 1.0 and not rest.any()
+        if jump.sum() >= least and not still and (not rest.size or rest.max() * _CLEAR < period):
             return Wrap(period, int(jump.sum()))
     return None
 

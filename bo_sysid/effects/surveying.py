@@ -16,6 +16,7 @@ from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import stretches
 
 _SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
@@ -89,18 +90,21 @@ def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
     for r in recordings:
         c = r.channels[f"qpos.{joint}"]
         dt = float(np.median(np.diff(c.time)))
-        grid = np.arange(c.time[0], c.time[-1], dt)
-        if len(grid) < _FEWEST:
+        ends = [(c.time[s.start], c.time[s.stop - 1]) for s in stretches(c.time)]
+        pieces = [np.arange(first, last, dt) for first, last in ends]
+        pieces = [grid for grid in pieces if len(grid) >= _FEWEST]
+        if not pieces:
             raise RecordingError(
                 f"{r.name}: {len(c.time)} samples of qpos.{joint} tell nothing of how it moves; at "
                 f"least {_FEWEST + 1} are needed; leave the recording out"
             )
-        x = np.interp(grid, c.time, c.values)
-        half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
-        grids.append(grid)
-        q.append(x)
-        v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
-        a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
+        grids.append(np.concatenate(pieces))
+        for grid in pieces:
+            x = np.interp(grid, c.time, c.values)
+            half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
+            q.append(x)
+            v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
+            a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
     return _Motion(tuple(grids), np.concatenate(q), np.concatenate(v), np.concatenate(a))
 
 

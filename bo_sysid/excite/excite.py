@@ -13,6 +13,7 @@ from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import ForceLaw
@@ -179,7 +180,7 @@ def _resting(model: Model, trial: Trial) -> str:
 def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
     """Return effects that are one number of a joint, as parameters that are not known yet."""
     compiled = model.compile()
-    taken = {a for p in known for a in p.addresses}
+    taken = {t for p in known for a in p.addresses for t in _numbers(model, a)}
     found = []
     for j, name in enumerate(model.joints):
         inertia = float(compiled.dof_M0[compiled.jnt_dofadr[j]])
@@ -187,6 +188,11 @@ def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
             ("frictionloss", 1.0), ("damping", 1.0), ("armature", 0.5), ("stiffness", 5.0),
         ):  # fmt: skip
             address = f"joint[{name}].{what}"
-            if address not in taken:
+            if not taken & set(_numbers(model, address)):
                 found.append(Parameter(address, (address,), 0.0, unit * inertia, apply="add"))
     return found
+
+
+def _numbers(model: Model, address: str) -> list[tuple[str, str, str, int]]:
+    """Return the numbers of a model that an address names, however it is written."""
+    return [(t.kind, t.element, t.name, t.index) for t in resolve(model, address)]

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
+from bo_sysid.effects.memory import LAGS
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
@@ -63,6 +64,8 @@ class Limits:
                 effort[j] = limit.effort or np.inf
         if np.isfinite(effort).any() and not np.isin(compiled.actuator_trntype, ALONG_JOINT).all():
             raise StudyError("limits: effort is known only for actuators that drive one joint each")
+        if np.isfinite(effort).any():
+            _require_effort_follows(compiled)
         return cls(position, velocity, effort, model.joints, can_touch(compiled))
 
     def commands(
@@ -196,6 +199,16 @@ class Limits:
                     touched[w] = True
                     break
         return touched
+
+
+def _require_effort_follows(model: mujoco.MjModel) -> None:
+    """Refuse actuators whose command says no effort: those that integrate it, and muscles."""
+    for a in controlled(model):
+        if int(model.actuator_dyntype[a]) not in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS):
+            raise StudyError(
+                f"limits: effort is not known of actuator {model.actuator(a).name!r}: its force "
+                "does not follow from its command; leave effort out, and watch the machine"
+            )
 
 
 def _within(

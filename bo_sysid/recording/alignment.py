@@ -6,6 +6,7 @@ each simulation step, exactly; measured channels are never interpolated.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,16 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording.value import Channel, Recording
 
 GAP = 1.75  # an interval longer than this many medians misses a sample
+_PAUSE = 20.0  # one longer than this many parts a recording: nothing is told of what lies between
 _SNAP = 1e-6  # a step edge this close to a stamp, in steps, is meant to be on it
+
+
+def stretches(time: Float[np.ndarray, " T"]) -> list[slice]:
+    """Return the stretches of stamps between pauses, across which no motion is interpolated."""
+    intervals = np.diff(time)
+    parted = intervals > _PAUSE * np.median(intervals) if intervals.size else intervals > 0
+    ends = [0, *(np.flatnonzero(parted) + 1).tolist(), len(time)]
+    return [slice(begin, end) for begin, end in pairwise(ends)]
 
 
 def control_steps(

@@ -61,9 +61,13 @@ def match(
     """
     if not elements or not columns:
         return []
+    counted = _counted_alike(elements, columns)
     score = np.array(
         [
-            [fits(n, c) * max(_likeness(n, c), trust * _likeness(o, c)) for c in columns]
+            [
+                fits(n, c) * max(_likeness(n, c, counted), trust * _likeness(o, c, counted))
+                for c in columns
+            ]
             for n, o in zip(elements, also or elements, strict=True)
         ]
     )
@@ -155,8 +159,27 @@ def _guess(kind: str, element: str, column: Column, reason: str, confidence: flo
     return Guess(f"{kind}.{element}", column.name, column.unit, reason, confidence)
 
 
-def _likeness(element: str, column: Column) -> float:
-    """Return how much of an element's name a column carries, 0 to 1."""
+def _counted_alike(elements: Sequence[str], columns: Sequence[Column]) -> bool:
+    """Whether numbered elements and as many numbered columns count from the same number.
+
+    A model that counts from 0 and a log that counts from 1 share most of their numbers, and none
+    of them means the same.
+    """
+    told = numbered(columns, len(elements))
+    own = [[int(w) for w in words(e) if w.isdigit()] for e in elements]
+    if not told or not all(own):
+        return True
+    return sorted(own) == sorted(_number(c) for c in told)
+
+
+def _likeness(element: str, column: Column, counted: bool = True) -> float:
+    """Return how much of an element's name a column carries, 0 to 1.
+
+    Args:
+        element: its name.
+        column: any.
+        counted: whether a number that both have, and nothing else, says anything.
+    """
     if column.name.endswith((f".{element}", f"/{element}")) or column.name == element:
         return 1.0
     own = words(element)
@@ -166,8 +189,12 @@ def _likeness(element: str, column: Column) -> float:
     if shared and len(shared) == len(special):
         letters = [w for w in shared if not w.isdigit()]
         named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
-        return named if letters else 0.6
-    if special and all(_begun(w, column.words) for w in special):
+        return named if letters else 0.6 * counted
+    if (
+        special
+        and (counted or not all(w.isdigit() for w in special))
+        and all(_begun(w, column.words) for w in special)
+    ):
         return _BEGUN
     return 0.5 * len(shared) / max(len(special), 1)
 

@@ -113,12 +113,18 @@ def _by_reach(
     return {"unit": "deg"} if reach > _TURNS and compiled.jnt_limited[place] else {}, reach
 
 
+def _rises(table: RawTable, column: Column) -> bool:
+    """Whether a column never falls, as a clock's."""
+    values = table.column(column.name)
+    return bool((np.diff(values[np.isfinite(values)]) >= 0).all())
+
+
 def clock_rule(table: RawTable, columns: Sequence[Column]) -> Rule:
     """Return the rule of the clock where it has another name or unit; empty where it is told."""
     clocks = [c for c in columns if c.kind == "time"]
     if table.clocks or not clocks:
         return {}
-    clock = clocks[0]
+    clock = max(clocks, key=lambda c: (c.name.lower() == "time", _rises(table, c)))
     values = table.column(clock.name)
     step = float(np.median(np.diff(values[np.isfinite(values)])))
     dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
