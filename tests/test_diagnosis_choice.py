@@ -255,11 +255,19 @@ def test_what_recordings_disagree_on_is_no_finding_and_is_left_unexplained() -> 
     assert outcome.unexplained.flagged
     assert outcome.unexplained.share == 1.0  # of what the nominal model leaves
     assert outcome.sessions.table.empty
-    said = disputed_sentence(outcome.disputed)
+
+
+def test_names_that_recordings_dispute_are_told_and_count_as_unknown(friction) -> None:
+    machine, outcome = friction.evidence.machine, explain(friction)
+    spring = candidate(machine, "joint_spring", "elbow")
+    said = disputed_sentence((spring,))
     assert said.startswith("The recordings do not agree on a spring at the elbow: no finding")
     assert disputed_sentence(()) == ""
-    quiet = replace(outcome, unexplained=Unexplained(outcome.unexplained.share))
-    answer = make_answer(found.decision, quiet, found.evidence.machine)
+    withdrawn = replace(
+        outcome, fit=friction.decision.nominal, disputed=(spring,), unexplained=Unexplained(0.2)
+    )
+    answer = make_answer(friction.decision, withdrawn, machine)
+    assert answer.findings == ()
     stranger = next(a for a in answer.alternatives if a["findings"][0]["effect"] == "unknown")
     assert stranger["probability"] == max(a["probability"] for a in answer.alternatives)
 
