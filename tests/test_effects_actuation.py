@@ -219,16 +219,18 @@ class TestCommandRate:
         np.testing.assert_allclose(out.at(t + 5e-4), slow.at(t + 5e-4), atol=1e-4)
 
 
+def moved(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+    """Return where plain MuJoCo has a model's first coordinate after each of its controls."""
+    data, out = mujoco.MjData(model), []
+    for u in ctrl:
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+        out.append(data.qpos[0])
+    return np.array(out)
+
+
 class TestWritten:
     """Filters that plain MJCF can say move the machine alike."""
-
-    def moved(self, bench: Bench, model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
-        data, out = mujoco.MjData(model), []
-        for u in ctrl:
-            data.ctrl[:] = u
-            mujoco.mj_step(model, data)
-            out.append(data.qpos[0])
-        return np.array(out)
 
     @pytest.mark.parametrize(
         ("id", "x", "share"),
@@ -245,12 +247,12 @@ class TestWritten:
         u = np.where(t > 0.2, np.sin(20 * t) + (t > 0.7), 0.0)  # at rest while the history fills
         model, (part,) = slide.edited(id, "actuator", "drive", [x])
         channel = part.change(Channel(t, u, hold="zero"), dt)
-        one = self.moved(slide, model, control_steps(channel, np.zeros(1), steps, dt)[0])
+        one = moved(model, control_steps(channel, np.zeros(1), steps, dt)[0])
         written, parts = slide.edited(id, "actuator", "drive", [x], written=True)
         assert parts == ()
         assert written.nu == 1
-        two = self.moved(slide, written, u)
-        nominal = self.moved(slide, slide.model.compile(), u)
+        two = moved(written, u)
+        nominal = moved(slide.model.compile(), u)
         np.testing.assert_allclose(two, one, atol=share * np.abs(one - nominal).max() + 1e-9)
 
     def test_a_delay_below_a_step_stays_a_filter(self, slide) -> None:
@@ -404,14 +406,6 @@ class TestCommandsBeyondTheirRange:
     LIMITED = SLIDE.replace('gear="3"', 'gear="3" ctrlrange="-.4 .4"')
     WAVE = 1.2 * np.sin(9 * np.arange(2000) * 0.001)
 
-    def moved(self, model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
-        data, out = mujoco.MjData(model), []
-        for u in ctrl:
-            data.ctrl[:] = u
-            mujoco.mj_step(model, data)
-            out.append(data.qpos[0])
-        return np.array(out)
-
     @pytest.mark.parametrize(
         ("id", "x", "plain"),
         [
@@ -422,11 +416,11 @@ class TestCommandsBeyondTheirRange:
     def test_a_filter_acts_on_what_plain_mujoco_acts_on(self, id, x, plain) -> None:
         bench, dt = Bench(self.LIMITED), 0.001
         truth = self.LIMITED.replace("<motor", f"<general {plain}")
-        wanted = self.moved(mujoco.MjModel.from_xml_string(truth), self.WAVE)
+        wanted = moved(mujoco.MjModel.from_xml_string(truth), self.WAVE)
         told = Channel(np.arange(2000) * dt, self.WAVE, hold="zero")
         out = control_steps(filtered(bench, id, x, told), np.zeros(1), 2000, dt)[0]
         nominal = bench.model.compile()
-        found, plainly = self.moved(nominal, out), self.moved(nominal, self.WAVE)
+        found, plainly = moved(nominal, out), moved(nominal, self.WAVE)
         assert np.abs(found - wanted).max() < 0.01 * np.abs(plainly - wanted).max()
 
     def test_a_dead_zone_cuts_from_what_is_left(self) -> None:
