@@ -780,6 +780,9 @@ def test_a_log_may_count_from_another_number_than_the_model(first: int) -> None:
     assert {g.channel: g.column for g in found} == {
         f"qpos.joint_{k + 1}": f"q{k + first}" for k in range(4)
     }
+    more = match("qpos", joints, [*told[1:], replace(told[-1], name="q9", words=("q", "9"))])
+    assert [g.channel for g in more if g.column == "q9"] == []
+    assert {g.column for g in more} == ({f"q{k + 1}" for k in range(4)} if first == 1 else set())
 
 
 def test_the_clock_is_the_column_that_is_called_time_or_never_falls() -> None:

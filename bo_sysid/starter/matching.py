@@ -160,16 +160,16 @@ def _guess(kind: str, element: str, column: Column, reason: str, confidence: flo
 
 
 def _counted_alike(elements: Sequence[str], columns: Sequence[Column]) -> bool:
-    """Whether numbered elements and as many numbered columns count from the same number.
+    """Whether every numbered element has its number among as many numbered columns, or more.
 
     A model that counts from 0 and a log that counts from 1 share most of their numbers, and none
     of them means the same.
     """
-    told = numbered(columns, len(elements))
-    own = [[int(w) for w in words(e) if w.isdigit()] for e in elements]
-    if not told or not all(own):
+    told = max(_families(columns), key=len, default=[])
+    own = [tuple(int(w) for w in words(e) if w.isdigit()) for e in elements]
+    if len(told) < len(elements) or not all(own):
         return True
-    return sorted(own) == sorted(_number(c) for c in told)
+    return set(own) <= {tuple(_number(c)) for c in told}
 
 
 def _likeness(element: str, column: Column, counted: bool = True) -> float:
@@ -210,12 +210,17 @@ def _begun(word: str, others: Sequence[str]) -> bool:
 
 def numbered(columns: Sequence[Column], count: int) -> list[Column]:
     """Return `count` columns whose names differ by a number alone, in its order; else nothing."""
+    fits = next((f for f in _families(columns) if len(f) == count), [])
+    return sorted(fits, key=_number)
+
+
+def _families(columns: Sequence[Column]) -> list[list[Column]]:
+    """Return the columns whose names differ by a number alone, together."""
     families: dict[tuple[str, ...], list[Column]] = {}
     for c in columns:
         stem = tuple(w for w in c.words if not w.isdigit())
         families.setdefault(stem, []).append(c)
-    fits = next((f for f in families.values() if len(f) == count), [])
-    return sorted(fits, key=_number)
+    return list(families.values())
 
 
 def _family(columns: Sequence[Column], count: int) -> list[Column]:
