@@ -791,3 +791,22 @@ def test_the_clock_is_the_column_that_is_called_time_or_never_falls() -> None:
         table = RawTable("log", {"loop_time": loop, name: time})
         columns = [replace(c, kind="time") for c in describe(table)]
         assert clock_rule(table, columns).get("from", "time") == name
+
+
+def test_a_joint_that_never_moves_gets_no_parameters(tmp_path: Path) -> None:
+    rng, time = np.random.default_rng(0), np.arange(1000) * 0.01
+    frame = pd.DataFrame(
+        {
+            "time": time,
+            "qpos.shoulder": np.sin(2 * time) + 1e-4 * rng.normal(size=1000),
+            "qpos.elbow": 0.3 + 1e-4 * rng.normal(size=1000),
+            "ctrl.shoulder": np.cos(2 * time),
+            "ctrl.elbow": 0 * time,
+        }
+    )
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    init(TWO, [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    text = (tmp_path / "study.yaml").read_text()
+    assert "# elbow never moves in the log" in text
+    addresses = {p.address[0] for p in Study.load(tmp_path / "study.yaml").parameters}
+    assert addresses == {f"joint[shoulder].{n}" for n in ("frictionloss", "damping", "armature")}

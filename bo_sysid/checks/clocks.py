@@ -43,7 +43,8 @@ class Clock:
 
 
 def clock_of(late: Mapping[str, Estimate]) -> Clock:
-    """Return the clock that controls share, from the delay of each."""
+    """Return the clock that controls share, from the delay of each that tells one."""
+    late = {n: e for n, e in late.items() if np.isfinite(e.sigma)}
     if not late:
         return Clock(Estimate(0.0, np.inf))
     values = np.array([e.value for e in late.values()])

@@ -39,6 +39,8 @@ def delay(evidence: Evidence, h: Hypothesis, control: str) -> Estimate:
     j, terms = evidence.dof(control), evidence.terms(h)
     speed = np.abs(terms.velocity[:, j])
     moving = speed > _STUCK * speed.mean()  # a joint that sticks needs less than it is given
+    if not moving.any():  # a joint that never moves says nothing of when its control acts
+        return Estimate(h.delay, np.inf)
     late, sigma = h.delay, 0.0
     for _ in range(_STEPS):
         found, sigma = _jackknife(*_delayed(evidence, h, j, late, moving))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from bo_sysid.checks.motion import excitation
+from bo_sysid.checks.motion import excitation, excitation_flags
 from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
@@ -185,7 +185,9 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     """
     compiled = model.compile()
     machine = survey(compiled, recordings)
-    fastest = excitation(recordings, compiled).groupby("joint")["fastest"].max()
+    motion = excitation(recordings, compiled)
+    fastest = motion.groupby("joint")["fastest"].max()
+    still = {joint for flag in excitation_flags(motion) for joint in flag.channels}
     rows = []
     for name, joint in machine.joints.items():
         values = np.concatenate([r.channels[f"qpos.{name}"].values for r in recordings])
@@ -193,6 +195,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
         rows.append(
             {
                 "joint": name,
+                "moves": name not in still,
                 "friction": force or joint.force,
                 "damping": (force or joint.force) / joint.speed,
                 "armature": force / joint.acceleration or joint.inertia,
