@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
-from bo_sysid.effects.memory import LAGS
+from bo_sysid.effects.memory import LAGS, follows
 from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
@@ -105,7 +105,7 @@ class Evidence:
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
         silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
         self.dynamics = Dynamics(model, silent)
-        known = [n for a, n in zip(ids, self.actuators, strict=True) if _follows(model, a)]
+        known = [n for a, n in zip(ids, self.actuators, strict=True) if follows(model, a)]
         self.inputs = {n for n in map(self._input, known) if n in self.recorded}
         self._lags = {
             n: float(model.actuator_dynprm[a, 0])
@@ -270,8 +270,3 @@ class Evidence:
             follows = joint in self.dynamics.loops.joints
             weights[k] = float(known and moved > 0 and not follows)
         return weights
-
-
-def _follows(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether an actuator's force follows from its control, at once or as a first-order lag."""
-    return int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)

@@ -15,6 +15,11 @@ _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
 
 
+def follows(compiled: mujoco.MjModel, a: int) -> bool:
+    """Whether an actuator's force follows from its control, at once or as a first-order lag."""
+    return int(compiled.actuator_dyntype[a]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
+
+
 def remembers(compiled: mujoco.MjModel, a: int) -> bool:
     """Whether an actuator has one activation, which lags behind its control or integrates it."""
     kinds = (_INTEGRATOR, *LAGS)

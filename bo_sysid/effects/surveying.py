@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
-from bo_sysid.effects.memory import LAGS, activation, remembers
+from bo_sysid.effects.memory import activation, follows, remembers
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
 from bo_sysid.mjcf.compiling import coordinates
@@ -26,7 +26,6 @@ _POSES = 20
 _INSTANTS = 200
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
-_FOLLOWING = (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
@@ -132,7 +131,7 @@ def _actuator(
         jumps=(),
         ctrl_limits=_limits(bool(model.actuator_ctrllimited[k]), model.actuator_ctrlrange[k]),
         force_limits=_limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a]),
-        follows=int(model.actuator_dyntype[a]) in _FOLLOWING,
+        follows=follows(model, a),
     )
     return _as_used(bare, model, recordings, None if joint is None else motion.get(joint))
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.effects.memory import LAGS
+from bo_sysid.effects.memory import follows
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
@@ -204,7 +204,7 @@ class Limits:
 def _require_effort_follows(model: mujoco.MjModel) -> None:
     """Refuse actuators whose command says no effort: those that integrate it, and muscles."""
     for a in controlled(model):
-        if int(model.actuator_dyntype[a]) not in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS):
+        if not follows(model, a):
             raise StudyError(
                 f"limits: effort is not known of actuator {model.actuator(a).name!r}: its force "
                 "does not follow from its command; leave effort out, and watch the machine"
