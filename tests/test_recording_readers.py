@@ -8,6 +8,8 @@ import sys
 import h5py
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
@@ -228,6 +230,24 @@ def test_lists_of_several_lengths_are_left_out_of_parquet(tmp_path):
     assert "Column 'hits' left out: its lists have 0 to 2 numbers." in recording.notes
     expected = [0.1 * k for k in range(20) if k != 3]
     np.testing.assert_allclose(recording.channels["aux.s"].values, expected)
+
+
+@pytest.mark.parametrize("listed", [pa.list_, pa.large_list])
+def test_vectors_in_parquet_become_columns_with_an_index(tmp_path, listed):
+    state = RNG.normal(size=(40, 2))
+    columns = {"time": COLUMNS["time"], "state": pa.array(list(state), listed(pa.float64()))}
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    rules = {f"qpos.{n}": {"from": f"state.{i}"} for i, n in enumerate("ab")}
+    channels = read_recording(tmp_path / "log.parquet", rules).channels
+    np.testing.assert_array_equal(channels["qpos.b"].values, state[:, 1])
+
+
+def test_columns_of_one_name_are_refused_in_parquet(tmp_path):
+    columns = [pa.array(v) for v in COLUMNS.values()]
+    names = ["time", "qpos.a", "qpos.a", "ctrl.m"]
+    pq.write_table(pa.Table.from_arrays(columns, names), tmp_path / "log.parquet")
+    with pytest.raises(RecordingError, match=r"several columns are named 'qpos.a'; each needs"):
+        read_recording(tmp_path / "log.parquet")
 
 
 @pytest.mark.parametrize("wrong", ["null", "3.5"])

@@ -1,6 +1,7 @@
 """Parquet files, from whatever wrote them."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,10 @@ def read_parquet(path: Path) -> RawTable:
         table = pq.ParquetFile(path).read()
     except (pa.ArrowException, OSError) as error:
         raise RecordingError(f"{path}: a damaged Parquet file: {error}") from None
+    if repeated := [n for n, count in Counter(table.column_names).items() if count > 1]:
+        raise RecordingError(
+            f"{path}: several columns are named {repeated[0]!r}; each needs a name of its own"
+        )
     described = {f.name: f.metadata or {} for f in table.schema}
     own = json.loads((table.schema.metadata or {}).get(b"bo_sysid", b"{}"))
     columns, left_out = arrow_columns(table)
@@ -72,7 +77,8 @@ def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
 def _lists(kind: Any) -> bool:
     import pyarrow as pa
 
+    listed = pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list
     return bool(
-        (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind))
+        any(of(kind) for of in listed)
         and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
     )
