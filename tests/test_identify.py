@@ -13,7 +13,7 @@ from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.forecast import Residual
-from bo_sysid.errors import RunError, StudyError
+from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
 from bo_sysid.identify.errors import remarks, side_by_side
 from bo_sysid.identify.journal import Journal
@@ -367,6 +367,21 @@ def test_what_has_no_error_is_said() -> None:
         f"the nominal {half}", f"the identified {half}",
         "there is no window in which neither diverges",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("whole", [0, 1])
+def test_a_recording_without_positions_or_velocities_is_told_by_name(
+    tmp_path: Path, whole: int
+) -> None:
+    files = ["cart.parquet", "blind.parquet"]
+    recordings = {"train": [files[1 - whole], files[whole]]}
+    study = cart_study(tmp_path, recordings=recordings)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="qvel.rail")
+    log.to_parquet(tmp_path / "cart.parquet")
+    force = {"sensor.force": log["ctrl.motor"]}
+    log.drop(columns="qpos.rail").assign(**force).to_parquet(tmp_path / "blind.parquet")
+    with pytest.raises(RecordingError, match=r"blind.*: no channel 'qpos.rail'"):
+        make_problem(study, threads=1)
 
 
 def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:

@@ -159,10 +159,11 @@ def _framing(
     rates = set(model.qvel_channels)
     unmeasured = set(model.unrecorded) - set(model.loops.joints)
     measured = not unmeasured and any(rates & set(r.channels) for r in recordings)
-    if asked.starts == "fitted" or not rates or measured:
+    places = model.qpos_channels
+    stamps = [r.channels[n].time for r in recordings for n in places if n in r.channels]
+    if asked.starts == "fitted" or not rates or measured or not stamps:
         return asked.starts == "fitted", asked.horizon, ()
-    name = next(n for n in model.qpos_channels if n in recordings[0].channels)
-    interval = float(np.median([np.median(np.diff(r.channels[name].time)) for r in recordings]))
+    interval = float(np.median([np.median(np.diff(time)) for time in stamps]))
     horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
     why = "a joint moves unmeasured" if unmeasured else "no velocity was recorded"
     note = (
