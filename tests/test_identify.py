@@ -22,7 +22,7 @@ from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import History, Rules, initial_rows, search
 from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -367,6 +367,22 @@ def test_what_has_no_error_is_said() -> None:
         f"the nominal {half}", f"the identified {half}",
         "there is no window in which neither diverges",
     ]  # fmt: skip
+
+
+def test_windows_without_velocities_are_as_long_where_a_sensor_is_faster(tmp_path: Path) -> None:
+    """They are counted in instants at which anything was recorded, ten times as many here."""
+    study = cart_study(tmp_path)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="qvel.rail")
+    whole = Recording.from_frame(log, name="cart")
+    time = np.arange(4000) * 0.001
+    force = Channel(time, whole.channels["ctrl.motor"].at(time), "N", "", "zero")
+    fast = replace(whole, channels={**whole.channels, "sensor.force": force})
+    lengths = {}
+    for name, recording in (("slow", whole), ("fast", fast)):
+        windows = make_problem(study, [recording], threads=1).deviation.windows
+        lengths[name] = windows.step[:, -1].max() * windows.timestep
+    assert lengths["slow"] == pytest.approx(0.15)
+    assert lengths["fast"] == pytest.approx(0.15, abs=0.011)
 
 
 @pytest.mark.parametrize("whole", [0, 1])
