@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from diagnosis_helpers import ARM, record
 from scipy.spatial import cKDTree
 
 from bo_sysid.belief.bootstrap import resample
@@ -15,7 +16,7 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
-from bo_sysid.identify.errors import remarks, side_by_side
+from bo_sysid.identify.errors import compared, remarks, side_by_side
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
@@ -383,6 +384,24 @@ def test_windows_without_velocities_are_as_long_where_a_sensor_is_faster(tmp_pat
         lengths[name] = windows.step[:, -1].max() * windows.timestep
     assert lengths["slow"] == pytest.approx(0.15)
     assert lengths["fast"] == pytest.approx(0.15, abs=0.011)
+
+
+def test_forecasts_begin_as_well_where_one_joint_is_slower_than_others(tmp_path: Path) -> None:
+    """With one sample of the elbow its speed follows from how the shoulder's noise bends."""
+    mass = {"name": "mass", "address": "geom[forearm].mass", "low": 0.4, "high": 0.8, "steps": 3}
+    data = {"model": str(ARM), "recordings": {"train": ["arm.parquet"]}, "parameters": [mass]}
+    study = Study.from_dict(data, tmp_path)
+    whole = record(duration=4.0, sampling=0.004)
+    elbow = whole.channels["qpos.elbow"]
+    every_third = replace(elbow, time=elbow.time[::3], values=elbow.values[::3])
+    slow = replace(whole, channels={**whole.channels, "qpos.elbow": every_third})
+    rms = {}
+    for name, recording in (("whole", whole), ("slow", slow)):
+        problem = make_problem(study, [recording], threads=1)
+        table = compared(problem, problem.nominal, {"train": [recording]})
+        table = table[table["kind"] == "forecast"].set_index("channel")
+        rms[name] = table.loc["qpos.elbow", "nominal"]
+    assert rms["slow"] < 1.5 * rms["whole"], rms
 
 
 @pytest.mark.parametrize("whole", [0, 1])
