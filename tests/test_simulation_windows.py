@@ -1,5 +1,7 @@
 """Windows: cut from messy recordings, compared at the recorded instants."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -54,6 +56,31 @@ def test_the_model_predicts_its_own_recording(arm: Model, horizon: int) -> None:
     np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
     assert len(windows) == 400 // horizon
     assert windows.aligned
+
+
+def begun(recording: Recording, channel: str, at: float) -> Recording:
+    """Return a recording of which one channel begins later."""
+    whole = recording.channels[channel]
+    kept = whole.time >= at
+    late = replace(whole, time=whole.time[kept], values=whole.values[kept])
+    return replace(recording, channels={**recording.channels, channel: late})
+
+
+def test_no_window_begins_before_its_controls_are_known(arm: Model) -> None:
+    late = begun(simulated(arm), "ctrl.elbow", 0.3)
+    windows, prediction = forecast(arm, late, 10)
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+    assert windows.time[0] == pytest.approx(0.3)
+    assert len(windows) == 25
+    (note,) = windows.notes
+    assert "ctrl.elbow begins 0.3 s after the measurements; 15 of 40 windows begin before" in note
+    hair = begun(simulated(arm), "ctrl.elbow", 0.002)  # as where logs of two topics begin
+    assert len(forecast(arm, hair, 10)[0]) == 40
+    shifted = late.channels["ctrl.elbow"]
+    other = replace(shifted, time=shifted.time + 5.0)
+    apart = replace(late, channels={**late.channels, "ctrl.elbow": other})
+    with pytest.raises(RecordingError, match=r"ctrl.elbow begins 5.3 s after .* same moment"):
+        cut(arm, [apart], horizon=10)
 
 
 def test_every_other_sample_is_predicted_over_two_steps(arm: Model) -> None:
