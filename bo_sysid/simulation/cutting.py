@@ -97,7 +97,7 @@ def _cut_one(
         if not deaf and n.removeprefix("ctrl.") not in controlled
     ]
     inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
-    first, notes = window_starts(recording.name, time, complete, horizon, stride, inputs)
+    first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
     instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
     step = np.floor(instants / dt + _ON_STEP).astype(int)
     fraction = instants / dt - step
@@ -121,7 +121,8 @@ def _cut_one(
         time=time[first],
         recording=np.full(len(first), number),
         timestep=dt,
-        notes=notes + note + open_,
+        notes=note + open_,
+        left_out=left_out,
     )
 
 
@@ -299,4 +300,5 @@ def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> 
         recording=np.concatenate([p.recording for p in pieces]),
         timestep=dt,
         notes=tuple(n for p in pieces for n in p.notes),
+        left_out=tuple(n for p in pieces for n in p.left_out),
     )
