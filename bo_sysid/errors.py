@@ -49,20 +49,19 @@ def is_input_error(error: OSError) -> bool:
     return isinstance(error, wrong)
 
 
-def nearest(name: str, valid: Iterable[str], most: int = 3) -> str:
+def nearest(name: str, valid: Iterable[str]) -> str:
     """Return a hint that names the valid choices nearest to `name`.
 
     Args:
         name: what was written.
         valid: the valid choices.
-        most: how many choices to name.
 
     Returns:
         For instance ``"did you mean 'elbow'?"`` or, where nothing is near, ``"valid: 'a', 'b'"``;
         the empty string where there is no valid choice at all.
     """
     choices = sorted({str(v) for v in valid})
-    near = difflib.get_close_matches(name, choices, n=most, cutoff=0.5)
+    near = difflib.get_close_matches(name, choices, n=3, cutoff=0.5)
     if near:
         return "did you mean " + " or ".join(repr(n) for n in near) + "?"
     if not choices:

@@ -27,7 +27,7 @@ def test_entropy_settled(entropies, settled):
 def test_converged_is_all_mass_on_evaluated_rows():
     assert has_converged(WIDE, np.array([2, 0, 1]))
     assert not has_converged(WIDE, np.array([0, 1, 3]))
-    assert has_converged(WIDE, np.array([0, 1]), mass=0.25)
+    assert not has_converged(WIDE, np.array([0, 1]))
     assert not has_converged(WIDE, np.array([], dtype=int))
 
 
@@ -55,7 +55,6 @@ def test_every_reason_says_what_happened():
         ({"budget": 0}, "must be at least 1"),
         ({"last": 0}, "must be at least 1"),
         ({"entropy": -1.0}, "must not be negative"),
-        ({"mass": 1.0}, "must be in"),
     ],
 )
 def test_settings_out_of_range(settings, message):

@@ -35,7 +35,7 @@ from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_forc
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
 from bo_sysid.diagnosis.windows.problem import Problem
-from bo_sysid.effects import CATALOGUE
+from bo_sysid.effects import CATALOGUE, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
@@ -359,6 +359,24 @@ def test_intervals_of_details_end_where_nothing_was_searched_for(friction) -> No
     (finding,) = findings(blind, machine, 1.0)
     for i, name in enumerate(("damping over stiffness", "damping on the link"), 1):
         assert finding.details[name].interval == (c.low[i], c.high[i])
+
+
+def test_details_have_the_units_of_a_slide_but_a_phase_is_an_angle_there(friction) -> None:
+    text = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0"/>
+    <geom size=".1" mass="1"/></body></worldbody></mujoco>"""
+    log = Recording.from_arrays(t := np.arange(0.0, 4.0, 0.01), qpos={"rail": np.sin(t)})
+    machine = survey(mujoco.MjModel.from_xml_string(text), [log])
+
+    def units(effect: str) -> dict[str, str]:
+        best, c = friction.decision.best, candidate(machine, effect, "rail")
+        hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+        J, covariance = np.zeros((*best.residual.shape, c.size)), np.eye(c.size)
+        fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance)
+        (finding,) = findings(fit, machine, 1.0)
+        return {name: q.unit for name, q in finding.details.items()}
+
+    assert units("cogging")["phase"] == "rad"
+    assert units("joint_spring")["rest angle"] == "m"
 
 
 def test_names_that_leave_much_are_hints(friction) -> None:

@@ -7,22 +7,23 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from diagnosis_helpers import ARM, record
 from scipy.spatial import cKDTree
 
 from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.forecast import Residual
-from bo_sysid.errors import RunError, StudyError
+from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
-from bo_sysid.identify.errors import remarks, side_by_side
+from bo_sysid.identify.errors import compared, remarks, side_by_side
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import History, Rules, initial_rows, search
 from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 
@@ -367,6 +368,55 @@ def test_what_has_no_error_is_said() -> None:
         f"the nominal {half}", f"the identified {half}",
         "there is no window in which neither diverges",
     ]  # fmt: skip
+
+
+def test_windows_without_velocities_are_as_long_where_a_sensor_is_faster(tmp_path: Path) -> None:
+    """They are counted in instants at which anything was recorded, ten times as many here."""
+    study = cart_study(tmp_path)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="qvel.rail")
+    whole = Recording.from_frame(log, name="cart")
+    time = np.arange(4000) * 0.001
+    force = Channel(time, whole.channels["ctrl.motor"].at(time), "N", "", "zero")
+    fast = replace(whole, channels={**whole.channels, "sensor.force": force})
+    lengths = {}
+    for name, recording in (("slow", whole), ("fast", fast)):
+        windows = make_problem(study, [recording], threads=1).deviation.windows
+        lengths[name] = windows.step[:, -1].max() * windows.timestep
+    assert lengths["slow"] == pytest.approx(0.15)
+    assert lengths["fast"] == pytest.approx(0.15, abs=0.011)
+
+
+def test_forecasts_begin_as_well_where_one_joint_is_slower_than_others(tmp_path: Path) -> None:
+    """With one sample of the elbow its speed follows from how the shoulder's noise bends."""
+    mass = {"name": "mass", "address": "geom[forearm].mass", "low": 0.4, "high": 0.8, "steps": 3}
+    data = {"model": str(ARM), "recordings": {"train": ["arm.parquet"]}, "parameters": [mass]}
+    study = Study.from_dict(data, tmp_path)
+    whole = record(duration=4.0, sampling=0.004)
+    elbow = whole.channels["qpos.elbow"]
+    every_third = replace(elbow, time=elbow.time[::3], values=elbow.values[::3])
+    slow = replace(whole, channels={**whole.channels, "qpos.elbow": every_third})
+    rms = {}
+    for name, recording in (("whole", whole), ("slow", slow)):
+        problem = make_problem(study, [recording], threads=1)
+        table = compared(problem, problem.nominal, {"train": [recording]})
+        table = table[table["kind"] == "forecast"].set_index("channel")
+        rms[name] = table.loc["qpos.elbow", "nominal"]
+    assert rms["slow"] < 1.5 * rms["whole"], rms
+
+
+@pytest.mark.parametrize("whole", [0, 1])
+def test_a_recording_without_positions_or_velocities_is_told_by_name(
+    tmp_path: Path, whole: int
+) -> None:
+    files = ["cart.parquet", "blind.parquet"]
+    recordings = {"train": [files[1 - whole], files[whole]]}
+    study = cart_study(tmp_path, recordings=recordings)
+    log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="qvel.rail")
+    log.to_parquet(tmp_path / "cart.parquet")
+    force = {"sensor.force": log["ctrl.motor"]}
+    log.drop(columns="qpos.rail").assign(**force).to_parquet(tmp_path / "blind.parquet")
+    with pytest.raises(RecordingError, match=r"blind.*: no channel 'qpos.rail'"):
+        make_problem(study, threads=1)
 
 
 def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Model, address_edit
+from bo_sysid.mjcf.commands import units
 
 ARM = """
 <mujoco>
@@ -505,3 +506,23 @@ def test_actuators_without_a_control_are_no_controls() -> None:
     assert model.actuators == ("friction", "actuator_1", "valve", "actuator_3")
     assert model.controlled == ("actuator_1", "valve", "actuator_3")
     assert model.ctrl_channels == tuple(f"ctrl.{name}" for name in model.controlled)
+
+
+def test_only_controls_that_are_a_force_or_a_position_have_a_unit() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody>
+        <body><joint name="hinge"/><geom size=".1"/></body>
+        <body><joint name="rail" type="slide"/><geom size=".1"/></body>
+        <body><joint name="socket" type="ball"/><geom size=".1"/></body></worldbody><actuator>
+        <motor name="torque" joint="hinge"/> <motor name="force" joint="rail"/>
+        <motor name="geared" joint="hinge" gear="5"/> <motor name="ball" joint="socket"/>
+        <position name="goal" joint="hinge" kp="3"/> <position name="place" joint="rail"/>
+        <intvelocity name="rate" joint="hinge" kp="3" actrange="-1 1"/>
+        <velocity name="speed" joint="hinge" kv="2"/>
+        <dcmotor name="voltage" joint="hinge" motorconst=".1 .1" resistance="1"/>
+        </actuator></mujoco>"""
+    )
+    assert units(model) == {
+        "qpos.hinge": "rad", "qvel.hinge": "rad/s", "qpos.rail": "m", "qvel.rail": "m/s",
+        "ctrl.torque": "N m", "ctrl.force": "N", "ctrl.goal": "rad", "ctrl.place": "m",
+    }  # fmt: skip

@@ -57,6 +57,29 @@ def test_the_panels_differ_where_the_nominal_model_is_wrong(tmp_path: Path) -> N
     assert alike[1] < 0.5
 
 
+def test_joints_with_clocks_of_their_own_are_drawn_between_their_samples(tmp_path: Path) -> None:
+    """The elbow at a third of the shoulder's rate: two in three of its samples are not there."""
+    slow = traces(0.8)
+    number = slow.groupby("channel").cumcount()
+    gone = (slow["channel"] == "qpos.elbow") & (number % 3 > 0)
+    slow.loc[gone, ["recorded", "nominal", "repaired"]] = np.nan
+    drawn = {}
+    for name, told in (("whole", traces(0.8)), ("slow", slow)):
+        assert write_animation(tmp_path / f"{name}.gif", Model.from_file(ARM), told)
+        drawn[name] = np.array(lines(tmp_path / f"{name}.gif"))
+    assert (drawn["whole"] & drawn["slow"]).sum() > 0.9 * (drawn["whole"] | drawn["slow"]).sum()
+
+
+def test_a_model_that_diverges_is_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
+    model = Model.from_file(ARM)
+    late = traces(0.8)
+    late.loc[late["time"] > 0.5, "nominal"] = np.nan
+    assert write_animation(tmp_path / "a.gif", model, late)
+    with Image.open(tmp_path / "a.gif") as moving:
+        assert 10 <= moving.n_frames <= 12
+    assert not write_animation(tmp_path / "b.gif", model, traces(0.8).assign(nominal=np.nan))
+
+
 def test_traces_of_other_joints_show_nothing(tmp_path: Path) -> None:
     other = traces(0.1).assign(channel="qpos.knee")
     assert not write_animation(tmp_path / "a.gif", Model.from_file(ARM), other)

@@ -151,6 +151,18 @@ def test_what_diverged_or_was_not_recorded_is_drawn_without_a_warning() -> None:
     assert low < high
 
 
+def test_a_channel_that_the_first_recording_lacks_is_not_drawn_of_it() -> None:
+    """Of several recordings that were set aside the figure shows the first."""
+    first, second = traces(), traces().assign(recording="noon", window=9)
+    lost = first.assign(channel="qpos.lost", nominal=np.nan)
+    other = first.assign(channel="qvel.boom", recorded=np.nan)
+    told = second.assign(channel="qvel.boom")
+    figure = held_out(pd.concat([first, lost, other, second, told], ignore_index=True))
+    figure.draw_without_rendering()
+    assert [a.get_ylabel() for a in figure.axes[::2]] == ["qpos.lost\n", "qpos.boom\n"]
+    assert "nominal: no prediction" in figure.axes[1].get_legend_handles_labels()[1]
+
+
 def test_of_two_predictions_that_are_the_same_both_are_seen() -> None:
     same = traces().rename(columns={"repaired": "identified"}).assign(nominal=0.0, identified=0.0)
     for axis in predictions(same).axes:

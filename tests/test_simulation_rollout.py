@@ -190,6 +190,27 @@ def test_a_held_force_is_evaluated_once_every_few_steps() -> None:
             np.testing.assert_allclose(held.qpos[w, k + 1], data.qpos, atol=1e-14)
 
 
+def test_a_held_force_that_remembers_is_told_how_long_it_is_held() -> None:
+    """The sum of what it is told is the time; it was a third of it, the steps not counted."""
+    ctrl = np.ones((4, 12, 1))
+    told = []
+
+    def law(inputs: LawInputs) -> np.ndarray:
+        past = inputs.memory.get("time", np.zeros_like(inputs.time))
+        np.testing.assert_allclose(inputs.time, past, atol=1e-12)
+        inputs.memory["time"] = past + inputs.timestep
+        told.append(inputs.timestep)
+        return np.zeros_like(inputs.time)
+
+    Engine().rollout(pendulum(), starts(4), ctrl, laws=(ForceLaw("hinge", law, hold=0.003),))
+    assert told == pytest.approx([0.003] * 4)
+    told.clear()  # beside given forces laws follow every step
+    force = np.zeros((4, 12, 1))
+    held = ForceLaw("hinge", law, hold=0.003)
+    Engine().rollout(pendulum(), starts(4), ctrl, force=force, laws=(held,))
+    assert told == pytest.approx([0.001] * 12)
+
+
 def test_a_law_sees_the_names_and_the_time_step_of_the_model_that_is_given() -> None:
     """Also where the batch was made for another model of the same sizes."""
     engine, start, ctrl = Engine(), starts(2), np.zeros((2, 3, 1))

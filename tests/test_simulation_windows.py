@@ -1,5 +1,7 @@
 """Windows: cut from messy recordings, compared at the recorded instants."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -54,6 +56,31 @@ def test_the_model_predicts_its_own_recording(arm: Model, horizon: int) -> None:
     np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
     assert len(windows) == 400 // horizon
     assert windows.aligned
+
+
+def begun(recording: Recording, channel: str, at: float) -> Recording:
+    """Return a recording of which one channel begins later."""
+    whole = recording.channels[channel]
+    kept = whole.time >= at
+    late = replace(whole, time=whole.time[kept], values=whole.values[kept])
+    return replace(recording, channels={**recording.channels, channel: late})
+
+
+def test_no_window_begins_before_its_controls_are_known(arm: Model) -> None:
+    late = begun(simulated(arm), "ctrl.elbow", 0.3)
+    windows, prediction = forecast(arm, late, 10)
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+    assert windows.time[0] == pytest.approx(0.3)
+    assert len(windows) == 25
+    (note,) = windows.left_out
+    assert "ctrl.elbow begins 0.3 s after the measurements; 15 of 40 windows begin before" in note
+    hair = begun(simulated(arm), "ctrl.elbow", 0.002)  # as where logs of two topics begin
+    assert len(forecast(arm, hair, 10)[0]) == 40
+    shifted = late.channels["ctrl.elbow"]
+    other = replace(shifted, time=shifted.time + 5.0)
+    apart = replace(late, channels={**late.channels, "ctrl.elbow": other})
+    with pytest.raises(RecordingError, match=r"ctrl.elbow begins 5.3 s after .* same moment"):
+        cut(arm, [apart], horizon=10)
 
 
 def test_every_other_sample_is_predicted_over_two_steps(arm: Model) -> None:
@@ -143,12 +170,12 @@ def test_windows_start_wherever_clocks_that_interleave_let_them(arm: Model) -> N
     """Of 11 instants one has the positions: a window of 10 starts at each of them, not at a few."""
     windows = cut(arm, [two_rates(arm, 0.001)], horizon=10)
     np.testing.assert_allclose(windows.time, np.arange(40) * 0.02)
-    assert any("39 of 442 instants are predicted by no window" in n for n in windows.notes)
+    assert any("39 of 442 instants are predicted by no window" in n for n in windows.left_out)
     wide = cut(arm, [two_rates(arm, 0.001)], horizon=10, stride=12)
     np.testing.assert_allclose(wide.time, np.arange(20) * 0.04)
     dense = cut(arm, [two_rates(arm, 0.001)], horizon=25, stride=1)
     np.testing.assert_allclose(dense.time, np.arange(38) * 0.02)
-    assert not any("by no window" in n for n in dense.notes)
+    assert not any("by no window" in n for n in dense.left_out)
 
 
 @pytest.mark.parametrize("stride", [None, 3, 20])
@@ -159,7 +186,7 @@ def test_where_every_instant_is_complete_windows_start_every_stride(
     windows = cut(arm, [whole], horizon=10, stride=stride)
     rows = np.arange(0, 401 - 10, stride or 10)
     np.testing.assert_array_equal(windows.time, whole.channels["qpos.elbow"].time[rows])
-    assert windows.notes == ()
+    assert windows.notes == windows.left_out == ()
 
 
 def test_positions_that_end_before_a_sensor_are_told(arm: Model) -> None:
@@ -168,7 +195,7 @@ def test_positions_that_end_before_a_sensor_are_told(arm: Model) -> None:
                 for n, c in whole.channels.items()}  # fmt: skip
     windows = cut(arm, [Recording("ends", channels)], horizon=10)
     np.testing.assert_allclose(windows.time, np.arange(21) * 0.02)
-    assert windows.notes == (
+    assert windows.left_out == (
         "ends: 181 of 401 instants are predicted by no window, for one starts only where every "
         "joint position was recorded",
     )
@@ -182,7 +209,7 @@ def test_windows_do_not_span_gaps(arm: Model) -> None:
         {n: Channel(c.time[keep], c.values[keep], hold=c.hold) for n, c in whole.channels.items()},
     )
     windows = cut(arm, [gappy], horizon=10)
-    assert "gap" in windows.notes[0]
+    assert "gap" in windows.left_out[0]
     length = (windows.step + windows.fraction)[:, -1] * windows.timestep
     np.testing.assert_allclose(length, 0.02)
 

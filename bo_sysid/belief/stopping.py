@@ -37,22 +37,17 @@ class StopRule:
         budget: number of evaluations, the initial ones included.
         entropy: threshold in nats; None switches the entropy condition off.
         last: number of picks over which the entropy is watched.
-        mass: probability that may remain on candidates that were not evaluated when the search
-            counts as converged.
     """
 
     budget: int = 60
     entropy: float | None = 0.01
     last: int = 5
-    mass: float = 0.0
 
     def __post_init__(self) -> None:
         if self.budget < 1 or self.last < 1:
             raise ValueError(f"budget {self.budget} and last {self.last} must be at least 1")
         if self.entropy is not None and self.entropy < 0:
             raise ValueError(f"entropy {self.entropy} must not be negative")
-        if not 0 <= self.mass < 1:
-            raise ValueError(f"mass {self.mass} must be in [0, 1)")
 
     def __call__(
         self, entropies: Sequence[float], belief: ArgminBelief, evaluated: Rows
@@ -64,7 +59,7 @@ class StopRule:
             belief: the present one.
             evaluated: rows that have been evaluated.
         """
-        if has_converged(belief, evaluated, self.mass):
+        if has_converged(belief, evaluated):
             return StopReason.CONVERGED
         if len(evaluated) >= self.budget:
             return StopReason.BUDGET
@@ -73,11 +68,11 @@ class StopRule:
         return None
 
 
-def has_converged(belief: ArgminBelief, evaluated: Rows, mass: float = 0.0) -> bool:
-    """Return whether at most `mass` of the probability is on candidates not evaluated."""
+def has_converged(belief: ArgminBelief, evaluated: Rows) -> bool:
+    """Return whether all probability is on candidates that were evaluated."""
     unseen = np.ones(len(belief.probabilities), dtype=bool)
     unseen[np.asarray(evaluated, dtype=np.intp)] = False
-    return bool(belief.probabilities[unseen].sum() <= mass)
+    return not belief.probabilities[unseen].any()
 
 
 def entropy_settled(entropies: Sequence[float], threshold: float, last: int) -> bool:

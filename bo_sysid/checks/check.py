@@ -1,7 +1,7 @@
 """All checks of a study, before anything is fitted."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -201,7 +201,7 @@ def _identifiability(
     length = float((windows.step[:, -1] + windows.fraction[:, -1]).mean() * windows.timestep)
     share = max(seconds / (length * len(windows)), 1.0)  # all windows say so much more
     found = information(simulator, point, windows, noise)
-    found = type(found)(found.parameters, found.fisher * share)
+    found = replace(found, fisher=found.fisher * share)
     flags = [
         Flag(
             "look",

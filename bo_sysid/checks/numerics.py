@@ -9,7 +9,7 @@ import pandas as pd
 
 from bo_sysid.arrays import Point
 from bo_sysid.checks.flags import Flag
-from bo_sysid.mjcf.joints import SLIDE
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import MujocoSimulator, Windows
@@ -95,7 +95,7 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
         return []
     data = mujoco.MjData(model)
     names = [model.joint(j).name for j in range(model.njnt)]
-    if any(int(t) < SLIDE for t in model.jnt_type):
+    if not np.isin(model.jnt_type, SCALAR).all():
         return _floating(model)
     touched: dict[tuple[str, str], int] = {}
     count = 0

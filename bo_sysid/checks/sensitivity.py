@@ -50,7 +50,7 @@ class Information:
         share = self.sigma
         width = np.array([p.high - p.low for p in self.parameters])
         verdict = np.where(
-            share < _WEAK, "determined", np.where(share < _SAYS_NOTHING * _PRIOR, "weakly", "not")
+            share < _WEAK, "yes", np.where(share < _SAYS_NOTHING * _PRIOR, "weakly", "not")
         )
         return pd.DataFrame(
             {
@@ -58,7 +58,7 @@ class Information:
                 "unit": [p.unit for p in self.parameters],
                 "sigma": share * width,
                 "of_range": share,
-                "determined": np.where(verdict == "determined", "yes", verdict),
+                "determined": verdict,
             }
         )
 

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -159,8 +158,3 @@ def slug(name: str) -> str:
     if not made:
         raise StudyError(f"the name {name!r} has no letter or digit, and names files")
     return made
-
-
-def absolute(study: Study) -> str:
-    """Return the folder of a study, as jobs elsewhere see it."""
-    return str(Path(study.folder).resolve())

@@ -20,30 +20,27 @@ LEVEL = 0.95
 _SLACK = 1e-12  # of regret above a level that still counts as reached: rounding
 
 
-def bootstrap(
-    values: Float[np.ndarray, " n"], seed: int = 0, level: float = LEVEL
-) -> tuple[float, float, float]:
-    """Return the mean and its percentile bootstrap interval; a single value has none (NaN).
+def bootstrap(values: Float[np.ndarray, " n"], seed: int = 0) -> tuple[float, float, float]:
+    """Return the mean and its 95 % percentile bootstrap interval; NaN of a single value.
 
     Args:
         values: independent.
         seed: of the draws.
-        level: of confidence.
     """
     values = np.asarray(values, float)
     mean = float(values.mean())
     if len(values) < 2:
         return mean, float("nan"), float("nan")
     rows = np.random.default_rng(seed).integers(len(values), size=(DRAWS, len(values)))
-    low, high = np.quantile(values[rows].mean(axis=1), [0.5 - level / 2, 0.5 + level / 2])
+    low, high = np.quantile(values[rows].mean(axis=1), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return mean, float(low), float(high)
 
 
-def share(right: int, of: int, level: float = LEVEL) -> tuple[float, float, float]:
-    """Return a share and its Wilson interval; NaN where nothing was counted."""
+def share(right: int, of: int) -> tuple[float, float, float]:
+    """Return a share and its 95 % Wilson interval; NaN where nothing was counted."""
     if not of:
         return (float("nan"),) * 3
-    interval = binomtest(right, of).proportion_ci(level, method="wilson")
+    interval = binomtest(right, of).proportion_ci(LEVEL, method="wilson")
     return right / of, float(interval.low), float(interval.high)
 
 

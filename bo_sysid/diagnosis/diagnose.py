@@ -186,7 +186,8 @@ def diagnose(
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
-    said = (note for recording in evidence.recordings for note in recording.notes)
+    said = [note for recording in evidence.recordings for note in recording.notes]
+    left_out = located.prepared.problem.windows.left_out
     told = (*_nowhere(study, evidence), *notes, *held_notes(study))
     result = Diagnosis(
         study.name,
@@ -197,7 +198,7 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        tuple(dict.fromkeys((*told, *evidence.notes, *outside, *said))),
+        tuple(dict.fromkeys((*told, *evidence.notes, *outside, *left_out, *said))),
         contact,
     )
     if run is not None:

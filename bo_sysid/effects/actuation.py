@@ -16,6 +16,7 @@ from bo_sysid.effects.contract import (
     Part,
     Signal,
     Site,
+    unit_at,
 )
 from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
 from bo_sysid.effects.registry import effect
@@ -141,7 +142,7 @@ def _limit(site: Site, machine: Machine) -> float:
 
 
 def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
-    return {"torque lost": (float(x[0]), "N m")}
+    return {"torque lost": (float(x[0]), unit_at("N m", site, machine))}
 
 
 @effect(

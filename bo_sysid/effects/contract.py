@@ -217,7 +217,7 @@ class Effect:
         nested: id of the simpler effect that remains where the first component is 0, if any.
         force: for an effect that is nothing but a force on its joint, that force as a law; its
             signature is then taken from the law, without stepping an edited model.
-        details: from magnitudes to derived quantities worth telling, with their units.
+        details: from magnitudes to derived quantities worth telling, with their units there.
         absolute: the quantity itself, where that is reported instead of its change (the limit of
             a saturation, the time step).
         form: what it is in a model: MJCF attributes, or a force law, a filter, a reading.

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import passive_motor
-from bo_sysid.effects.contract import Component, Extent, Force, Magnitudes, Part, Site
+from bo_sysid.effects.contract import Component, Extent, Force, Magnitudes, Part, Site, unit_at
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.joints import settle_springdamper
@@ -69,7 +69,7 @@ def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
     if bent or abs(stiffness) <= _NO_SPRING * (abs(own) + abs(float(x[0]))):
         return {}
     begun = own * float(machine.model.qpos_spring[joint.qposadr[0]])
-    return {"rest angle": ((begun + float(x[1])) / stiffness, "rad")}
+    return {"rest angle": ((begun + float(x[1])) / stiffness, unit_at("rad", site, machine))}
 
 
 @effect(
@@ -134,6 +134,7 @@ def _cogging_extent(site: Site, machine: Machine) -> Extent | None:
 
 
 def _cogging_phase(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tuple[float, str]]:
+    """Return the phase, an angle at a slide, too."""
     return {"phase": (float(np.arctan2(x[1], x[0])), "rad")}
 
 

@@ -11,6 +11,7 @@ from bo_sysid.effects.memory import follows
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
 from bo_sysid.study.outer import Limit
@@ -49,7 +50,7 @@ class Limits:
         for name in stated:
             if name not in model.joints:
                 raise StudyError(f"limits: no joint {name!r}; {nearest(name, model.joints)}")
-        if compiled.nq != compiled.nv or (np.asarray(compiled.jnt_type) < 2).any():
+        if not np.isin(compiled.jnt_type, SCALAR).all():
             raise StudyError("excite needs a model of hinges and slides; hold a floating base")
         position = np.tile([-np.inf, np.inf], (compiled.nv, 1))
         velocity, effort = np.full(compiled.nv, np.inf), np.full(compiled.nv, np.inf)

@@ -1,6 +1,7 @@
 """How well the nominal and the identified model predict, in numbers and as traces."""
 
 from collections.abc import Mapping, Sequence
+from math import ceil
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.simulator import Prediction
 
-_PAST = 8  # a forecast's start uses as many instants as 1/8 of its horizon
+_PAST = 8  # a forecast's start uses as many samples of a joint as 1/8 of the horizon's instants
 _TRACED = 4_000  # most instants of a trace
 
 
@@ -92,13 +93,22 @@ def _in(share: float) -> str:
 
 def instants_needed(problem: Problem) -> int:
     """Return how many instants after its first a recording must have to be compared."""
-    past = past_of(problem.horizon) if problem.deviation.fitted_starts else 0
+    past = past_of(problem) if problem.deviation.fitted_starts else 0
     return problem.horizon + past
 
 
-def past_of(horizon: int) -> int:
-    """Return how many instants a forecast's start uses."""
-    return max(horizon // _PAST, 2)
+def past_of(problem: Problem) -> int:
+    """Return how many instants a forecast's start uses.
+
+    Where joints have unlike rates, many instants tell nothing of the slowest: position and speed
+    need two of its samples at least.
+    """
+    windows = problem.deviation.windows
+    places = [k for k, name in enumerate(windows.channels) if name.startswith("qpos.")]
+    told = np.isfinite(windows.observed[:, :, places])
+    each = [told[windows.recording == r].mean(axis=(0, 1)) for r in np.unique(windows.recording)]
+    share = max(float(np.min(each)), 1 / problem.horizon)
+    return ceil(max(problem.horizon // _PAST, 2) / share)
 
 
 def _by_kind(
@@ -107,9 +117,8 @@ def _by_kind(
     deviation = problem.on(recordings)
     if not deviation.fitted_starts:
         return {"prediction": prediction_residual(deviation, point)}
-    horizon = problem.horizon
-    past = past_of(horizon)
-    longer = problem.on(recordings, horizon + past)
+    past = past_of(problem)
+    longer = problem.on(recordings, problem.horizon + past)
     return {
         "fit": fit_residual(deviation, point),
         "forecast": forecast_residual(longer, point, past=past),

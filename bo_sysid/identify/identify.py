@@ -235,7 +235,7 @@ def _notes(problem: Problem) -> tuple[str, ...]:
     notes = (
         list(problem.notes)
         + [n for r in problem.recordings for n in r.notes]
-        + list(problem.deviation.windows.notes)
+        + [*problem.deviation.windows.left_out, *problem.deviation.windows.notes]
     )
     w = problem.deviation.whitening
     notes += [

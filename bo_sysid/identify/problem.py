@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
@@ -159,10 +160,10 @@ def _framing(
     rates = set(model.qvel_channels)
     unmeasured = set(model.unrecorded) - set(model.loops.joints)
     measured = not unmeasured and any(rates & set(r.channels) for r in recordings)
-    if asked.starts == "fitted" or not rates or measured:
+    stamps = [s for r in recordings if len(s := _stamps(model, r)) > 1]
+    if asked.starts == "fitted" or not rates or measured or not stamps:
         return asked.starts == "fitted", asked.horizon, ()
-    name = next(n for n in model.qpos_channels if n in recordings[0].channels)
-    interval = float(np.median([np.median(np.diff(r.channels[name].time)) for r in recordings]))
+    interval = float(np.median([np.median(np.diff(s)) for s in stamps]))
     horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
     why = "a joint moves unmeasured" if unmeasured else "no velocity was recorded"
     note = (
@@ -195,9 +196,14 @@ def _require_two(
 
 def instants_of(model: Model, recording: Recording) -> int:
     """Return at how many instants something was recorded that the model shows."""
+    return len(_stamps(model, recording))
+
+
+def _stamps(model: Model, recording: Recording) -> Float[np.ndarray, " T"]:
+    """Return the instants at which something was recorded that the model shows, in [s]."""
     shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
     times = [c.time for name, c in recording.channels.items() if name in shown]
-    return len(np.unique(np.concatenate(times)))
+    return np.unique(np.concatenate([np.zeros(0), *times]))
 
 
 def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:

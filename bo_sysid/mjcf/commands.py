@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.mjcf.joints import HINGE, SLIDE
+from bo_sysid.mjcf.joints import HINGE, SCALAR, joint_units
 
 ALONG_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions by which an actuator acts on one joint alone."""
@@ -132,22 +132,25 @@ def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def units(model: mujoco.MjModel) -> dict[str, str]:
-    """Return the units of channels of hinges and slides, and of controls that have a plain one."""
-    found = {}
-    hinges = model.jnt_type == HINGE
-    slides = model.jnt_type == SLIDE
-    for j in np.flatnonzero(hinges | slides):
-        name, place = model.joint(j).name, "rad" if hinges[j] else "m"
-        found[f"qpos.{name}"], found[f"qvel.{name}"] = place, f"{place}/s"
+    """Return the units of channels of hinges and slides, and of controls that have a plain one.
+
+    That is a force or a position of the joint itself: no rate, as of actuators that integrate
+    their control, and no voltage, as of motors with a circuit.
+    """
+    found = joint_units(model)
     for a in controlled(model):
         j, gear = model.actuator_trnid[a, 0], model.actuator_gear[a, 0]
-        if model.actuator_trntype[a] not in ALONG_JOINT or gear != 1:
+        along = model.actuator_trntype[a] in ALONG_JOINT and model.jnt_type[j] in SCALAR
+        rate = model.actuator_dyntype[a] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        fixed = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+        if not along or gear != 1 or rate or not fixed:
             continue
+        hinge = model.jnt_type[j] == HINGE
         gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
         if gain and gain == -bias[1]:
-            found[f"ctrl.{model.actuator(a).name}"] = "rad" if hinges[j] else "m"
+            found[f"ctrl.{model.actuator(a).name}"] = "rad" if hinge else "m"
         elif gain == 1 and not bias[:3].any():
-            found[f"ctrl.{model.actuator(a).name}"] = "N m" if hinges[j] else "N"
+            found[f"ctrl.{model.actuator(a).name}"] = "N m" if hinge else "N"
     return found
 
 

@@ -14,6 +14,15 @@ QPOS_SIZE = {FREE: 7, BALL: 4, SLIDE: 1, HINGE: 1}
 QVEL_SIZE = {FREE: 6, BALL: 3, SLIDE: 1, HINGE: 1}
 
 
+def joint_units(model: mujoco.MjModel) -> dict[str, str]:
+    """Return the units of the position and velocity channels of hinges and slides."""
+    units = {}
+    for j in np.flatnonzero(np.isin(model.jnt_type, SCALAR)):
+        name, place = model.joint(j).name, "rad" if model.jnt_type[j] == HINGE else "m"
+        units[f"qpos.{name}"], units[f"qvel.{name}"] = place, f"{place}/s"
+    return units
+
+
 def settle_springdamper(joint: mujoco.MjsJoint, compiled: mujoco.MjModel) -> None:
     """Give a joint of a spec the stiffness and damping that MuJoCo derives from `springdamper`.
 

@@ -9,7 +9,7 @@ import numpy as np
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.compiling import coordinates
-from bo_sysid.mjcf.joints import SCALAR, SLIDE
+from bo_sysid.mjcf.joints import joint_units
 from bo_sysid.recording.value import Recording
 
 KINDS = ("qpos", "qvel", "act")
@@ -68,7 +68,8 @@ class Measuring:
                 kinds[kind] = group
         if warmstart:
             kinds["aux"] = {"qacc_warmstart": rows["qacc_warmstart"]}
-        return Recording.from_arrays(rows["time"], name=name, units=_units(self.plant), **kinds)
+        units = joint_units(self.plant)
+        return Recording.from_arrays(rows["time"], name=name, units=units, **kinds)
 
     def _columns(self, kind: str) -> dict[str, int]:
         """Return the plant's column of each channel of a kind that the nominal model has, too."""
@@ -80,14 +81,3 @@ class Measuring:
                 if channel in nominal:
                     columns[channel] = first + i
         return columns
-
-
-def _units(model: mujoco.MjModel) -> dict[str, str]:
-    """Return the unit of position and velocity of each slide and hinge."""
-    units = {}
-    for joint in range(model.njnt):
-        kind, name = int(model.jnt_type[joint]), model.joint(joint).name
-        if kind in SCALAR:
-            unit = "m" if kind == SLIDE else "rad"
-            units[f"qpos.{name}"], units[f"qvel.{name}"] = unit, f"{unit}/s"
-    return units

@@ -22,6 +22,8 @@ from bo_sysid.policy.settings import TrustRegion
 
 Product = Callable[[torch.Tensor], torch.Tensor]
 
+_SOLVED = 1e-10  # squared norm of a residual of conjugate gradients that counts as none
+
 
 class Batch(NamedTuple):
     """What was collected with the old policy, float32.
@@ -144,15 +146,14 @@ def surrogate_gradient(policy: GaussianPolicy, theta: torch.Tensor, batch: Batch
 
 
 def conjugate_gradient(
-    product: Product, b: torch.Tensor, steps: int, tolerance: float = 1e-10
+    product: Product, b: torch.Tensor, steps: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Solve A x = b approximately, starting from zero.
 
     Args:
         product: returns A v for a vector v; A symmetric and positive definite.
         b: right-hand side.
-        steps: most steps.
-        tolerance: stop where the squared norm of the residual falls below this.
+        steps: most steps; fewer where the squared norm of the residual falls below `_SOLVED`.
 
     Returns:
         x, and the residual b - A x.
@@ -160,7 +161,7 @@ def conjugate_gradient(
     x, residual = torch.zeros_like(b), b.clone()
     direction, squared = b.clone(), torch.dot(b, b)
     for _ in range(steps):
-        if squared < tolerance:
+        if squared < _SOLVED:
             break
         image = product(direction)
         step = squared / torch.dot(direction, image)

@@ -53,9 +53,7 @@ class Reliability:
         return self.error - self.expected
 
 
-def reliability(
-    stated: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"], seed: int = 0
-) -> Reliability:
+def reliability(stated: Float[np.ndarray, " n"], right: Bool[np.ndarray, " n"]) -> Reliability:
     """Compare stated probabilities with what happened, in bins of equal count.
 
     Small samples look uncalibrated even where every probability is true: the error is set beside
@@ -75,7 +73,7 @@ def reliability(
             (p.min(), p.max(), len(group), p.mean(), hits / len(group),
              *clopper_pearson(hits, len(group)))
         )  # fmt: skip
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = rng.random((_DRAWS, n)) < stated
     expected = np.mean([_error(stated, d, groups) for d in drawn])
     table = pd.DataFrame(rows, columns=columns)

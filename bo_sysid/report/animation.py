@@ -39,7 +39,8 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
     piece = _worst(traces[traces["channel"].isin(model.qpos_channels)], _COMPARED[0])
     if piece.empty:
         return False
-    poses = {m: _poses(piece, m) for m in ("recorded", *_COMPARED)}
+    instants = _shown(piece["time"])
+    poses = {m: _poses(piece, m, instants) for m in ("recorded", *_COMPARED)}
     posed = Posed.of(model, poses["recorded"][0])
     onto = view(posed)
     shapes = {m: [_shapes(posed, pose, onto) for pose in poses[m]] for m in poses}
@@ -56,21 +57,30 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
 
 
 def _worst(traces: pd.DataFrame, model: str) -> pd.DataFrame:
-    """Return the piece with the largest error of a model, thinned to the pictures' rate."""
-    finite = traces.dropna(subset=["recorded"])
+    """Return the piece with the largest error of a model, as far as all models predict it."""
+    finite = traces.dropna(subset=["recorded", *_COMPARED])
     if finite.empty:
         return finite
     error = (finite["recorded"] - finite[model]).abs().groupby(finite["window"]).max()
-    piece = finite[finite["window"] == error.idxmax()]
-    times = np.unique(piece["time"])
+    return finite[finite["window"] == error.idxmax()]
+
+
+def _shown(time: pd.Series) -> Float[np.ndarray, " T"]:
+    """Return the instants of a piece that get a picture."""
+    times = np.unique(time)
     wanted = np.arange(times[0], times[-1] + 1e-9, 1 / _RATE)[:_MOST]
-    shown = times[np.minimum(np.searchsorted(times, wanted), len(times) - 1)]
-    return piece[piece["time"].isin(shown)]
+    return np.unique(times[np.minimum(np.searchsorted(times, wanted), len(times) - 1)])
 
 
-def _poses(piece: pd.DataFrame, column: str) -> list[dict[str, float]]:
-    """Return one pose for each instant, by position channel."""
+def _poses(
+    piece: pd.DataFrame, column: str, times: Float[np.ndarray, " T"]
+) -> list[dict[str, float]]:
+    """Return one pose for each instant, by position channel.
+
+    Where a channel has a clock of its own, what is drawn lies on a line between its samples.
+    """
     table = piece.pivot_table(index="time", columns="channel", values=column)
+    table = table.interpolate("index", limit_direction="both").loc[times]
     return [{str(k): float(v) for k, v in row.items()} for row in table.to_dict("records")]
 
 

@@ -18,6 +18,7 @@ from bo_sysid.report.look import (
     first_part,
     in_a_row,
     left_words,
+    rms,
     set_colour,
     since_start,
     sure,
@@ -48,8 +49,9 @@ def held_out(traces: pd.DataFrame, units: Mapping[str, str] | None = None) -> Fi
         traces: recording, time, begin, window, channel, recorded, nominal, refitted, repaired.
         units: of the channels.
     """
-    names = worst_channels(traces)[:_CHANNELS]
     shown = first_part(since_start(traces))
+    recorded = {*shown.dropna(subset="recorded")["channel"]}
+    names = [n for n in worst_channels(traces) if n in recorded][:_CHANNELS]
     figure = Figure(figsize=(_WIDTH, 0.6 + 2.9 * len(names)), layout="constrained")
     axes = figure.subplots(
         2 * len(names), 1, squeeze=False, sharex=True, height_ratios=[3, 2] * len(names)
@@ -76,8 +78,9 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
         style: dict[str, Any] = {"color": COLOURS[model], **_LINES[model]}
         top.plot(time, part[model], label=MODELS[model], **style)
         error = recorded - part[model]
-        rms = float(np.sqrt(np.nanmean(np.square(error))))
-        below.plot(time, error, label=f"{model}: {float(f'{rms:.2g}'):g} {unit} rms", **style)
+        off = rms(error)
+        words = f"{float(f'{off:.2g}'):g} {unit} rms" if np.isfinite(off) else "no prediction"
+        below.plot(time, error, label=f"{model}: {words}", **style)
     low, high = float(recorded.min()), float(recorded.max())
     span = max(high - low, 1e-9)
     margin = 0.5 * span  # a forecast that leaves is cut off
@@ -167,9 +170,9 @@ def evidence(sets: pd.DataFrame) -> Figure:
     labels = ["\n".join(textwrap.wrap(str(s), 40)) for s in shown["set"]]
     axis.set_yticks(place, labels, fontsize="small")
     for y, row in zip(place, shown.to_dict("records"), strict=True):
-        rms = float(row["rms"])
-        words = f" {left_words(rms, row['probability'], row.get('p_boot', np.nan))}"
-        beside = max(np.nan_to_num(rms, nan=1.0), 1.0)  # right of the noise's line
+        leaves = float(row["rms"])
+        words = f" {left_words(leaves, row['probability'], row.get('p_boot', np.nan))}"
+        beside = max(np.nan_to_num(leaves, nan=1.0), 1.0)  # right of the noise's line
         axis.text(beside, y, words, va="center", fontsize="small")
     axis.set_xlabel("training residual [sensor sigma, rms]")
     axis.spines[["top", "right"]].set_visible(False)

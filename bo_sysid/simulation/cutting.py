@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
@@ -19,12 +19,12 @@ from bo_sysid.simulation.activations import activations, set_activations
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
+from bo_sysid.simulation.window_starts import window_starts
 from bo_sysid.simulation.windows import Layout, Windows
 
 WARMSTART = "aux.qacc_warmstart"  # recorded only from simulated plants
 _ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
 _OPEN = 1e-3  # [m] or [rad] that a loop may stay open without a word
-_GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
 
 
 def cut(
@@ -91,8 +91,13 @@ def _cut_one(
     _require(recording, [n for n in measured if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
     complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
-    first, uncovered = _starts(recording.name, complete, horizon, stride)
-    first, notes = _without_gaps(recording.name, time, first, horizon)
+    heard = [
+        n
+        for n, deaf in zip(model.ctrl_channels, deaf_controls(compiled), strict=True)
+        if not deaf and n.removeprefix("ctrl.") not in controlled
+    ]
+    inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
+    first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
     instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
     step = np.floor(instants / dt + _ON_STEP).astype(int)
     fraction = instants / dt - step
@@ -116,7 +121,8 @@ def _cut_one(
         time=time[first],
         recording=np.full(len(first), number),
         timestep=dt,
-        notes=notes + uncovered + note + open_,
+        notes=note + open_,
+        left_out=left_out,
     )
 
 
@@ -165,44 +171,6 @@ def _merged(
         channel = recording.channels[name]
         table[np.searchsorted(time, channel.time), k] = channel.values
     return time, table
-
-
-def _starts(
-    name: str, complete: Bool[np.ndarray, " T"], horizon: int, stride: int
-) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
-    """Return the instants where windows start: complete ones, as soon as `stride` allows."""
-    limit = len(complete) - horizon
-    first = np.arange(0, max(limit, 0), stride)
-    if not complete[first].all():
-        there = np.flatnonzero(complete[: max(limit, 0)])
-        following = np.searchsorted(there, there + stride)
-        picked, k = [], 0
-        while k < len(there):
-            picked.append(k)
-            k = int(following[k])
-        first = there[picked]
-    if not first.size:
-        raise RecordingError(
-            f"{name}: {len(complete)} instants are too few for a window of {horizon}, or no "
-            "instant has every joint position"
-        )
-    reach = max(stride, horizon)
-    lost = int(np.maximum(np.diff(first, prepend=-reach, append=limit) - reach, 0).sum())
-    note = (
-        f"{name}: {lost} of {len(complete)} instants are predicted by no window, for one starts "
-        "only where every joint position was recorded"
-    )
-    return first, (note,) if lost else ()
-
-
-def _without_gaps(
-    name: str, time: np.ndarray, first: Int[np.ndarray, " W"], horizon: int
-) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
-    length = time[first + horizon] - time[first]
-    whole = length <= _GAP * np.median(length)
-    lost = int((~whole).sum())
-    note = f"{name}: {lost} of {len(first)} windows span a gap in the recording and are left out"
-    return first[whole], (note,) if lost else ()
 
 
 def controls(
@@ -332,4 +300,5 @@ def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> 
         recording=np.concatenate([p.recording for p in pieces]),
         timestep=dt,
         notes=tuple(n for p in pieces for n in p.notes),
+        left_out=tuple(n for p in pieces for n in p.left_out),
     )

@@ -98,12 +98,23 @@ class LockStep:
         signals: Mapping[str, Float[np.ndarray, "W S"]],
         views: Mapping[str, np.ndarray],
         force: Float[np.ndarray, "W S nv"] | None,
+        every: int = 1,
     ) -> None:
+        """Bind laws to a batch.
+
+        Args:
+            model: the compiled model.
+            laws: in the order in which they act.
+            signals: recorded inputs by channel name.
+            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied.
+            force: generalised forces that act beside the laws.
+            every: steps from one evaluation to the next.
+        """
         self._laws = laws
         self._signals = signals
         self._views = views
         self._force = force
-        self._timestep = float(model.opt.timestep)
+        self._timestep, self._every = float(model.opt.timestep), every
         scalar = [j for j in range(model.njnt) if int(model.jnt_type[j]) in SCALAR]
         names = [model.joint(j).name for j in scalar]
         self._dof = {n: int(model.jnt_dofadr[j]) for n, j in zip(names, scalar, strict=True)}
@@ -179,7 +190,8 @@ class LockStep:
             group if at is _ALL else {name: x[at] for name, x in group.items()}
             for group in (self._qpos, self._qvel, self._ctrl)
         )
-        value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, self._timestep, memory))
+        until_next = self._every * self._timestep
+        value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, until_next, memory))
         if isinstance(law, Controller):
             self._views["ctrl"][at, self._actuator[law.actuator]] = value
         else:

@@ -77,9 +77,10 @@ class Engine:
             else:
                 model = _first(models)  # the batch's may have other names and another time step
                 views = {n: batch.bind(n) for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
-                lockstep = LockStep(model, tuple(laws), signals or {}, views, force)
-                every = steps_held(laws, model.opt.timestep)
-                if every > 1 and force is None and not sensors:
+                alone = force is None and not sensors
+                every = steps_held(laws, model.opt.timestep) if alone else 1
+                lockstep = LockStep(model, tuple(laws), signals or {}, views, force, every)
+                if every > 1:
                     recorded = self._with_held_forces(batch, ctrl, lockstep, every)
                 else:
                     recorded = self._lockstep(batch, ctrl, lockstep, sensors, written)

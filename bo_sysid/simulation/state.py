@@ -49,19 +49,9 @@ class State:
     @classmethod
     def concatenated(cls, states: Sequence["State"]) -> "State":
         """Return several sets of states as one; what one of them does not know none does."""
-
-        def joined(name: str) -> np.ndarray | None:
-            known = [value for s in states if (value := getattr(s, name)) is not None]
-            return np.concatenate(known) if len(known) == len(states) else None
-
-        return cls(
-            np.concatenate([s.qpos for s in states]),
-            np.concatenate([s.qvel for s in states]),
-            np.concatenate([s.act for s in states]),
-            joined("warmstart"),
-            joined("added"),
-            joined("past"),
-        )
+        known = [s.arrays for s in states]
+        shared = [name for name in known[0] if all(name in arrays for arrays in known)]
+        return cls.of({name: np.concatenate([arrays[name] for arrays in known]) for name in shared})
 
     @classmethod
     def of(cls, arrays: Mapping[str, np.ndarray]) -> "State":
@@ -76,27 +66,11 @@ class State:
 
     def repeat(self, times: int) -> "State":
         """Return the whole set of states `times` times over, `times * W` rows."""
-        return replace(
-            self,
-            qpos=np.tile(self.qpos, (times, 1)),
-            qvel=np.tile(self.qvel, (times, 1)),
-            act=np.tile(self.act, (times, 1)),
-            warmstart=None if self.warmstart is None else np.tile(self.warmstart, (times, 1)),
-            added=None if self.added is None else np.tile(self.added, (times, 1)),
-            past=None if self.past is None else np.tile(self.past, (times, 1, 1)),
-        )
+        return State.of({name: np.concatenate([x] * times) for name, x in self.arrays.items()})
 
     def rows(self, index: np.ndarray | slice) -> "State":
         """Return the states of some windows."""
-        return replace(
-            self,
-            qpos=self.qpos[index],
-            qvel=self.qvel[index],
-            act=self.act[index],
-            warmstart=None if self.warmstart is None else self.warmstart[index],
-            added=None if self.added is None else self.added[index],
-            past=None if self.past is None else self.past[index],
-        )
+        return State.of({name: x[index] for name, x in self.arrays.items()})
 
     def picked(self, pick: Bool[np.ndarray, " W"], other: "State") -> "State":
         """Return the starts of `other` where `pick` says so, and these elsewhere.

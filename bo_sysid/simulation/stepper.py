@@ -49,7 +49,7 @@ class Stepper:
         self._past: list[np.ndarray] = []
         self._state: dict[tuple[int, int], float] = {}  # of a control's filters at the oldest
         self._made: dict[tuple[int, int], Channel] = {}  # what each filter made of it last
-        self._step = 0
+        self._step, self._every = 0, 1
         self._held: np.ndarray = np.zeros(self.model.nv)
         self._lockstep: LockStep | None = None
 
@@ -78,7 +78,7 @@ class Stepper:
     def _forces(self) -> np.ndarray:
         """Return the forces of the laws, evaluated anew where they are not held."""
         assert self._lockstep is not None  # noqa: S101 - made by the first step
-        if self._step % steps_held(self._laws, self.model.opt.timestep) == 0:
+        if self._step % self._every == 0:
             self._signals[ELAPSED][0, 0] = self.data.time
             self._lockstep.apply(self._step, column=0)
             self._held = self.data.qfrc_applied.copy()
@@ -90,7 +90,8 @@ class Stepper:
         d = self.data
         views = {n: getattr(d, n)[None] for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
         self._signals = {ELAPSED: np.zeros((1, 1))}
-        self._lockstep = LockStep(self.model, self._laws, self._signals, views, None)
+        self._every = steps_held(self._laws, self.model.opt.timestep)
+        self._lockstep = LockStep(self.model, self._laws, self._signals, views, None, self._every)
         self._time, self._past = [], []
         self._state, self._made = {}, {}
         self._step = 0

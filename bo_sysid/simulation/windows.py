@@ -30,6 +30,7 @@ class Windows:
         recording: `W` number of the recording that each window comes from.
         timestep: of the simulation, in [s].
         notes: what was done to cut them.
+        left_out: what of the recordings is in no window, in words.
         told: the recordings, where activations at the starts differ by parameters.
     """
 
@@ -44,6 +45,7 @@ class Windows:
     recording: Int[np.ndarray, " W"]
     timestep: float
     notes: tuple[str, ...] = field(default=())
+    left_out: tuple[str, ...] = ()
     told: tuple[Recording, ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:

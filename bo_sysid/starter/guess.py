@@ -10,6 +10,7 @@ import numpy as np
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Loops, Model
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
@@ -76,7 +77,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     """
     columns = describe(table)
     compiled = model.compile()
-    joints = [n for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
+    joints = [n for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
     pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
     if not joints and not pose:
         raise RecordingError(

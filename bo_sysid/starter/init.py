@@ -14,6 +14,7 @@ from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.edits import MotorEdit
+from bo_sysid.mjcf.joints import FREE, SCALAR
 from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.runs import atomic
@@ -158,7 +159,7 @@ def _held_base(source: Path, table: RawTable) -> tuple[Model, list[str], bool]:
     """Return the model; a floating base that no column tells about is held."""
     model = Model.from_file(source)
     compiled = model.compile()
-    free = [n for n in model.joints if int(compiled.joint(n).type[0]) == 0]
+    free = [n for n in model.joints if int(compiled.joint(n).type[0]) == FREE]
     told = [c for c in table.columns if any(f in c for f in free)]
     if not free or told or pose_guesses(compiled, table):
         return model, [], False
@@ -174,7 +175,7 @@ def _motors(model: Model) -> list[MotorEdit]:
     if model.actuators:
         return []
     compiled = model.compile()
-    return [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) >= 2]
+    return [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
 
 
 def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:

@@ -292,7 +292,7 @@ def _details(
         derived = c.effect.details(full, machine, c.site)
         for name, (value, unit) in derived.items():
             variance = _propagated(c, x, covariance, machine, name)
-            out[name] = _quantity(value, variance, unit_at(unit, c.site, machine))
+            out[name] = _quantity(value, variance, unit)
     return out
 
 

@@ -1,6 +1,6 @@
 """Starts that follow a hypothesis along one response to them, window by window.
 
-Cheap, and enough near the recordings; `starts` fits every window as a problem of its own.
+Cheap, and enough near the recordings; `fitted_starts` fits every window as a problem of its own.
 """
 
 from collections.abc import Sequence

@@ -1,0 +1,99 @@
+"""Where windows begin: at instants of which everything is known that a prediction starts from."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from bo_sysid.errors import RecordingError
+from bo_sysid.recording import Channel
+
+_GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
+_LATE = 1.5  # samples of an input: by more than these it begins after a window
+
+
+def window_starts(
+    name: str,
+    time: Float[np.ndarray, " T"],
+    complete: Bool[np.ndarray, " T"],
+    horizon: int,
+    stride: int,
+    inputs: Mapping[str, Channel],
+) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
+    """Return the instants where windows begin, and what was left out, in words.
+
+    Args:
+        name: of the recording.
+        time: the instants at which something was measured, in [s].
+        complete: whether every joint position was.
+        horizon: number of instants after each start.
+        stride: instants from one start to the next.
+        inputs: recorded controls and signals, by channel.
+
+    Raises:
+        RecordingError: no window fits, or all begin before an input.
+    """
+    first, uncovered = _spread(name, complete, horizon, stride)
+    first, gaps = _without_gaps(name, time, first, horizon)
+    first, unheard = _with_inputs(name, time, first, inputs)
+    return first, gaps + uncovered + unheard
+
+
+def _spread(
+    name: str, complete: Bool[np.ndarray, " T"], horizon: int, stride: int
+) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
+    """Return the instants where windows start: complete ones, as soon as `stride` allows."""
+    limit = len(complete) - horizon
+    first = np.arange(0, max(limit, 0), stride)
+    if not complete[first].all():
+        there = np.flatnonzero(complete[: max(limit, 0)])
+        following = np.searchsorted(there, there + stride)
+        picked, k = [], 0
+        while k < len(there):
+            picked.append(k)
+            k = int(following[k])
+        first = there[picked]
+    if not first.size:
+        raise RecordingError(
+            f"{name}: {len(complete)} instants are too few for a window of {horizon}, or no "
+            "instant has every joint position"
+        )
+    reach = max(stride, horizon)
+    lost = int(np.maximum(np.diff(first, prepend=-reach, append=limit) - reach, 0).sum())
+    note = (
+        f"{name}: {lost} of {len(complete)} instants are predicted by no window, for one starts "
+        "only where every joint position was recorded"
+    )
+    return first, (note,) if lost else ()
+
+
+def _without_gaps(
+    name: str, time: np.ndarray, first: Int[np.ndarray, " W"], horizon: int
+) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
+    length = time[first + horizon] - time[first]
+    whole = length <= _GAP * np.median(length)
+    lost = int((~whole).sum())
+    note = f"{name}: {lost} of {len(first)} windows span a gap in the recording and are left out"
+    return first[whole], (note,) if lost else ()
+
+
+def _with_inputs(
+    name: str, time: np.ndarray, first: Int[np.ndarray, " W"], inputs: Mapping[str, Channel]
+) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
+    """Leave out windows that begin before an input was recorded: nobody knows what acted there."""
+    notes = []
+    for channel, values in inputs.items():
+        begin = float(values.time[0] - _LATE * np.median(np.diff(values.time)))
+        heard = time[first] >= begin
+        if heard.all():
+            continue
+        said = f"{name}: {channel} begins {values.time[0] - time[0]:.3g} s after the measurements"
+        if not heard.any():
+            raise RecordingError(
+                f"{said}, which last {time[-1] - time[0]:.3g} s: no window is left. Do their "
+                "clocks count from the same moment?"
+            )
+        lost = np.count_nonzero(~heard)
+        notes.append(f"{said}; {lost} of {len(first)} windows begin before it and are left out")
+        first = first[heard]
+    return first, tuple(notes)
