@@ -20,7 +20,7 @@ from bo_sysid.checks.motion import (
     range_flags,
     sampling_flags,
 )
-from bo_sysid.checks.numerics import far_flags
+from bo_sysid.checks.numerics import contact_flags, far_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import Information, in_words, information
@@ -398,3 +398,15 @@ def test_a_model_that_is_far_off_is_said_to_be() -> None:
     assert flag.channels == ("qpos.b",)
     assert "300 standard deviations" in flag.sentence
     assert far_flags(table[:1], noise) == []
+
+
+def test_a_joint_that_a_recording_lacks_stands_where_the_model_puts_it() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><geom name="stop" size=".1" pos="1 0 0"/>
+        <body><joint name="x" type="slide" axis="1 0 0"/><geom name="load" size=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    at_stop = Recording.from_arrays(TIME, qpos={"x": np.full(len(TIME), 0.95)})
+    without = Recording.from_arrays(TIME, aux={"other": np.zeros(len(TIME))})
+    (flag,) = contact_flags(model, [at_stop, without])
+    assert flag.evidence == {"share": 0.5}  # and not all of it

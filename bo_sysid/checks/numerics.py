@@ -101,6 +101,7 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
     count = 0
     for r in recordings:
         first, last = r.span
+        mujoco.mj_resetData(model, data)
         for t in np.linspace(first, last, max(_INSTANTS // len(recordings), 10)):
             for j, name in enumerate(names):
                 channel = r.channels.get(f"qpos.{name}")

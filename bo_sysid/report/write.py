@@ -75,6 +75,7 @@ def _animated(run: Run, model: Path, traces: pd.DataFrame) -> list[Path]:
             made = Path(folder) / "moving.gif"
             if write_animation(made, Model.from_file(model), traces):
                 return [run.write_bytes(name, made.read_bytes())]
+    run.path(name).unlink(missing_ok=True)  # what an earlier run drew is not this one's
     return []
 
 
