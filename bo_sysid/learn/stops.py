@@ -140,18 +140,13 @@ def near_enough(
         return Verdict(
             True, f"argmax P is the chosen candidate; none other is within {epsilon:g}.", figures
         )
-    apart = _apart(told)
-    if not own.mean and not any(d.mean for d in apart):
+    if not own.mean and not any(d.mean for d in _apart(told)):
         text = "The policy is worth nothing on any candidate nearby, which says nothing of them."
         return Verdict(False, text, figures)
-    allowed, among = r * abs(own.mean), len(around)
-    if not any(_beyond(d, allowed, told.episodes, among) for d in apart):
-        most = np.argsort([-abs(d.mean) for d in apart], kind="stable")[:DOUBTED]
-        doubted = [int(k) for k in most if not _within(apart[k], allowed, told.episodes, among)]
-        if doubted:
-            told = valued(np.concatenate([[chosen], around[doubted]]), AGAIN)
-            apart = _apart(told)
-    worst = max(apart, key=lambda d: abs(d.mean))
+    allowed = r * abs(own.mean)
+    told = _surer(told, chosen, around, allowed, valued)
+    agree, text = _agreement(told, allowed, len(around))
+    worst = max(_apart(told), key=lambda d: abs(d.mean))
     figures |= {
         "largest_difference": worst._asdict(),
         "allowed": allowed,
@@ -161,14 +156,31 @@ def near_enough(
         f"The value differs by {abs(worst.mean):.3g} ± {worst.error:.2g} within {epsilon:g}, "
         f"{told.episodes} paired episodes"
     )
-    bound = f"{r:g} of {own.mean:.4g}"
+    return Verdict(agree, f"{numbers}: {text} {r:g} of {own.mean:.4g}.", figures)
+
+
+def _surer(
+    told: Values, chosen: int, around: Int[np.ndarray, " k"], allowed: float, valued: Valued
+) -> Values:
+    """Value the neighbours that differ most over more episodes, where the test leaves them open."""
+    apart, among = _apart(told), len(around)
     if any(_beyond(d, allowed, told.episodes, among) for d in apart):
-        return Verdict(False, f"{numbers}: more than {bound}.", figures)
+        return told
+    most = np.argsort([-abs(d.mean) for d in apart], kind="stable")[:DOUBTED]
+    doubted = [int(k) for k in most if not _within(apart[k], allowed, told.episodes, among)]
+    return valued(np.concatenate([[chosen], around[doubted]]), AGAIN) if doubted else told
+
+
+def _agreement(told: Values, allowed: float, among: int) -> tuple[bool, str]:
+    """Return whether the values differ by no more than is allowed, and how that is said."""
+    apart = _apart(told)
+    if any(_beyond(d, allowed, told.episodes, among) for d in apart):
+        return False, "more than"
     if max(d.error for d in apart) > allowed:
-        return Verdict(False, f"{numbers}: too uncertain to say that it is {bound}.", figures)
-    if abs(worst.mean) <= allowed:
-        return Verdict(True, f"{numbers}: within {bound}.", figures)
-    return Verdict(True, f"{numbers}: not significantly more than {bound}.", figures)
+        return False, "too uncertain to say that it is"
+    if max(abs(d.mean) for d in apart) <= allowed:
+        return True, "within"
+    return True, "not significantly more than"
 
 
 def _apart(told: Values) -> list[Estimate]:
