@@ -350,3 +350,35 @@ def test_an_encoder_is_turned_where_its_range_says_so() -> None:
 def test_a_range_says_that_an_encoder_is_turned(low: int, high: int, turned: bool) -> None:
     ranged = ARM.replace('name="elbow"', f'name="elbow" range="{low} {high}"')
     assert turned_inside(Model.from_xml(ranged).compile(), [sprung()]) == ["elbow"] * turned
+
+
+def speed_servo(friction: float, seed: int, late: float = 0.0) -> Wiring:
+    """Return the wiring of a log of a stiff speed servo, its commands stamped `late` too early."""
+    servo = SERVO.replace('axis="0 1 0"', 'axis="0 0 1"').replace('mass=".5"', 'mass=".1"')
+    servo = servo.format(kind='velocity kv="3.2"')
+    rubs = servo.replace("damping", f'frictionloss="{friction}" damping')
+    time = np.arange(0.0, 12.0, 0.005)
+    goal = 2.0 * tones(time, seed)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    plant = Model.from_xml(rubs).compile()
+    run = Engine(1).rollout(plant, start, np.repeat(goal, 5)[None, :, None])
+    noise = 5e-4 * np.random.default_rng(1).standard_normal(len(time))
+    log = Recording.from_arrays(time, qpos={"hinge": run.qpos[0, ::5, 0][:-1] + noise})
+    told = Channel(time - late, goal, "1", "ctrl.m", "zero")
+    channels = {**log.channels, "ctrl.m": told}
+    return find_wiring(Model.from_xml(servo).compile(), [Recording("log", channels)])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.015])
+def test_a_speed_servo_that_rubs_is_as_late_as_it_is(late: float) -> None:
+    """A speed servo follows closely: to the regression a lack of inertia is a delay."""
+    found = speed_servo(0.15, 1, late)
+    assert found.flags == ()
+    assert found.delays["delay"][0] == pytest.approx(1e3 * late, abs=3.0)
+
+
+def test_friction_without_bounds_is_no_unit() -> None:
+    """The position in mrad hardly moves, and friction could take all that the servo gives."""
+    found = speed_servo(0.0, 1)
+    assert found.wires == {}
+    assert found.flags == ()
