@@ -382,3 +382,21 @@ def test_friction_without_bounds_is_no_unit() -> None:
     found = speed_servo(0.0, 1)
     assert found.wires == {}
     assert found.flags == ()
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_friction_that_sticks_is_no_clock(seed: int) -> None:
+    """Half of what the motor gives is dry friction, and the joint stands still again and again."""
+    text = SERVO.format(kind="motor").replace('axis="0 1 0"', 'axis="0 0 1"')
+    plant = Model.from_xml(text.replace("damping", 'frictionloss=".5" damping')).compile()
+    time = np.arange(0.0, 12.0, 0.004)
+    data, told = mujoco.MjData(plant), np.zeros((len(time), 2))
+    for k, goal in enumerate(tones(time, seed)):
+        data.ctrl[0] = goal - data.qpos[0] - 0.03 * data.qvel[0]
+        told[k] = data.qpos[0], data.ctrl[0]
+        mujoco.mj_step(plant, data, 4)
+    noise = 3e-4 * np.random.default_rng(0).standard_normal(len(time))
+    log = Recording.from_arrays(time, qpos={"hinge": told[:, 0] + noise}, ctrl={"m": told[:, 1]})
+    found = find_wiring(Model.from_xml(text).compile(), [log])
+    assert found.delay == 0.0
+    assert found.flags == ()

@@ -27,6 +27,8 @@ _LEAST_ZERO = 0.015  # [rad] or [m]
 _LEAST_GAIN = 0.5  # of the score, that a zero must bring
 _EXPLAINED = 0.3  # J that a hypothesis must reach at every joint to be proposed
 _FINE = 0.5e-3  # [s] between the delays at which the model is asked
+_HALVED = 0.5  # of what stays unexplained as stamped: a delay must leave less
+_LITTLE = 0.005  # J that is not to be lessened
 _MOST = 1500  # instants that are looked at
 
 
@@ -154,18 +156,20 @@ def _borne_out(
     The regression behind a delay lets masses be anything, less than nothing as well: to a servo
     of speed, which follows its command closely, a joint that lacks inertia is one that is late.
     Looked at are the delays within two deviations, or all where the model explains nothing at this
-    one. The deviation grows by as much as the delay is moved.
+    one. The deviation grows by as much as the delay is moved, and covers none where the delay
+    hardly lessens what stays unexplained: dry friction that sticks is not all in the regression.
     """
     if not np.isfinite(e.sigma):
         return e
     j = evidence.dof(control)
-    left = evidence.shares(h, [e.value])[0, j]
+    left, stamped = evidence.shares(h, [e.value, 0.0])[:, j]
     reach = min(LATEST if left > SUSPICIOUS else 2 * e.sigma, LATEST)
     tried = e.value + _FINE * np.arange(-int(reach / _FINE), int(reach / _FINE) + 1)
     shares = evidence.shares(h, tried.tolist())[:, j]
     best = int(np.argmin(shares))
     if shares[best] > SUSPICIOUS or np.log((left + FLOOR) / (shares[best] + FLOOR)) < MARGIN:
-        return e
+        helps = left < max(_HALVED * stamped, _LITTLE)
+        return e if helps else replace(e, sigma=float(np.hypot(e.sigma, e.value)))
     moved = float(tried[best])
     return estimate.Estimate(moved, float(np.hypot(e.sigma, e.value - moved)))
 
