@@ -400,3 +400,24 @@ def test_friction_that_sticks_is_no_clock(seed: int) -> None:
     found = find_wiring(Model.from_xml(text).compile(), [log])
     assert found.delay == 0.0
     assert found.flags == ()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_stops_that_are_hit_hide_neither_forces_nor_a_sign(sign: int) -> None:
+    """What a stop holds against a motor takes less time than the filter resolves."""
+    text = ARM.replace('name="shoulder"', 'name="shoulder" limited="true" range="-20 20"')
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(Model.from_xml(text).compile(), start, np.repeat(ctrl, 4, axis=0)[None])
+    noise = 3e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    qpos = run.qpos[0, ::4][:-1] + noise
+    assert (np.abs(qpos[:, 0]) > 0.35).mean() > 0.02
+    log = Recording.from_arrays(
+        time,
+        qpos={"shoulder": qpos[:, 0], "elbow": sign * qpos[:, 1]},
+        ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+    found = find_wiring(Model.from_xml(text).compile(), [log])
+    assert found.wires == ({} if sign > 0 else {"qpos.elbow": Wire("qpos.elbow", sign=-1)})
+    assert not [f for f in found.flags if f.kind == "balance"]

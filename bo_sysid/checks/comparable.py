@@ -12,6 +12,9 @@ from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import Recording
 
 _LEAST = 60  # instants that are looked at
+_NEAR = 0.002  # of its range, from which on a joint is at its stop
+_ABOUT = 4.0  # standard deviations of the filter, within which a stop is felt
+_ENOUGH = 0.2  # of the instants, that must be left without stops
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
 
 
@@ -34,12 +37,35 @@ def comparable(
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:
         return "the recordings are too short"
+    traces = _off_stops(model, traces)
     if tight := _tight(model, traces):
         return f"the tendon {tight} is at its limit in the recordings, and pulls as nothing tells"
     free = copy.copy(model)
     for joint in beyond_range(model, recordings):
         free.jnt_limited[free.joint(joint).id] = 0
     return free, traces
+
+
+def _off_stops(model: mujoco.MjModel, traces: Traces) -> Traces:
+    """Return traces without the instants about which a joint is at its stop, if enough are left.
+
+    A stop gives what holds against it, over less time than the filter resolves.
+    """
+    kept = []
+    for recording, instants in zip(traces.recordings, traces.instants, strict=True):
+        good = np.ones(len(instants), bool)
+        for j in np.flatnonzero(model.jnt_limited):
+            if (channel := recording.channels.get(f"qpos.{model.joint(int(j)).name}")) is None:
+                continue
+            (low, high), inside = model.jnt_range[j], _NEAR * np.ptp(model.jnt_range[j])
+            at = (channel.values < low + inside) | (channel.values > high - inside)
+            stamps = np.array([-np.inf, *channel.time[at], np.inf])
+            after = np.searchsorted(stamps, instants)
+            away = np.minimum(stamps[after] - instants, instants - stamps[after - 1])
+            good &= away > _ABOUT * traces.width
+        kept.append(instants[good])
+    count = sum(map(len, kept))
+    return traces if count < max(_LEAST, _ENOUGH * traces.count) else traces.at(kept)
 
 
 def _tight(model: mujoco.MjModel, traces: Traces) -> str:
