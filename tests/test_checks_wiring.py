@@ -17,6 +17,7 @@ from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, LawInputs, State
 
@@ -402,22 +403,29 @@ def test_friction_that_sticks_is_no_clock(seed: int) -> None:
     assert found.flags == ()
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_stops_that_are_hit_hide_neither_forces_nor_a_sign(sign: int) -> None:
-    """What a stop holds against a motor takes less time than the filter resolves."""
-    text = ARM.replace('name="shoulder"', 'name="shoulder" limited="true" range="-20 20"')
+STOPPED = ARM.replace('name="shoulder"', 'name="shoulder" limited="true" range="-20 20"')
+BESIDE_A_WALL = ARM.replace("<body>", '<geom type="box" size=".05 .3 .6" pos=".3 0 -.5"/><body>', 1)
+
+
+@pytest.mark.parametrize(("text", "sign"), [(STOPPED, 1), (STOPPED, -1), (BESIDE_A_WALL, 1)])
+def test_what_is_hit_hides_neither_forces_nor_a_sign(text: str, sign: int) -> None:
+    """What a stop or a wall holds against a motor takes less time than the filter resolves."""
     time = np.arange(0.0, 12.0, 0.004)
     ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
     start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
-    run = Engine(1).rollout(Model.from_xml(text).compile(), start, np.repeat(ctrl, 4, axis=0)[None])
+    model = Model.from_xml(text).compile()
+    run = Engine(1).rollout(model, start, np.repeat(ctrl, 4, axis=0)[None])
     noise = 3e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
     qpos = run.qpos[0, ::4][:-1] + noise
-    assert (np.abs(qpos[:, 0]) > 0.35).mean() > 0.02
+    if text == STOPPED:
+        assert (np.abs(qpos[:, 0]) > 0.35).mean() > 0.02
+    else:
+        assert 0.02 < touched(model, qpos).mean() < 0.3
     log = Recording.from_arrays(
         time,
         qpos={"shoulder": qpos[:, 0], "elbow": sign * qpos[:, 1]},
         ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
     )
-    found = find_wiring(Model.from_xml(text).compile(), [log])
+    found = find_wiring(model, [log])
     assert found.wires == ({} if sign > 0 else {"qpos.elbow": Wire("qpos.elbow", sign=-1)})
     assert not [f for f in found.flags if f.kind == "balance"]
