@@ -14,7 +14,7 @@ VERDICTS = {
     "numerics": "The physics is right; the time step is too coarse.",
     "nothing-missing": "Nothing is missing from the model.",
 }
-_AFTER_FIT = "The model needs the fitted parameters of the study; beyond them nothing is missing."
+_AFTER_FIT = "The model needs the fitted parameters of the study; no more is seen to be missing."
 _HELPED = 1.15  # by how much the forecast gains from what the study fits, before that is a verdict
 _SHOWN = 5  # of the other sets
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
