@@ -17,6 +17,7 @@ from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, LawInputs, State
 
@@ -350,3 +351,81 @@ def test_an_encoder_is_turned_where_its_range_says_so() -> None:
 def test_a_range_says_that_an_encoder_is_turned(low: int, high: int, turned: bool) -> None:
     ranged = ARM.replace('name="elbow"', f'name="elbow" range="{low} {high}"')
     assert turned_inside(Model.from_xml(ranged).compile(), [sprung()]) == ["elbow"] * turned
+
+
+def speed_servo(friction: float, seed: int, late: float = 0.0) -> Wiring:
+    """Return the wiring of a log of a stiff speed servo, its commands stamped `late` too early."""
+    servo = SERVO.replace('axis="0 1 0"', 'axis="0 0 1"').replace('mass=".5"', 'mass=".1"')
+    servo = servo.format(kind='velocity kv="3.2"')
+    rubs = servo.replace("damping", f'frictionloss="{friction}" damping')
+    time = np.arange(0.0, 12.0, 0.005)
+    goal = 2.0 * tones(time, seed)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 0)))
+    plant = Model.from_xml(rubs).compile()
+    run = Engine(1).rollout(plant, start, np.repeat(goal, 5)[None, :, None])
+    noise = 5e-4 * np.random.default_rng(1).standard_normal(len(time))
+    log = Recording.from_arrays(time, qpos={"hinge": run.qpos[0, ::5, 0][:-1] + noise})
+    told = Channel(time - late, goal, "1", "ctrl.m", "zero")
+    channels = {**log.channels, "ctrl.m": told}
+    return find_wiring(Model.from_xml(servo).compile(), [Recording("log", channels)])
+
+
+@pytest.mark.parametrize("late", [0.0, 0.015])
+def test_a_speed_servo_that_rubs_is_as_late_as_it_is(late: float) -> None:
+    """A speed servo follows closely: to the regression a lack of inertia is a delay."""
+    found = speed_servo(0.15, 1, late)
+    assert found.flags == ()
+    assert found.delays["delay"][0] == pytest.approx(1e3 * late, abs=3.0)
+
+
+def test_friction_without_bounds_is_no_unit() -> None:
+    """The position in mrad hardly moves, and friction could take all that the servo gives."""
+    found = speed_servo(0.0, 1)
+    assert found.wires == {}
+    assert found.flags == ()
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_friction_that_sticks_is_no_clock(seed: int) -> None:
+    """Half of what the motor gives is dry friction, and the joint stands still again and again."""
+    text = SERVO.format(kind="motor").replace('axis="0 1 0"', 'axis="0 0 1"')
+    plant = Model.from_xml(text.replace("damping", 'frictionloss=".5" damping')).compile()
+    time = np.arange(0.0, 12.0, 0.004)
+    data, told = mujoco.MjData(plant), np.zeros((len(time), 2))
+    for k, goal in enumerate(tones(time, seed)):
+        data.ctrl[0] = goal - data.qpos[0] - 0.03 * data.qvel[0]
+        told[k] = data.qpos[0], data.ctrl[0]
+        mujoco.mj_step(plant, data, 4)
+    noise = 3e-4 * np.random.default_rng(0).standard_normal(len(time))
+    log = Recording.from_arrays(time, qpos={"hinge": told[:, 0] + noise}, ctrl={"m": told[:, 1]})
+    found = find_wiring(Model.from_xml(text).compile(), [log])
+    assert found.delay == 0.0
+    assert found.flags == ()
+
+
+STOPPED = ARM.replace('name="shoulder"', 'name="shoulder" limited="true" range="-20 20"')
+BESIDE_A_WALL = ARM.replace("<body>", '<geom type="box" size=".05 .3 .6" pos=".3 0 -.5"/><body>', 1)
+
+
+@pytest.mark.parametrize(("text", "sign"), [(STOPPED, 1), (STOPPED, -1), (BESIDE_A_WALL, 1)])
+def test_what_is_hit_hides_neither_forces_nor_a_sign(text: str, sign: int) -> None:
+    """What a stop or a wall holds against a motor takes less time than the filter resolves."""
+    time = np.arange(0.0, 12.0, 0.004)
+    ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    model = Model.from_xml(text).compile()
+    run = Engine(1).rollout(model, start, np.repeat(ctrl, 4, axis=0)[None])
+    noise = 3e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    qpos = run.qpos[0, ::4][:-1] + noise
+    if text == STOPPED:
+        assert (np.abs(qpos[:, 0]) > 0.35).mean() > 0.02
+    else:
+        assert 0.02 < touched(model, qpos).mean() < 0.3
+    log = Recording.from_arrays(
+        time,
+        qpos={"shoulder": qpos[:, 0], "elbow": sign * qpos[:, 1]},
+        ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+    found = find_wiring(model, [log])
+    assert found.wires == ({} if sign > 0 else {"qpos.elbow": Wire("qpos.elbow", sign=-1)})
+    assert not [f for f in found.flags if f.kind == "balance"]

@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.answer.experiment import _still, next_experiment
 from bo_sysid.diagnosis.answer.explain import Unexplained, explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
+    balls,
     bending,
     doubtful,
     hints,
@@ -317,6 +318,20 @@ def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
     )  # fmt: skip
     assert list(meshing(fit, machine)) == gap
     assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
+
+
+def test_names_on_a_machine_with_a_ball_joint_are_hints(friction) -> None:
+    """Damping of a ball joint is no effect of the catalogue: masses and gains stood in for it."""
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    hangs = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="socket" type="ball"/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    hanging = replace(machine, model=hangs.compile())
+    assert balls(machine) == ()
+    assert balls(hanging) == ("socket",)
+    assert any("at the ball joint socket" in s for s in hints(best, hanging))
+    assert doubtful(best, hanging)
 
 
 @pytest.mark.parametrize("swept", [0.9, 1.1])

@@ -1,5 +1,6 @@
 """Dry friction that bends before it slips, and friction that holds a joint all the time."""
 
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -307,3 +308,13 @@ def test_friction_holds_where_recordings_do_not_tell_that_it_creeps(
     let_hold(final)
     assert final.best.members[0].creeps is told
     assert len(final.fits) == (3 if told else 2)
+
+
+def test_a_parameter_at_its_bound_is_written_as_that_bound() -> None:
+    """A fit may stop a trifle below none: a model file with negative friction is no model."""
+    (rubs,) = parameter_candidates(arm(), frictions("elbow"))
+    machine = survey(arm().compile(), [record([], duration=1.0)])
+    least = np.array(rubs.extent.low)
+    assert least[0] < 0
+    apply = partial(rubs.effect.apply, site=rubs.site, x=least, machine=machine)
+    assert arm().compile([apply]).dof_frictionloss.min() == 0.0

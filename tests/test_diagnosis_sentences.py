@@ -11,6 +11,7 @@ from bo_sysid.diagnosis.windows.hypothesis import candidates
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.recording import Recording
+from bo_sysid.report.diagnosis_text import verdict_text
 
 PENDULUM = """<mujoco><worldbody><body name="bob" gravcomp="{gravcomp}">
 <joint name="hinge" axis="0 1 0" stiffness="{stiffness}" springref="{rest}"/>
@@ -155,3 +156,17 @@ def test_a_group_of_three_is_said_in_one_sentence_and_two_in_two() -> None:
         "b rubs that the model lacks.",
         "c rubs that the model lacks.",
     ]
+
+
+@pytest.mark.parametrize(
+    ("nominal", "refitted", "begins"),
+    [(8.16, 1.06, "The model needs the fitted parameters"), (1.27, 1.25, "Nothing is missing")],
+)
+def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
+    nominal: float, refitted: float, begins: str
+) -> None:
+    """A study of `init` fits friction: 0 in the model, .15 at the machine."""
+    forecast = {"nominal": nominal, "refitted": refitted}
+    answer = {"verdict": "nothing-missing", "holdout": {"forecast": forecast}}
+    assert verdict_text(answer).startswith(begins)
+    assert verdict_text({**answer, "holdout": {}}) == "Nothing is missing from the model."

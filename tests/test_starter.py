@@ -755,6 +755,22 @@ def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_pat
     assert set(Study.load(started.path).recordings.columns) == set(columns)
 
 
+@pytest.mark.parametrize(("kind", "size"), [("free", 7), ("ball", 4)])
+def test_a_log_that_names_every_coordinate_of_a_pose_needs_no_guess(
+    tmp_path: Path, kind: str, size: int
+) -> None:
+    (tmp_path / "body.xml").write_text(
+        f'<mujoco><worldbody><body><joint name="root" type="{kind}"/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    turn = {size - 4: np.cos(WAVE), size - 1: np.sin(WAVE)}
+    pose = {f"qpos.root.{k}": turn.get(k, 0.0 * TIMES) for k in range(size)}
+    pd.DataFrame({"time": TIMES, **pose}).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "body.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    assert set(Study.load(started.path).recordings.columns) <= {"time"}
+    assert started.notes == ()
+
+
 @pytest.mark.parametrize(
     ("place", "turn"), [("mocap_{}", "mocap_q{}"), ("pos_{}", "quat_{}"), ("{}", "q{}")]
 )

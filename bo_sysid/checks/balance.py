@@ -72,7 +72,7 @@ class Dynamics:
     """Inverse dynamics of a model of hinges and slides.
 
     Args:
-        model: the compiled model. Contacts are left out: instants with contact are not used.
+        model: the compiled model. Contacts are left out (comparable.py).
         silent: joints that are not recorded, which follow where a closed chain says so.
     """
 

@@ -5,13 +5,18 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
+from jaxtyping import Bool, Float
 
 from bo_sysid.checks.motion import beyond_range
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.mjcf.touching import can_touch, touched
 from bo_sysid.recording import Recording
 
 _LEAST = 60  # instants that are looked at
+_NEAR = 0.002  # of its range, from which on a joint is at its stop
+_ABOUT = 4.0  # standard deviations of the filter, within which a stop or a contact is felt
+_ENOUGH = 0.2  # of the instants, that must be left
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
 
 
@@ -34,6 +39,7 @@ def comparable(
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:
         return "the recordings are too short"
+    traces = _off_contact(model, _off_stops(model, traces))
     if tight := _tight(model, traces):
         return f"the tendon {tight} is at its limit in the recordings, and pulls as nothing tells"
     free = copy.copy(model)
@@ -42,14 +48,65 @@ def comparable(
     return free, traces
 
 
+def _off_stops(model: mujoco.MjModel, traces: Traces) -> Traces:
+    """Return traces without the instants about which a joint is at its stop, if enough are left.
+
+    A stop gives what holds against it, over less time than the filter resolves.
+    """
+    kept = []
+    for recording, instants in zip(traces.recordings, traces.instants, strict=True):
+        good = np.ones(len(instants), bool)
+        for j in np.flatnonzero(model.jnt_limited):
+            if (channel := recording.channels.get(f"qpos.{model.joint(int(j)).name}")) is None:
+                continue
+            (low, high), inside = model.jnt_range[j], _NEAR * np.ptp(model.jnt_range[j])
+            at = (channel.values < low + inside) | (channel.values > high - inside)
+            good &= _away(instants, channel.time[at], traces.width)
+        kept.append(instants[good])
+    return _enough(traces, kept)
+
+
+def _off_contact(model: mujoco.MjModel, traces: Traces) -> Traces:
+    """Return traces without the instants about which geoms touch, if enough are left."""
+    if len(traces.measured) < model.njnt or not can_touch(model):
+        return traces
+    hit, kept = touched(model, _poses(model, traces)), []
+    for instants in traces.instants:
+        own, hit = hit[: len(instants)], hit[len(instants) :]
+        kept.append(instants[_away(instants, instants[own], traces.width)])
+    return _enough(traces, kept)
+
+
+def _away(
+    instants: Float[np.ndarray, " n"], stamps: Float[np.ndarray, " m"], width: float
+) -> Bool[np.ndarray, " n"]:
+    """Return which instants no stamp is within reach of a filter of."""
+    ends = np.array([-np.inf, *stamps, np.inf])
+    after = np.searchsorted(ends, instants)
+    nearest = np.minimum(ends[after] - instants, instants - ends[after - 1])
+    return np.asarray(nearest > _ABOUT * width)
+
+
+def _enough(traces: Traces, kept: Sequence[Float[np.ndarray, " n"]]) -> Traces:
+    """Return traces at the instants that are kept, or as they are where those are too few."""
+    count = sum(map(len, kept))
+    return traces if count < max(_LEAST, _ENOUGH * traces.count) else traces.at(kept)
+
+
+def _poses(model: mujoco.MjModel, traces: Traces) -> Float[np.ndarray, "n nq"]:
+    """Return the recorded poses; joints that were not recorded are where the model puts them."""
+    poses = np.tile(model.qpos0, (traces.count, 1))
+    for name in traces.measured:
+        column = int(model.joint(name.removeprefix("qpos.")).qposadr[0])
+        poses[:, column] = traces.column(name, held=False)
+    return np.asarray(poses)
+
+
 def _tight(model: mujoco.MjModel, traces: Traces) -> str:
     """Return a tendon that is at its limit in the recorded poses, empty where none is."""
     if not model.tendon_limited.any():
         return ""
-    poses, data = np.tile(model.qpos0, (traces.count, 1)), mujoco.MjData(model)
-    for name in traces.measured:
-        column = int(model.joint(name.removeprefix("qpos.")).qposadr[0])
-        poses[:, column] = traces.column(name, held=False)
+    poses, data = _poses(model, traces), mujoco.MjData(model)
     lengths = np.empty((traces.count, model.ntendon))
     for length, pose in zip(lengths, poses, strict=True):
         data.qpos[:] = pose

@@ -17,7 +17,7 @@ from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
 
-_FLOOR = 1e-3  # what the model may leave unexplained of any balance
+FLOOR = 1e-3  # what the model may leave unexplained of any balance
 
 Laws = Mapping[str, tuple[Law, tuple[str, ...]]]
 """By actuator, the law that computes its control and the channels that it reads."""
@@ -147,13 +147,30 @@ class Evidence:
 
     def scores(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, " D"]:
         """Return the score of a hypothesis with each of some delays instead of its own."""
-        return np.asarray(np.log(self.shares(hypothesis, delays) + _FLOOR) @ self.weights)
+        return np.asarray(np.log(self.shares(hypothesis, delays) + FLOOR) @ self.weights)
 
     def shares(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, "D nv"]:
         """Return J of each degree of freedom with each of some delays."""
         terms = self.terms(hypothesis)
         forces = [terms.actuated(self.controls(hypothesis, d)) for d in delays]
         return unexplained(terms, np.stack(forces))
+
+    def noise(self, hypothesis: Hypothesis) -> Float[np.ndarray, " nv"]:
+        """Return how much of J is noise in the motion, as two halves of the samples differ.
+
+        A stiff servo of speed gives the small difference of two large terms, of which one is as
+        noisy as the speed. Physics that the model lacks is alike in both halves.
+        """
+        terms, delay = self.terms(hypothesis), hypothesis.delay
+        given = terms.actuated(self.controls(hypothesis, delay))
+        total = (terms.inertial**2 + terms.rest**2 + given**2).sum(axis=0)
+        if not self.halves:
+            return np.zeros_like(total)
+        one, other = (
+            e.terms(hypothesis).needed - e.terms(hypothesis).actuated(e.controls(hypothesis, delay))
+            for e in self.halves
+        )
+        return np.asarray(((one - other) ** 2).sum(axis=0) / (4 * np.maximum(total, 1e-300)))
 
     def terms(self, hypothesis: Hypothesis) -> Terms:
         """Return the balance's terms that follow from the measured channels."""

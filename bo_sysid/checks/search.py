@@ -102,7 +102,9 @@ def _paid(evidence: Evidence, hypothesis: Hypothesis) -> float:
 def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
     """Whether a joint's forces are not explained, however late its own control may act."""
     shares = evidence.shares(hypothesis, [hypothesis.delay, *_DELAYS]).min(axis=0)
-    return bool((shares[evidence.weights > 0] > SUSPICIOUS).any())
+    if (shares * evidence.weights > SUSPICIOUS).any():
+        shares -= evidence.noise(hypothesis)
+    return bool((shares * evidence.weights > SUSPICIOUS).any())
 
 
 def _pruned(evidence: Evidence, best: tuple[float, Hypothesis], first: Hypothesis) -> Hypothesis:

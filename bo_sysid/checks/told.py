@@ -110,7 +110,8 @@ def balance_flags(balance: pd.DataFrame) -> list[Flag]:
             (joint,),
             f"{100 * share:.0f} % of the forces at {joint} are not explained by the model, under "
             "any wiring that was tried: it lacks something (a rotor behind a gear, a spring), a "
-            "mass or a motor is far from what it says, or the motion is too small.",
+            "mass or a motor is far from what it says, it touches something for most of the time, "
+            "or the motion is too small.",
             {"share": share},
         )
         for joint, share in zip(bad["joint"], bad["after"], strict=True)

@@ -95,6 +95,12 @@ class Traces:
         """Number n of instants."""
         return sum(map(len, self.instants))
 
+    def at(self, instants: Sequence[Float[np.ndarray, " n"]]) -> "Traces":
+        """Return the same at other instants of each recording, in [s]."""
+        made = copy.copy(self)
+        made.instants = tuple(instants)
+        return made
+
     @cached_property
     def _grids(self) -> tuple[Float[np.ndarray, " G"], ...]:
         return tuple(_grid(r, self.measured, self.width) for r in self.recordings)

@@ -13,11 +13,12 @@ from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.clocks import clock_flags, clock_of
 from bo_sysid.checks.comparable import comparable
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Laws, Wire
+from bo_sysid.checks.hypothesis import FLOOR, Evidence, Hypothesis, Laws, Wire
 from bo_sysid.checks.motion import turned_inside
-from bo_sysid.checks.search import SUSPICIOUS, search, zero_groups
+from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.told import balance_flags, speed_flags, twin_flags, wire_flags
+from bo_sysid.checks.traces import LATEST
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
 
@@ -25,6 +26,9 @@ _SURE_ZERO = 6.0  # standard deviations that a zero must differ from nothing
 _LEAST_ZERO = 0.015  # [rad] or [m]
 _LEAST_GAIN = 0.5  # of the score, that a zero must bring
 _EXPLAINED = 0.3  # J that a hypothesis must reach at every joint to be proposed
+_FINE = 0.5e-3  # [s] between the delays at which the model is asked
+_HALVED = 0.5  # of what stays unexplained as stamped: a delay must leave less
+_LITTLE = 0.005  # J that is not to be lessened
 _MOST = 1500  # instants that are looked at
 
 
@@ -35,6 +39,7 @@ class Wiring:
     Attributes:
         wires: by channel, what it should be read from, for those that are not what they are called.
         delay: how much later than stamped the controls act, in [s]; 0 where that is not certain.
+        sigma: standard deviation of that delay, in [s].
         delays: one row a control: control, delay [ms], sigma [ms].
         balance: one row a joint: joint, before and after (J, see balance.py), used.
         flags: what was found, in words.
@@ -42,6 +47,7 @@ class Wiring:
 
     wires: Mapping[str, Wire]
     delay: float
+    sigma: float
     delays: pd.DataFrame
     balance: pd.DataFrame
     flags: tuple[Flag, ...]
@@ -89,25 +95,25 @@ def find_wiring(
     gives = motors.in_words(fine, found, recordings)
     flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
-    return Wiring(wires, clock.delay, table, balance, tuple(flags))
+    return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
 
 
 def _untested(reason: str) -> Wiring:
     flag = Flag("note", "balance", (), f"The wiring was not tested against the model: {reason}.")
     empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
     balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
-    return Wiring({}, 0.0, empty, balance, (flag,))
+    return Wiring({}, 0.0, np.inf, empty, balance, (flag,))
 
 
 def _left(
     evidence: Evidence, h: Hypothesis, late: Mapping[str, estimate.Estimate]
 ) -> Float[np.ndarray, " nv"]:
-    """Return J of each degree of freedom, with its own control as late as that acts."""
+    """Return J of each degree of freedom but for noise, with its own control as late as it acts."""
     left = evidence.shares(h, [h.delay])[0].copy()
     for name, e in late.items():
         j = evidence.dof(name)
         left[j] = min(left[j], evidence.shares(h, [e.value])[0, j])
-    return np.asarray(left)
+    return np.asarray(np.maximum(left - evidence.noise(h), 0.0))
 
 
 def _turned(evidence: Evidence, joints: Iterable[str]) -> Hypothesis:
@@ -138,8 +144,34 @@ def _searched(
 def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, estimate.Estimate]]:
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
     controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
-    late = {n: estimate.delay(evidence, h, n) for n in controls}
+    late = {n: _borne_out(evidence, h, n, estimate.delay(evidence, h, n)) for n in controls}
     return (replace(h, delay=clock_of(late).common.value) if late else h), late
+
+
+def _borne_out(
+    evidence: Evidence, h: Hypothesis, control: str, e: estimate.Estimate
+) -> estimate.Estimate:
+    """Return a delay, moved to where the model explains its joint's forces far better, if anywhere.
+
+    The regression behind a delay lets masses be anything, less than nothing as well: to a servo
+    of speed, which follows its command closely, a joint that lacks inertia is one that is late.
+    Looked at are the delays within two deviations, or all where the model explains nothing at this
+    one. The deviation grows by as much as the delay is moved, and covers none where the delay
+    hardly lessens what stays unexplained: dry friction that sticks is not all in the regression.
+    """
+    if not np.isfinite(e.sigma):
+        return e
+    j = evidence.dof(control)
+    left, stamped = evidence.shares(h, [e.value, 0.0])[:, j]
+    reach = min(LATEST if left > SUSPICIOUS else 2 * e.sigma, LATEST)
+    tried = e.value + _FINE * np.arange(-int(reach / _FINE), int(reach / _FINE) + 1)
+    shares = evidence.shares(h, tried.tolist())[:, j]
+    best = int(np.argmin(shares))
+    if shares[best] > SUSPICIOUS or np.log((left + FLOOR) / (shares[best] + FLOOR)) < MARGIN:
+        helps = left < max(_HALVED * stamped, _LITTLE)
+        return e if helps else replace(e, sigma=float(np.hypot(e.sigma, e.value)))
+    moved = float(tried[best])
+    return estimate.Estimate(moved, float(np.hypot(e.sigma, e.value - moved)))
 
 
 def _believed(evidence: Evidence, h: Hypothesis, first: Hypothesis) -> Hypothesis:

@@ -21,6 +21,11 @@ def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
     return sum(_touches(model, poses)) / len(poses)
 
 
+def touched(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> Bool[np.ndarray, " W"]:
+    """Return in which poses geoms of the model touch."""
+    return np.array([*_touches(model, poses)] or [False] * len(poses), bool)
+
+
 def ever_touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> bool:
     """Return whether geoms of the model touch in any pose."""
     return any(_touches(model, poses))

@@ -24,6 +24,7 @@ _REPEATED = 0.1  # share of samples that equal the one before, from which on a c
 _CUT = 1.5  # deviations beyond which a value counts no further
 _BETA = 0.7785  # E min(u², _CUT²) of a standard Gaussian u
 _ITERATIONS = 50  # of a contraction
+_DRAWS = 20  # of each sample, for the scale of noise of changing size
 _ORDERS = (3, 4, 5, 6, 7)
 _LESS = 0.95  # of the estimate so far, for the next order to be believed
 _GAP = 2.0  # samples that span more than this many medians lie across a gap
@@ -85,6 +86,18 @@ def _resolution(values: Samples) -> float:
     steps = np.diff(np.unique(values))
     steps = steps[steps > 1e-9 * np.ptp(values)]  # the same value, rounded otherwise
     return float(steps.min()) if steps.size else 0.0
+
+
+def underrated(sizes: Float[np.ndarray, " T"]) -> float:
+    """Return by what factor `noise_sigma` falls short of the rms of noise of changing size.
+
+    To a robust scale large noise here and there is a signal that jumps.
+
+    Args:
+        sizes: `T` standard deviations of the noise, sample by sample, in any unit.
+    """
+    drawn = sizes * np.random.default_rng(0).standard_normal((_DRAWS, len(sizes)))
+    return sqrt(float(np.mean(sizes**2))) / max(_huber_scale(drawn.ravel()), 1e-300)
 
 
 def sensor_noise(recording: Recording) -> dict[str, float]:

@@ -14,6 +14,8 @@ VERDICTS = {
     "numerics": "The physics is right; the time step is too coarse.",
     "nothing-missing": "Nothing is missing from the model.",
 }
+_AFTER_FIT = "The model needs the fitted parameters of the study; no more is seen to be missing."
+_HELPED = 1.15  # by how much the forecast gains from what the study fits, before that is a verdict
 _SHOWN = 5  # of the other sets
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
 _MEASURES = {
@@ -21,6 +23,23 @@ _MEASURES = {
     "fit": "starts fitted inside",
     "free_run": "free run from the past alone",
 }
+
+
+def verdict_text(diagnosis: Mapping[str, Any]) -> str:
+    """Return the verdict in a sentence.
+
+    Parameters of the study may stand for what is missing: that the model lacks nothing is said of
+    the model as it is only where it forecasts about as well without them.
+
+    Args:
+        diagnosis: what `diagnosis.json` holds.
+    """
+    verdict = str(diagnosis["verdict"])
+    forecast = (diagnosis.get("holdout") or {}).get("forecast") or {}
+    nominal, refitted = (forecast.get(m) or 0.0 for m in ("nominal", "refitted"))
+    if verdict == "nothing-missing" and nominal > _HELPED * refitted:
+        return _AFTER_FIT
+    return VERDICTS.get(verdict, verdict)
 
 
 def diagnosis_text(
@@ -36,7 +55,7 @@ def diagnosis_text(
         sessions: what `sessions.parquet` holds: magnitudes by recording; None where it is missing.
     """
     summary = summary or {}
-    parts = [VERDICTS.get(diagnosis["verdict"], str(diagnosis["verdict"])), ""]
+    parts = [verdict_text(diagnosis), ""]
     parts += summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
     if diagnosis["findings"]:
         parts += ["", "Found:", table(findings_table(diagnosis["findings"]))]

@@ -10,11 +10,11 @@ from bo_sysid.errors import BoSysidError, RunError
 from bo_sysid.report import interactive, interactive_search
 from bo_sysid.report.comparison import comparison, sentence
 from bo_sysid.report.diagnosis_text import (
-    VERDICTS,
     alternatives_table,
     errors_table,
     findings_table,
     told_apart,
+    verdict_text,
 )
 from bo_sysid.report.learning import learning_said
 from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
@@ -36,11 +36,10 @@ def headline(found: Found) -> dict[str, Any]:
         if found.has("diagnosis.json"):
             diagnosis = read_json(found.folder, "diagnosis.json")
             summary = found.summary
-            verdict = str(diagnosis["verdict"])
             sentences = summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
             return {
                 "name": summary.get("name", found.folder.name),
-                "verdict": VERDICTS.get(verdict, verdict),
+                "verdict": verdict_text(diagnosis),
                 "sentences": sentences,
             }
         if found.has("identification.json"):

@@ -73,7 +73,7 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
 
 def _late(wiring: Wiring) -> str:
     """Return when the controls act, in words."""
-    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {wiring.delays['sigma'].iloc[0]:.1f})"
+    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {1e3 * wiring.sigma:.1f})"
     if wiring.delay > 0:
         return f"{told} later than stamped"
     return f"{told} earlier than stamped; a command that changes between samples looks so"

@@ -3,10 +3,13 @@
 from collections.abc import Mapping, Sequence
 from math import hypot, inf, pi, sqrt
 
+import numpy as np
+
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
 from bo_sysid.effects import Machine, Site
+from bo_sysid.mjcf.joints import BALL
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
@@ -30,7 +33,27 @@ def hints(best: Fit, machine: Machine) -> tuple[str, ...]:
         said.append(_unrepeated_sentence(unseen, machine))
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
+    if best.members and (joints := balls(machine)):
+        said.append(_balls_sentence(joints))
     return tuple(said)
+
+
+def balls(machine: Machine) -> tuple[str, ...]:
+    """Return the ball joints of a machine, at which no effect of the catalogue can act."""
+    model = machine.model
+    return tuple(model.joint(int(j)).name for j in np.flatnonzero(model.jnt_type == BALL))
+
+
+def _balls_sentence(joints: Sequence[str]) -> str:
+    """Return in words that what acts at ball joints was not looked for.
+
+    Damping there is the same as masses and torques that are all smaller by one factor.
+    """
+    return (
+        f"Nothing is looked for at the ball {'joint' if len(joints) == 1 else 'joints'} "
+        f"{' and '.join(joints)}: damping, friction or a spring there may stand behind what was "
+        f"named. Damping can be a parameter of the study (joint[{joints[0]}].damping)."
+    )
 
 
 def leaves_much(best: Fit) -> bool:

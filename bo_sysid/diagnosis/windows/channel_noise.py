@@ -7,9 +7,11 @@ import numpy as np
 from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
-from bo_sysid.recording.noise import MOVES, noise_sigma
+from bo_sysid.recording.noise import MOVES, noise_sigma, underrated
+from bo_sysid.simulation.windows import quaternions
 
 _LEAST = 1e-9
+_FIXED = 0.3  # of the noise of its numbers, that the length of a quaternion shows at most
 
 
 def channel_noise(
@@ -33,6 +35,8 @@ def channel_noise(
         if moved > 0:
             found[name] = max(sigma, _LEAST, 1e-6 * moved)
             most = max(most, (moved / found[name], name))
+    for name, factor in _of_poses(recordings, list(found)).items():
+        found[name] *= 1.0 if name in given or "qpos" in given else factor
     recorded = ", ".join(r.name for r in recordings)
     if not found:
         raise RecordingError(
@@ -46,3 +50,31 @@ def channel_noise(
             "(bo-sysid excite)"
         )
     return found
+
+
+def _of_poses(recordings: Sequence[Recording], names: Sequence[str]) -> dict[str, float]:
+    """Return the factor of σ by number of a quaternion whose length is kept at 1.
+
+    Noise that turns a pose by equal angles about all axes moves number i by √(1 - qᵢ²) of it: less
+    where the number is near 1.
+    """
+    factors = {}
+    for columns in quaternions(names):
+        numbers = [names[c] for c in columns]
+        told = [r for r in recordings if all(n in r.channels for n in numbers)]
+        if not told or not all(_of_length_one(r, numbers) for r in told):
+            continue
+        for name in numbers:
+            values = np.concatenate([r.channels[name].values for r in told])
+            factors[name] = underrated(np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0)))
+    return factors
+
+
+def _of_length_one(recording: Recording, names: Sequence[str]) -> bool:
+    """Whether the length of a quaternion has less noise than its numbers."""
+    found = [recording.channels[n] for n in names]
+    if len({len(c.values) for c in found}) > 1:
+        return False
+    noise = max(noise_sigma(c.time, c.values) for c in found)
+    length = np.linalg.norm(np.stack([c.values for c in found]), axis=0)
+    return bool(np.std(length) < _FIXED * noise)

@@ -270,9 +270,10 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
     def apply(
         spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
     ) -> None:
-        address_edit(model, p.addresses, own + float(x[0]), p.apply)(spec)
+        value = float(np.clip(own + x[0], min(p.low, own), max(p.high, own)))
+        address_edit(model, p.addresses, value, p.apply)(spec)
 
-    width = p.high - p.low
+    width = p.high - p.low  # bounds are opened by a trifle: the model's own value may be one
     low, high = min(p.low - own, -1e-9 * width), max(p.high - own, 1e-9 * width)
     extent = Extent((0.02 * width,), (low,), (high,))
     effect = Effect(
