@@ -826,3 +826,25 @@ def test_a_joint_that_never_moves_gets_no_parameters(tmp_path: Path) -> None:
     assert "# elbow never moves in the log" in text
     addresses = {p.address[0] for p in Study.load(tmp_path / "study.yaml").parameters}
     assert addresses == {f"joint[shoulder].{n}" for n in ("frictionloss", "damping", "armature")}
+
+
+def test_joints_by_which_a_base_floats_get_no_parameters(tmp_path: Path) -> None:
+    """Of a cart on wheels, friction of the joints x, z and pitch would be the wheels'."""
+    (tmp_path / "balancer.xml").write_text(
+        """<mujoco><worldbody><body pos="0 0 .1">
+        <joint name="x" type="slide" axis="1 0 0"/> <joint name="z" type="slide" axis="0 0 1"/>
+        <joint name="pitch" axis="0 1 0"/> <geom size=".02" fromto="0 0 0 0 0 .4" type="capsule"/>
+        <body><joint name="wheel" axis="0 1 0"/><geom type="cylinder" size=".1 .02"/></body>
+        </body></worldbody><actuator><motor name="wheel" joint="wheel"/></actuator></mujoco>"""
+    )
+    rng, time = np.random.default_rng(0), np.arange(1000) * 0.01
+    moved = {
+        f"qpos.{n}": np.sin((k + 2) * time) + 1e-4 * rng.normal(size=1000)
+        for k, n in enumerate(("x", "z", "pitch", "wheel"))
+    }
+    frame = pd.DataFrame({"time": time, **moved, "ctrl.wheel": np.cos(2 * time)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    init(tmp_path / "balancer.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    assert "# pitch is how the base floats" in (tmp_path / "study.yaml").read_text()
+    addresses = {p.address[0] for p in Study.load(tmp_path / "study.yaml").parameters}
+    assert addresses == {f"joint[wheel].{n}" for n in ("frictionloss", "damping", "armature")}

@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
+import mujoco
 import numpy as np
 import pandas as pd
 
@@ -13,6 +14,7 @@ from bo_sysid.checks.motion import excitation, excitation_flags
 from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import driven_joint, other_drives
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.mjcf.joints import FREE, SCALAR
 from bo_sysid.recording import RawTable, Recording, read_tables
@@ -189,6 +191,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     motion = excitation(recordings, compiled)
     fastest = motion.groupby("joint")["fastest"].max()
     still = {joint for flag in excitation_flags(motion) for joint in flag.channels}
+    floating = _floating_by_joints(compiled)
     rows = []
     for name, joint in machine.joints.items():
         values = np.concatenate([r.channels[f"qpos.{name}"].values for r in recordings])
@@ -196,7 +199,11 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
         rows.append(
             {
                 "joint": name,
-                "moves": name not in still,
+                "mute": "never moves in the log, which says nothing of it"
+                if name in still
+                else "is how the base floats: nothing rubs there"
+                if name in floating
+                else "",
                 "friction": force or joint.force,
                 "damping": (force or joint.force) / joint.speed,
                 "armature": force / joint.acceleration or joint.inertia,
@@ -207,3 +214,18 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
         )
     shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
     return pd.DataFrame(rows).assign(horizon=instants_in(_WINDOW, recordings, shown))
+
+
+def _floating_by_joints(model: mujoco.MjModel) -> set[str]:
+    """Return the joints that let a base float in a plane: several of one body, none of them driven.
+
+    Unlike the bearing of a body that hangs on one joint they are no part of the machine.
+    """
+    directly = {driven_joint(model, a) for a in range(len(model.actuator_trntype))}
+    found: set[str] = set()
+    for body in np.flatnonzero((model.body_parentid == 0) & (model.body_jntnum > 1)):
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        names = {model.joint(j).name for j in range(first, first + count)}
+        if names.isdisjoint(directly) and not any(other_drives(model, n) for n in names):
+            found |= names
+    return found

@@ -37,9 +37,9 @@ def study_text(
         train: paths of the logs to fit to.
         holdout: paths of the logs to judge by.
         rules: how the logs are read.
-        scales: one row a joint: joint, moves (whether it does), friction, damping, armature (upper
-            bounds worth trying), low, high and speed recorded; empty where no joint was found in
-            the logs.
+        scales: one row a joint: joint, mute (why it gets no parameters, else empty), friction,
+            damping, armature (upper bounds worth trying), low, high and speed recorded; empty
+            where no joint was found in the logs.
         hints: by channel, what is to be known of it, on a line before it.
         base_fixed: whether a floating base is held.
         notes: what else is to be said at the top.
@@ -124,11 +124,11 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
     lines = [
         "# What models lack most often; the upper bounds follow from the forces in the log.",
         '# Add masses that you are not sure of: {address: "body[forearm].mass", apply: scale, …}',
-        "parameters:" if scales["moves"].any() else "parameters: []",
+        "parameters:" if scales["mute"].eq("").any() else "parameters: []",
     ]
     for row in scales.itertuples():
-        if not row.moves:
-            lines.append(f"  # {row.joint} never moves in the log, which says nothing of it")
+        if row.mute:
+            lines.append(f"  # {row.joint} {row.mute!s}")
             continue
         for what, high in (
             ("frictionloss", row.friction), ("damping", row.damping), ("armature", row.armature),
