@@ -16,7 +16,7 @@ from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import driven_joint, other_drives
 from bo_sysid.mjcf.edits import MotorEdit
-from bo_sysid.mjcf.joints import FREE, SCALAR
+from bo_sysid.mjcf.joints import FREE, SCALAR, SLIDE
 from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.runs import atomic
@@ -217,15 +217,18 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
 
 
 def _floating_by_joints(model: mujoco.MjModel) -> set[str]:
-    """Return the joints that let a base float in a plane: several of one body, none of them driven.
+    """Return the joints by which a base floats in a plane: several of a body, none of them driven.
 
-    Unlike the bearing of a body that hangs on one joint they are no part of the machine.
+    Unlike bearings they are no part of the machine. One of them slides: two hinges of a body are a
+    universal joint.
     """
     directly = {driven_joint(model, a) for a in range(len(model.actuator_trntype))}
     found: set[str] = set()
     for body in np.flatnonzero((model.body_parentid == 0) & (model.body_jntnum > 1)):
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        names = {model.joint(j).name for j in range(first, first + count)}
-        if names.isdisjoint(directly) and not any(other_drives(model, n) for n in names):
+        own = range(first, first + count)
+        names = {model.joint(j).name for j in own}
+        slides = (model.jnt_type[list(own)] == SLIDE).any()
+        if slides and names.isdisjoint(directly) and not any(other_drives(model, n) for n in names):
             found |= names
     return found
