@@ -1,5 +1,6 @@
 """Windows: cut from messy recordings, compared at the recorded instants."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -58,29 +59,44 @@ def test_the_model_predicts_its_own_recording(arm: Model, horizon: int) -> None:
     assert windows.aligned
 
 
-def begun(recording: Recording, channel: str, at: float) -> Recording:
-    """Return a recording of which one channel begins later."""
+def kept(recording: Recording, channel: str, where: Callable[[np.ndarray], object]) -> Recording:
+    """Return a recording with some samples of a channel, chosen by their stamps."""
     whole = recording.channels[channel]
-    kept = whole.time >= at
-    late = replace(whole, time=whole.time[kept], values=whole.values[kept])
-    return replace(recording, channels={**recording.channels, channel: late})
+    rows = where(whole.time)
+    part = replace(whole, time=whole.time[rows], values=whole.values[rows])
+    return replace(recording, channels={**recording.channels, channel: part})
 
 
 def test_no_window_begins_before_its_controls_are_known(arm: Model) -> None:
-    late = begun(simulated(arm), "ctrl.elbow", 0.3)
+    late = kept(simulated(arm), "ctrl.elbow", lambda t: t >= 0.3)
     windows, prediction = forecast(arm, late, 10)
     np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
     assert windows.time[0] == pytest.approx(0.3)
     assert len(windows) == 25
     (note,) = windows.left_out
-    assert "ctrl.elbow begins 0.3 s after the measurements; 15 of 40 windows begin before" in note
-    hair = begun(simulated(arm), "ctrl.elbow", 0.002)  # as where logs of two topics begin
+    assert "ctrl.elbow begins 0.3 s after the measurements; 15 of 40 windows lack it" in note
+    hair = kept(
+        simulated(arm), "ctrl.elbow", lambda t: t >= 0.002
+    )  # as where logs of two topics begin
     assert len(forecast(arm, hair, 10)[0]) == 40
     shifted = late.channels["ctrl.elbow"]
     other = replace(shifted, time=shifted.time + 5.0)
     apart = replace(late, channels={**late.channels, "ctrl.elbow": other})
     with pytest.raises(RecordingError, match=r"ctrl.elbow begins 5.3 s after .* same moment"):
         cut(arm, [apart], horizon=10)
+
+
+def test_no_window_goes_on_after_its_controls_were_recorded(arm: Model) -> None:
+    whole = simulated(arm)
+    last = float(whole.channels["ctrl.elbow"].time[-1])
+    cut_off = kept(whole, "ctrl.elbow", lambda t: t <= last - 0.3)
+    windows, prediction = forecast(arm, cut_off, 10)
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+    (note,) = windows.left_out
+    assert "ctrl.elbow ends 0.3 s before the measurements; 15 of 40 windows lack it" in note
+    rare = [0.0, 0.005, 0.012, 0.03, 0.2, 0.21]  # sent where it changes, and held
+    changing = kept(whole, "ctrl.elbow", lambda t: np.isclose(t[:, None], rare).any(axis=1))
+    assert len(cut(arm, [changing], horizon=10)) == 40
 
 
 def test_every_other_sample_is_predicted_over_two_steps(arm: Model) -> None:

@@ -9,7 +9,8 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Channel
 
 _GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
-_LATE = 1.5  # samples of an input: by more than these it begins after a window
+_LATE = 1.5  # samples of an input: by more than these it begins after a window, or ends before
+_STEADY, _MANY = 0.9, 10  # share and number of short intervals of what is sent all the time
 
 
 def window_starts(
@@ -35,7 +36,7 @@ def window_starts(
     """
     first, uncovered = _spread(name, complete, horizon, stride)
     first, gaps = _without_gaps(name, time, first, horizon)
-    first, unheard = _with_inputs(name, time, first, inputs)
+    first, unheard = _with_inputs(name, time, first, horizon, inputs)
     return first, gaps + uncovered + unheard
 
 
@@ -78,22 +79,37 @@ def _without_gaps(
 
 
 def _with_inputs(
-    name: str, time: np.ndarray, first: Int[np.ndarray, " W"], inputs: Mapping[str, Channel]
+    name: str,
+    time: np.ndarray,
+    first: Int[np.ndarray, " W"],
+    horizon: int,
+    inputs: Mapping[str, Channel],
 ) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
-    """Leave out windows that begin before an input was recorded: nobody knows what acted there."""
+    """Leave out windows in which an input was not recorded yet, or no more.
+
+    Nobody knows what acted there. An input that is sent only where it changes holds at its end.
+    """
     notes = []
     for channel, values in inputs.items():
-        begin = float(values.time[0] - _LATE * np.median(np.diff(values.time)))
-        heard = time[first] >= begin
-        if heard.all():
-            continue
-        said = f"{name}: {channel} begins {values.time[0] - time[0]:.3g} s after the measurements"
-        if not heard.any():
-            raise RecordingError(
-                f"{said}, which last {time[-1] - time[0]:.3g} s: no window is left. Do their "
-                "clocks count from the same moment?"
-            )
-        lost = np.count_nonzero(~heard)
-        notes.append(f"{said}; {lost} of {len(first)} windows begin before it and are left out")
-        first = first[heard]
+        intervals = np.diff(values.time)
+        reach = _LATE * float(np.median(intervals))
+        begun = time[first] >= values.time[0] - reach
+        short = intervals <= reach
+        steady = short.sum() >= max(_MANY, _STEADY * len(short))
+        ended = time[first + horizon] > values.time[-1] + (reach if steady else np.inf)
+        late, early = values.time[0] - time[0], time[-1] - values.time[-1]
+        for out, said in (
+            (~begun, f"{name}: {channel} begins {late:.3g} s after the measurements"),
+            (ended, f"{name}: {channel} ends {early:.3g} s before the measurements"),
+        ):
+            if out.all():
+                raise RecordingError(
+                    f"{said}, which last {time[-1] - time[0]:.3g} s: no window is left. Do their "
+                    "clocks count from the same moment?"
+                )
+            if lost := np.count_nonzero(out):
+                notes.append(f"{said}; {lost} of {len(first)} windows lack it and are left out")
+        if (~begun | ended).all():
+            raise RecordingError(f"{name}: no window lies where {channel} was recorded")
+        first = first[begun & ~ended]
     return first, tuple(notes)
