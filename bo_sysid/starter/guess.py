@@ -79,7 +79,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
     pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
-    if not joints and not pose and not set(model.qpos_channels) & set(table.columns):
+    if not joints and not pose and not set(model.qpos_channels) <= set(table.columns):
         raise RecordingError(
             f"{table.source}: init matches columns with hinges, slides and the pose of a floating "
             f"base, and {model.source} has no hinge or slide, and the log no such pose; write the "
