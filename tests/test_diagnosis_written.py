@@ -55,6 +55,9 @@ def differ(
     how = {"horizon": HORIZON, "engine": Engine(1)}
     fitted = pose(arm(), machine, [recording], NOISE, (), laws=laws, **how)
     files = pose(repaired, scales, [seen], NOISE, (), laws=(*laws, *force_laws(parts)), **how)
+    # what a late actuator does in the first windows, no command of the log tells
+    fitted = fitted.rows(np.isin(fitted.windows.time, files.windows.time))
+    assert len(fitted.windows) > 5
     start = fitted.windows.start
     nominal, fit = (fitted.residual(made, start) for made in (Hypothesis(), h))
     read = files.residual(Hypothesis(), files.windows.start)
