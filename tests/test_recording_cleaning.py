@@ -110,14 +110,6 @@ def test_empty_cells_are_skipped_only_when_a_rule_says_so():
     np.testing.assert_array_equal(recording.channels["ctrl.m"].values, WAVE[::5])
     np.testing.assert_array_equal(recording.channels["ctrl.m"].time, TIME[::5])
     assert any("40 empty cells skipped; the value before it is held" in n for n in recording.notes)
-    assert not any("nothing is known" in n for n in recording.notes)
-
-
-def test_a_command_that_begins_late_is_told():
-    late = np.where(np.arange(50) >= 20, WAVE, np.nan)
-    recording = read(columns={"ctrl.m": {"missing": "skip"}}, ctrl__m=late)
-    seconds = f"{TIME[20] - TIME[0]:.3g}"
-    assert any(f"nothing is known of it in the first {seconds} s" in n for n in recording.notes)
 
 
 def test_skipping_empty_cells_does_not_skip_infinite_ones():

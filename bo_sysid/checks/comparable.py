@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from bo_sysid.checks.motion import beyond_range
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.joints import SCALAR
-from bo_sysid.mjcf.touching import can_touch, touched
+from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Recording
 
 _LEAST = 60  # instants that are looked at
@@ -68,7 +68,7 @@ def _off_stops(model: mujoco.MjModel, traces: Traces) -> Traces:
 
 def _off_contact(model: mujoco.MjModel, traces: Traces) -> Traces:
     """Return traces without the instants about which geoms touch, if enough are left."""
-    if len(traces.measured) < model.njnt or not can_touch(model):
+    if len(traces.measured) < model.njnt:
         return traces
     hit, kept = touched(model, _poses(model, traces)), []
     for instants in traces.instants:

@@ -23,7 +23,7 @@ def touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> float:
 
 def touched(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> Bool[np.ndarray, " W"]:
     """Return in which poses geoms of the model touch."""
-    return np.array([*_touches(model, poses)] or [False] * len(poses), bool)
+    return np.fromiter(_touches(model, poses), bool, len(poses))
 
 
 def ever_touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> bool:
@@ -33,6 +33,7 @@ def ever_touching(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> bo
 
 def _touches(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> Iterator[bool]:
     if not can_touch(model):
+        yield from [False] * len(poses)
         return
     data = mujoco.MjData(model)
     for pose in poses:

@@ -121,8 +121,6 @@ def usable_rows(
         missing, rows = rows.size - filled.size, filled
         if missing:
             notes.append(f"{_counted(missing, 'empty cell')} skipped; {_KEPT[hold]}")
-        if hold != "none" and (late := _beginning_late(clock.stamps, filled)):
-            notes.append(f"nothing is known of it in the first {late:.3g} s")
     bad = rows[~np.isfinite(values[rows])]
     if bad.size:
         remedy = (
@@ -144,14 +142,6 @@ def _first_filled(values: np.ndarray, first: np.ndarray) -> np.ndarray:
     filled = np.flatnonzero(~np.isnan(values))
     runs = np.searchsorted(first, filled, side="right")
     return filled[np.unique(runs, return_index=True)[1]]
-
-
-def _beginning_late(stamps: np.ndarray, filled: np.ndarray) -> float:
-    """Return by how much the first value comes late, in [s]; 0 if by an interval at most."""
-    if filled.size < 2:
-        return 0.0
-    late = float(stamps[filled[0]] - stamps[0])
-    return late if late > np.median(np.diff(stamps[filled])) else 0.0
 
 
 def clock_flaws(clock: Clock, dropped: np.ndarray, *, measured: bool) -> list[str]:
