@@ -6,7 +6,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from bo_sysid.diagnosis.search.rounds import round_at
+from bo_sysid.diagnosis.search.rounds import extend, round_at
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import simplify
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
@@ -47,6 +47,9 @@ def explore(search: Search, rounds: int = 5) -> Fit:
     if not (search.begun or near):
         round_at(search, search.nominal)
     leader = _followed(search, rounds)
+    if leader.members and leader.rms > LOOSE:
+        extend_first(search, leader)
+        leader = search.best if search.best.key == leader.key else _followed(search, rounds)
     problem = search.prepared.problem
     if not (clean(leader) or can_touch(problem.machine.model)):
         if leader.rms < ROUGH and problem.loose(leader.hypothesis):
@@ -68,6 +71,22 @@ def _followed(search: Search, rounds: int) -> Fit:
         if leader.key == before.key or _stuck(search, before):
             break
     return leader
+
+
+def extend_first(search: Search, leader: Fit) -> None:
+    """Extend the best single effect that a leader lacks, as long as that comes nearer.
+
+    Exchanges, one effect at a time, do not lead from a set to one with other values of the study's
+    parameters: what a lighter pendulum and less current do, a heavier arm does at the current of
+    the model, and neither a heavier arm nor that current fits beside the rest of the first.
+    """
+    taken = {c.key for c in leader.members}
+    grown = [f for f in search.fits.values() if f.size == 1 and f.members[0].key not in taken]
+    base: Fit | None = None
+    while grown and (best := ranked(grown, search.prior)[0]) is not base:
+        base, before = best, set(search.fits)
+        extend(search, base)
+        grown = [base, *(f for key, f in search.fits.items() if key not in before)]
 
 
 def _stuck(search: Search, before: Fit) -> bool:

@@ -55,6 +55,11 @@ def round_at(search: Search, base: Fit) -> None:
         _drop(search, base, unit)
 
 
+def extend(search: Search, base: Fit) -> None:
+    """Linearise at a fit and try what could be added to it."""
+    _add(search, search.screened(base), base)
+
+
 def _first(search: Search, screen: Screen) -> None:
     found = subsets.search(screen.gram((), {}), search.most, subsets.groups(search.candidates))
     _run(search, alone(found.get(1, [])), _TOP[1], None)
