@@ -5,7 +5,7 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.search.locate import locate
-from bo_sysid.diagnosis.search.moves import stripped
+from bo_sysid.diagnosis.search.moves import extend_first, stripped
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
@@ -114,3 +114,20 @@ def test_what_only_windows_outside_the_search_show_is_found() -> None:
     kept = rare.machine.actuators["elbow"].force_max - best.hypothesis.x[0][0]
     assert kept == pytest.approx(limit, rel=0.02)
     assert best.rms < 1.05
+
+
+def test_the_best_effect_that_a_leader_lacks_is_extended_to_the_truth() -> None:
+    missing = [*DAMPED, ("joint_spring", "joint", "shoulder", [0.4, 0.0])]
+    recordings = (record(duration=4.0, missing=missing),)
+    effects = [CATALOGUE[e] for e in ("viscous_damping", "joint_spring", "payload", "armature")]
+    made = make_evidence(arm(), recordings, effects=effects, noise={"qpos": SIGMA}, threads=1)
+    search = Search.on(prepare(windows_of(made, 100, 0.002)), list(made.candidates), 2, None)
+    own = {c.key: c for c in search.candidates}
+    wrong = [own["payload", "forearm"], own["armature", "elbow"]]
+    for c in (wrong[0], own["viscous_damping", "elbow"]):
+        search.fit([c], [np.zeros(c.size)])
+    leader = search.fit(wrong, [np.zeros(c.size) for c in wrong])
+    assert leader.rms > ROUGH
+    extend_first(search, leader)
+    assert search.best.key == {("viscous_damping", "elbow"), ("joint_spring", "shoulder")}
+    assert search.best.rms == pytest.approx(1.0, abs=0.1)
