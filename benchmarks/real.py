@@ -88,7 +88,7 @@ MACHINES = {
     ),
     "cube_toss": Machine(
         "cube_toss.yaml",
-        "friction 0.18, restitution 0.125; the model has 1.0 and next to none",
+        "friction 0.18, restitution 0.125; the model has 1.0 and 0.135",
     ),
     "double_pendulum": Machine(
         "double_pendulum.yaml",
