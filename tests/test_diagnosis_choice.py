@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.answer.hints import (
     balls,
     bending,
     doubtful,
+    following,
     hints,
     holding,
     leaves_much,
@@ -32,6 +33,7 @@ from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
@@ -318,6 +320,39 @@ def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
     )  # fmt: skip
     assert list(meshing(fit, machine)) == gap
     assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
+
+
+@pytest.mark.parametrize(
+    ("effect", "site", "more", "late"),
+    [
+        ("actuator_lag", "elbow", 0.4, ["elbow"]),
+        ("actuator_delay", "elbow", 0.4, ["elbow"]),
+        ("actuator_lag", "elbow", 0.8, []),
+        ("actuator_lag", "shoulder", 0.4, []),
+        ("viscous_damping", "elbow", 0.4, []),
+    ],
+)
+def test_a_compliance_that_explains_hardly_more_than_a_late_motor_is_a_hint(
+    friction, effect, site, more, late
+) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+
+    def alone(effect: str, joint: str, excess: float) -> Fit:
+        c = candidate(machine, effect, joint)
+        hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+        return replace(
+            best, hypothesis=hypothesis, rms=np.sqrt(1.0 + excess), groups=(None,), unique=(4.0,),
+            jacobian=np.ones((*best.residual.shape, c.size)),
+            covariance=np.eye(c.size),
+        )  # fmt: skip
+
+    soft, other = alone("joint_compliance", "elbow", 0.01), alone(effect, site, 0.01 + more**2)
+    assert list(following(soft, [soft, other], machine)) == late
+    said = [
+        s for s in hints(soft, machine, [other]) if "hardly more than a motor that is late" in s
+    ]
+    assert len(said) == len(late)
+    assert not following(other, [soft, other], machine)
 
 
 def test_names_on_a_machine_with_a_ball_joint_are_hints(friction) -> None:

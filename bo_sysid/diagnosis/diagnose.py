@@ -136,7 +136,7 @@ class Diagnosis:
         if self.answer.findings and not self.contact and leaves_much(best):
             least = self.located.search.least
             said.append(left_sentence(best, self.evidence.most, least))
-        said += hints(self.outcome.fit, self.evidence.machine)
+        said += hints(best, self.evidence.machine, self.located.decision.fits)
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
 
@@ -178,7 +178,7 @@ def diagnose(
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    unsure = contact or doubtful(outcome.fit, evidence.machine)
+    unsure = contact or doubtful(outcome.fit, evidence.machine, located.decision.fits)
     answer = make_answer(
         located.decision, outcome, evidence.machine, experiment,
         doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),

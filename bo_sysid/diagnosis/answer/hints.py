@@ -8,23 +8,28 @@ import numpy as np
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.effects import Machine, Site
 from bo_sysid.mjcf.joints import BALL
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
+_LATE, _SOFT = ("actuator_lag", "actuator_delay"), "joint_compliance"
 _SMALL = 0.15  # of a motor's lag, of another effect at its joint: together they may be a gap
+_MORE = 0.15  # of a compliance, that it explains more than a late motor does
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
-def doubtful(best: Fit, machine: Machine) -> bool:
-    """Return whether something casts doubt on the names of a set."""
-    return leaves_much(best) or bool(hints(best, machine))
+def doubtful(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> bool:
+    """Return whether something, or one of the other sets, casts doubt on the names of a set."""
+    return leaves_much(best) or bool(hints(best, machine, others))
 
 
-def hints(best: Fit, machine: Machine) -> tuple[str, ...]:
+def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str, ...]:
     """Return in words which effects of a set others may stand behind, and what would tell."""
     said = []
+    if late := following(best, others, machine):
+        said.append(_following_sentence(late))
     if bent := bending(best):
         said.append(_bending_sentence(bent))
     if held := holding(best):
@@ -73,7 +78,7 @@ def bending(best: Fit) -> tuple[str, ...]:
     Its bend is not always found, and a compliance was named in its place.
     """
     rubbing = {c.site.name for c in best.members if c.bendable}
-    springy = [c.site.name for c in best.members if c.effect.id == "joint_compliance"]
+    springy = [c.site.name for c in best.members if c.effect.id == _SOFT]
     return tuple(joint for joint in springy if joint in rubbing)
 
 
@@ -82,6 +87,39 @@ def _bending_sentence(joints: Sequence[str]) -> str:
     return (
         f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
         "it slips: a load that changes while the joint moves one way would tell."
+    )
+
+
+def following(best: Fit, others: Sequence[Fit], machine: Machine) -> tuple[str, ...]:
+    """Return the joints with a compliance in whose place a late motor leaves hardly more.
+
+    A lag below the model's time step leaves what the step gets wrong of it, and a soft joint, which
+    has more magnitudes, leaves less.
+    """
+    soft = {c: u for c, u in zip(best.members, best.unique, strict=True) if c.effect.id == _SOFT}
+    found = []
+    for c, size in soft.items():
+        rest = best.names - {c.key}
+        late = [f for f in others if rest < f.names and _is_late(f.names - rest, c, machine)]
+        more = min((sqrt(max(f.excess - best.excess, 0.0)) for f in late), default=inf)
+        if more < _MORE * size:
+            found.append(c.site.name)
+    return tuple(found)
+
+
+def _is_late(names: frozenset[tuple[str, str]], soft: Candidate, machine: Machine) -> bool:
+    """Whether names are a lag or a delay alone, of the motor of a joint that is soft."""
+    ((effect, site), *more) = names
+    joint = machine.joint_of("actuator", site) if effect in _LATE and not more else None
+    return joint is not None and joint.name == soft.site.name
+
+
+def _following_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a compliance may be a late motor, and what would tell."""
+    which = " and ".join(joints)
+    return (
+        f"The compliance at {which} explains hardly more than a motor that is late: slow motion "
+        f"under a large load, which bends {which} and makes no motor late, would tell."
     )
 
 
@@ -140,7 +178,7 @@ def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:
     """
     sizes: dict[str, list[tuple[bool, float]]] = {}
     for c, size in zip(best.members, best.unique, strict=True):
-        late = c.effect.id in ("actuator_lag", "actuator_delay")
+        late = c.effect.id in _LATE
         for name in _joints_at(c.site, machine):
             sizes.setdefault(name, []).append((late, size))
     found = []
