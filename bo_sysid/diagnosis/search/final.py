@@ -84,6 +84,7 @@ def compare(final: Search, first: Fit) -> None:
             return
         substitute(final, leader)
         _shaped_alike(final, leader)
+        _from_nearer(final, leader)
         _polish(final, leader, polished)
         eliminate(final)
 
@@ -112,11 +113,34 @@ def _shaped_alike(final: Search, leader: Fit) -> None:
     own = {c.key: c for c in leader.members}
     near = [f for f in final.fits.values() if f.rms < _AS_GOOD * leader.rms]
     for f in near:
-        shared = sum(c.key in own for c in f.members)
         members = [own.get(c.key, c) for c in f.members]
-        exchanged = len(f.members) == len(own) == shared + 1
-        if exchanged and set_key(members) not in final.fits:
+        if _exchanged(f, leader) and set_key(members) not in final.fits:
             final.refit(members, f.x, start=f.start, guess=f.hypothesis, effort=FINAL)
+
+
+def _from_nearer(final: Search, leader: Fit) -> None:
+    """Fit a leader that is far off from a set that differs in one member and is nearer.
+
+    Where both do the same, what they share may lie where only that one came to: a drag left 201 σ
+    and the back-EMF of its motor 203, and so they were told apart.
+    """
+    own = {c.key: (c, x) for c, x in zip(leader.members, leader.x, strict=True)}
+    near = [f for f in final.fits.values() if f.rss < leader.rss and _exchanged(f, leader)]
+    if leader.rms <= LOOSE or not near:
+        return
+    best = min(near, key=lambda f: f.rss)
+    (instead,) = own.keys() - {c.key for c in best.members}
+    pairs = [
+        (c, x) if c.key in own else own[instead] for c, x in zip(best.members, best.x, strict=True)
+    ]
+    members, x = zip(*pairs, strict=True)
+    final.refit(members, x, start=best.start, guess=best.hypothesis, effort=FINAL)
+
+
+def _exchanged(fit: Fit, leader: Fit) -> bool:
+    """Whether a set differs from the leader in one member."""
+    shared = len(_effects(fit) & _effects(leader))
+    return len(fit.members) == len(leader.members) == shared + 1
 
 
 def _polish(final: Search, leader: Fit, polished: set[Names]) -> None:
