@@ -1,15 +1,18 @@
 """What the search does and leaves out where names are far from the recordings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
+from bo_sysid.diagnosis.search.final import _from_nearer
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import extend_first, stripped
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.rules import MARGIN, lost
+from bo_sysid.diagnosis.sets.rules import LOOSE, MARGIN, lost
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.forecast import fitted
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -131,3 +134,22 @@ def test_the_best_effect_that_a_leader_lacks_is_extended_to_the_truth() -> None:
     extend_first(search, leader)
     assert search.best.key == {("viscous_damping", "elbow"), ("joint_spring", "shoulder")}
     assert search.best.rms == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("left", [1.1, 0.9])
+def test_a_leader_far_off_is_fitted_from_what_does_the_same_and_came_nearer(left: float) -> None:
+    """A drag and the back-EMF of a motor without a gear are one force."""
+    force = ("elbow", lambda q: 0.04 * np.sin(9 * q))
+    recordings = (record(duration=4.0, missing=DAMPED, force=force),)
+    effects = [CATALOGUE["viscous_damping"], CATALOGUE["back_emf"]]
+    made = make_evidence(arm(), recordings, effects=effects, noise={"qpos": SIGMA}, threads=1)
+    search = Search.on(prepare(windows_of(made, 100, 0.002)), list(made.candidates), 1, None)
+    own = {c.key: c for c in search.candidates}
+    drag = search.fit([own["viscous_damping", "elbow"]], [np.zeros(1)])
+    emf = search.fit([own["back_emf", "elbow"]], [np.zeros(1)])
+    assert emf.rms == pytest.approx(drag.rms, rel=1e-3)
+    known = replace(emf, cost=left**2 * emf.cost, rms=left * emf.rms)
+    search.fits[emf.key] = known
+    assert known.rms > LOOSE
+    _from_nearer(search, known)
+    assert search.fits[emf.key].rms == pytest.approx(min(left, 1.0) * drag.rms, rel=1e-3)
