@@ -152,4 +152,4 @@ def test_a_leader_far_off_is_fitted_from_what_does_the_same_and_came_nearer(left
     search.fits[emf.key] = known
     assert known.rms > LOOSE
     _from_nearer(search, known)
-    assert search.fits[emf.key].rms == pytest.approx(min(left, 1.0) * drag.rms, rel=1e-3)
+    assert search.fits[emf.key].rms < 1.001 * min(left, 1.0) * drag.rms
