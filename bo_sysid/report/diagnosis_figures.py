@@ -79,7 +79,8 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
         top.plot(time, part[model], label=MODELS[model], **style)
         error = recorded - part[model]
         off = rms(error)
-        words = f"{float(f'{off:.2g}'):g} {unit} rms" if np.isfinite(off) else "no prediction"
+        size = f"{float(f'{off:.2g}'):g} {unit}".rstrip()
+        words = f"{size} rms" if np.isfinite(off) else "no prediction"
         below.plot(time, error, label=f"{model}: {words}", **style)
     low, high = float(recorded.min()), float(recorded.max())
     span = max(high - low, 1e-9)
