@@ -166,7 +166,7 @@ def test_a_speed_of_friction_that_the_recordings_do_not_tell_stays_where_it_is()
 def test_stribeck_friction_that_bends_is_no_dry_friction() -> None:
     """Bent dry friction comes nearer than Stribeck friction that does not bend."""
     missing = [("stribeck_friction", "joint", "shoulder", [0.08, 0.1, 0.15, 8e-4])]
-    chosen = [CATALOGUE[n] for n in (*NAMES, "stribeck_friction")]
+    chosen = [CATALOGUE[n] for n in ("dry_friction", "viscous_damping", "stribeck_friction")]
     recording = record(missing, duration=5.0, finer=16)
     made = make_evidence(arm(), [recording], effects=chosen, noise={"qpos": SIGMA}, threads=1)
     best = locate(made).decision.best
