@@ -22,6 +22,7 @@ from bo_sysid.effects.registry import effect
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
 _SCALE = 0.02  # relative: a probe
+_GEARED = (1.0, -0.5)  # relative: an encoder behind gears of 2:1, or before them
 _SAME, _POSITION, _GOAL = (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)  # what a servo takes from an encoder
 _MOST_DELAY = 0.06
 
@@ -77,7 +78,8 @@ def _scaled_extent(site: Site, machine: Machine) -> Extent:
     ways = [_SAME, _GOAL] if servos else []
     ways += [_POSITION] if any(a.bias[2] for a in servos) else []
     grid = tuple((_SCALE, *way) for way in ways)
-    return Extent((_SCALE, *_SAME), (-0.9, -1e-9, -1e-9), (3.0, 1.0, 1.0), grid)
+    secants = tuple((x, *way) for way in ways for x in _GEARED)
+    return Extent((_SCALE, *_SAME), (-0.9, -1e-9, -1e-9), (3.0, 1.0, 1.0), grid, secants=secants)
 
 
 @effect(
