@@ -57,7 +57,7 @@ def recorded(scale: float, way: str) -> Recording:
     ("scale", "way", "shapes"),
     [(1.1, "rate", (1, 0)), (1.1, "position", (0, 0)), (-0.5, "goal", (0, 1))],
 )
-def test_an_encoder_behind_gears_is_named(scale: float, way: str, shapes: tuple) -> None:
+def test_an_encoder_behind_gears_is_named(scale: float, way: str, shapes: tuple[int, int]) -> None:
     """Without a start from there the first is another way and damping, the last two more names."""
     effects = [CATALOGUE[name] for name in ("encoder_scale", *RIVALS)]
     model, noise = Model.from_xml(SERVO), {"qpos": SIGMA}
