@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.moves import eliminate, rubbing
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
@@ -76,6 +77,7 @@ def compare(final: Search, first: Fit) -> None:
     done: set[object] = set()
     polished = {_effects(first)}
     for _ in range(_COMPARED):
+        simulate_blocks(final)
         leader = _leader(final)
         if not leader.members or leader.key in done:
             return

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.search.search import Search
@@ -86,6 +87,7 @@ def _located(
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
     let_hold(final)
+    simulate_blocks(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
