@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.sets.cross_validation import cross_validated
 from bo_sysid.diagnosis.sets.fit import assess, sandwich
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.sets.screen import Screen
@@ -16,6 +17,8 @@ from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.settling import first_start, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
@@ -211,3 +214,26 @@ def test_one_block_has_the_covariance_of_white_noise() -> None:
     """There is no scatter between blocks to see; an interval of no width is no answer."""
     covariance = sandwich(100.0 * np.eye(2), np.zeros((1, 2)), 1.0)
     np.testing.assert_allclose(covariance, 0.01 * np.eye(2), rtol=1e-6)
+
+
+def test_far_off_a_block_is_left_out_as_by_fitting_without_it() -> None:
+    """Against brute force: a fit of all other blocks, simulated in the block."""
+    missing = [("dry_friction", "joint", "elbow", [0.15]), TRUTH[1]]
+    problem, machine = posed(record(missing, duration=5.0), horizon=60)
+    ready = prepare(problem)
+    frame, block = ready.linear, ready.problem.block
+    held = [candidate(machine, "viscous_damping", "elbow")]
+    effort = Effort(12, 0.5, final=True)
+    fit = refit(frame, held, [held[0].probe], effort=effort)
+    assert fit.rms > ROUGH
+    made = cross_validated(frame, fit)
+    assert made.simulated
+    assert made.x is fit.x
+    brute = []
+    for k in np.unique(block):
+        others, own = frame.rows(block != k), frame.rows(block == k)
+        without = refit(others, held, fit.x, start=fit.start.rows(block != k), effort=effort)
+        start, r = first_start(own.problem, without.hypothesis, fit.start.rows(block == k))
+        r = settle(own.problem, own, without.hypothesis, start, r=r)[1]
+        brute.append(float((project(own.Q, r) ** 2).sum()))
+    assert made.cv.sum() == pytest.approx(sum(brute), rel=0.02)

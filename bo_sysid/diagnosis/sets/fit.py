@@ -15,9 +15,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.simulation import State
 
-CV_RIDGE = 0.02
-"""On unit columns: an effect that acts in one block only gains nothing."""
-
+_CV_RIDGE = 0.02  # on unit columns: an effect that acts in one block only gains nothing
 _TINY = 1e-12
 _UNSEEN = 1e-3  # of what the bounds say of a magnitude: recordings that say less say nothing
 
@@ -38,12 +36,12 @@ class Fit:
             study's parameters, then the share of the finer step.
         rms: root mean square of the projected residual per degree of freedom, in sigma.
         cv: squared residual of each block when the magnitudes come from the other blocks.
-        simulated: whether `cv` is what the simulator leaves, or what slopes at the fit foretell.
         cost: squared residual of each block.
         unique: size of each member in sigma that no other member or nuisance can take over.
         covariance: `p x p` of the magnitudes, from the scatter of blocks.
         spread: standard deviation of each member's shapes, 0 of those that are held; empty until
             it was asked for (`shapes`).
+        simulated: whether `cv` is what the simulator leaves, or what slopes at the fit foretell.
     """
 
     hypothesis: Hypothesis
@@ -145,7 +143,7 @@ def assess(
     G, g, cost = by_block(SP, y, problem.block)
     total, cv = G.sum(axis=0), cost.copy()
     if p:
-        ridge = CV_RIDGE * np.eye(p)
+        ridge = _CV_RIDGE * np.eye(p)
         whole = np.linalg.solve(total + ridge, g.sum(axis=0))
         for k in range(len(cost)):
             step = np.linalg.solve(total - G[k] + ridge, g.sum(axis=0) - g[k]) - whole
@@ -247,13 +245,13 @@ def _unique(
         rest = np.setdiff1d(np.arange(len(G)), a)
         z = candidate.whole(x)[:own] * scale[a]
         N, c = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), G[np.ix_(rest, a)] @ z
-        y = nearest(N, c, (room[0][rest], room[1][rest]))
+        y = _nearest(N, c, (room[0][rest], room[1][rest]))
         left = z @ G[np.ix_(a, a)] @ z - 2 * y @ c + y @ N @ y
         sizes.append(float(np.sqrt(max(left, 0.0) / dof)))
     return tuple(sizes)
 
 
-def nearest(
+def _nearest(
     N: Float[np.ndarray, "r r"],
     c: Float[np.ndarray, " r"],
     room: tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]],

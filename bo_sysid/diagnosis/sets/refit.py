@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, assess
-from bo_sysid.diagnosis.sets.space import Space
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, beside, slices_of
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.settling import better_of, first_start, moved_along, settle
+from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
@@ -52,6 +52,43 @@ FINAL = Effort(iterations=5, gain=1.0, final=True)
 """On all windows, for sets between which is decided."""
 
 
+@dataclass(frozen=True)
+class _Space:
+    """The vector that is fitted: magnitudes of members, parameters, share of the finer step."""
+
+    members: tuple[Candidate, ...]
+    nuisances: tuple[Candidate, ...]
+    numerics: bool
+    low: Float[np.ndarray, " p"]
+    high: Float[np.ndarray, " p"]
+    probe: Float[np.ndarray, " p"]
+
+    @classmethod
+    def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
+        nuisances = beside(problem.nuisances, members)
+        held = (*members, *nuisances)
+        numerics = problem.correction is not None
+        extra = ([SHARE_BOUNDS[0]], [SHARE_BOUNDS[1]], [1.0]) if numerics else ([], [], [])
+        low, high, probe = (
+            np.concatenate([*(getattr(c, name) for c in held), np.array(tail, float)])
+            for name, tail in zip(("low", "high", "probe"), extra, strict=True)
+        )
+        return cls(tuple(members), nuisances, numerics, low, high, probe)
+
+    def vector(self, x: Sequence[np.ndarray], guess: Hypothesis) -> Float[np.ndarray, " p"]:
+        tail = np.array([guess.numerics] if self.numerics else [], float)
+        known = dict(zip(guess.nuisances, guess.nuisance_x, strict=True))
+        nuisance = (known.get(c, np.zeros(c.size)) for c in self.nuisances)
+        return np.asarray(np.clip(np.concatenate([*x, *nuisance, tail]), self.low, self.high))
+
+    def hypothesis(self, theta: Float[np.ndarray, " p"]) -> Hypothesis:
+        held = (*self.members, *self.nuisances)
+        parts = tuple(theta[own] for own in slices_of(held))
+        k = len(self.members)
+        numerics = float(theta[-1]) if self.numerics else 0.0
+        return Hypothesis(self.members, parts[:k], self.nuisances, parts[k:], numerics)
+
+
 def refit(
     frame: Linear,
     members: Sequence[Candidate],
@@ -76,7 +113,7 @@ def refit(
         effort: how hard to fit.
     """
     problem, effort = frame.problem, effort or Effort()
-    space, guess = Space.of(problem, members), guess or frame.hypothesis
+    space, guess = _Space.of(problem, members), guess or frame.hypothesis
     theta = space.vector(_with_parameters(problem, space, x, guess), guess)
     begin = start or frame.start
     made_from = (
@@ -96,7 +133,7 @@ def refit(
 
 def _fitted(
     frame: Linear,
-    space: Space,
+    space: _Space,
     theta: Float[np.ndarray, " p"],
     start: State,
     columns: Float[np.ndarray, "W R p"] | None,
@@ -118,7 +155,7 @@ def _fitted(
 
 
 def _with_parameters(
-    problem: Problem, space: Space, x: Sequence[Float[np.ndarray, " _"]], guess: Hypothesis
+    problem: Problem, space: _Space, x: Sequence[Float[np.ndarray, " _"]], guess: Hypothesis
 ) -> list[Float[np.ndarray, " _"]]:
     """Return first magnitudes in which members have the friction of parameters that give way."""
     out = [p for p in guess.nuisances if p not in space.nuisances]
@@ -146,7 +183,7 @@ class _Point:
         return float((self.r**2).sum())
 
 
-def _settled(frame: Linear, space: Space, point: _Point) -> _Point:
+def _settled(frame: Linear, space: _Space, point: _Point) -> _Point:
     """Return a point with its starts moved once more along the response to them."""
     hypothesis = space.hypothesis(point.theta)
     start, r, _ = moved_along(frame.problem, frame, hypothesis, point.start, point.r, point.r)
@@ -154,7 +191,7 @@ def _settled(frame: Linear, space: Space, point: _Point) -> _Point:
 
 
 def _caught_up(
-    frame: Linear, space: Space, point: _Point, J: np.ndarray, effort: Effort
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, effort: Effort
 ) -> tuple[_Point, np.ndarray]:
     """Return a point whose windows were fitted on each by itself, and magnitudes with them.
 
@@ -175,7 +212,7 @@ def _caught_up(
 
 
 def _descend(
-    frame: Linear, space: Space, point: _Point, S: np.ndarray | None, effort: Effort
+    frame: Linear, space: _Space, point: _Point, S: np.ndarray | None, effort: Effort
 ) -> tuple[_Point, np.ndarray]:
     dof = frame.problem.dof
     exact = S is None
@@ -207,7 +244,7 @@ def _descend(
     return point, J
 
 
-def _jacobian(frame: Linear, space: Space, point: _Point) -> Float[np.ndarray, "W R p"]:
+def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, "W R p"]:
     columns = []
     for k, (value, probe) in enumerate(zip(point.theta, np.abs(space.probe), strict=True)):
         h = max(0.1 * probe if abs(value) < probe else 0.02 * abs(value), 0.05 * probe)
@@ -223,7 +260,7 @@ def _jacobian(frame: Linear, space: Space, point: _Point) -> Float[np.ndarray, "
 def _bounded_step(
     S: Float[np.ndarray, "W R p"],
     point: _Point,
-    space: Space,
+    space: _Space,
     ridge: float,
     variance: float,
 ) -> Float[np.ndarray, " p"]:
@@ -257,7 +294,7 @@ def _bounded_step(
 
 
 def _line_search(
-    frame: Linear, space: Space, point: _Point, J: np.ndarray, step: np.ndarray
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, step: np.ndarray
 ) -> _Point | None:
     """Return the first point along a step that leaves less, None where none does.
 
