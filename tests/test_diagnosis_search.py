@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
+from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import _from_nearer
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import extend_first, stripped
@@ -55,8 +56,23 @@ def test_sets_that_explain_little_are_not_compared_with_others(waves, compared) 
     assert not compared
 
 
+def test_far_off_blocks_that_were_left_out_are_simulated(waves) -> None:
+    assert locate(waves).decision.best.simulated
+    search = Search.on(prepare(windows_of(waves, 100, 0.002)), [], 1, None)
+    near, far = (candidate(waves.machine, "viscous_damping", s) for s in ("elbow", "shoulder"))
+    first, second = (search.fit([c], [np.zeros(1)]) for c in (near, far))
+    assert ROUGH < first.rms < second.rms
+    simulate_blocks(search)
+    made = search.fits[first.key]
+    assert made.simulated
+    assert made.rss == first.rss < made.cv.sum()
+    # what leaves more of all blocks than that of those left out cannot lead
+    assert search.fits[second.key].simulated == (second.rss < made.cv.sum())
+
+
 def test_a_set_that_explains_is_compared(compared) -> None:
     located = locate(evidence("viscous_damping", missing=DAMPED))
+    assert not located.decision.best.simulated
     (finding,) = located.decision.best.members
     assert finding.key == ("viscous_damping", "elbow")
     assert [fit.key for fit in compared] == [located.decision.best.key]

@@ -6,14 +6,18 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.cross_validation import cross_validated
 from bo_sysid.diagnosis.sets.rules import ranked
 from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.mjcf.touching import can_touch
 
 
 def simulate_blocks(search: Search) -> None:
     """Simulate what sets leave of each block of windows, where slopes do not reach to it.
 
     Far from the recordings, and but for sets that leave more of all blocks than another does of
-    those that it was not fitted to.
+    those that it was not fitted to. Not in contact, where every window is fitted by itself and five
+    more fits of each set would take as long as the search.
     """
+    if can_touch(search.prepared.problem.machine.model):
+        return
     for f in ranked(search.fits.values(), search.prior):
         rivals = (g.cv.sum() for g in search.fits.values() if g.simulated)
         if f.rms > ROUGH and not f.simulated and f.rss < min(rivals, default=np.inf):
