@@ -21,4 +21,5 @@ def simulate_blocks(search: Search) -> None:
     for f in ranked(search.fits.values(), search.prior):
         rivals = (g.cv.sum() for g in search.fits.values() if g.simulated)
         if f.rms > ROUGH and not f.simulated and f.rss < min(rivals, default=np.inf):
+            search.doing(f"sets that leave {f.rms:.1f} sigma are fitted without each fifth block")
             search.fits[f.key] = cross_validated(search.frame, f)
