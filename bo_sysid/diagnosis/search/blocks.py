@@ -4,7 +4,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.cross_validation import cross_validated
-from bo_sysid.diagnosis.sets.rules import ranked
+from bo_sysid.diagnosis.sets.rules import admissible, ranked
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.mjcf.touching import can_touch
 
@@ -12,13 +12,14 @@ from bo_sysid.mjcf.touching import can_touch
 def simulate_blocks(search: Search) -> None:
     """Simulate what sets leave of each block of windows, where slopes do not reach to it.
 
-    Far from the recordings, and but for sets that leave more of all blocks than another does of
-    those that it was not fitted to. Not in contact, where every window is fitted by itself and five
-    more fits of each set would take as long as the search.
+    Far from the recordings, of sets whose every member is needed, and but for those that leave more
+    of all blocks than another does of blocks that it was not fitted to. Not in contact, where every
+    window is fitted by itself and five more fits of each set would take as long as the search.
     """
     if can_touch(search.prepared.problem.machine.model):
         return
-    for f in ranked(search.fits.values(), search.prior):
+    fits = tuple(search.fits.values())
+    for f in (f for f in ranked(fits, search.prior) if admissible(f, search.nominal, fits)):
         rivals = (g.cv.sum() for g in search.fits.values() if g.simulated)
         if f.rms > ROUGH and not f.simulated and f.rss < min(rivals, default=np.inf):
             search.doing(f"sets that leave {f.rms:.1f} sigma are fitted without each fifth block")
