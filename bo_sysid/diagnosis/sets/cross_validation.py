@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 
 _FOLDS = 5
-_WITHOUT = Effort(iterations=2, gain=1.0, final=True)  # from where all windows led
+_WITHOUT = Effort(iterations=2, gain=1.0)  # from where all windows led
 
 
 def cross_validated(frame: Linear, fit: Fit) -> Fit:
