@@ -71,12 +71,12 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
     nominal=_carried,
     noun="a payload",
     sentence="{site} carries {value} at its end that the model lacks.",
-    form="child body with an inertial",
+    form="child body with an inertial, at the first site, else the end",
     evidence="inertia that changes with posture and loads gravity",
     separation="several postures",
 )
 def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """A point mass at the end of a body."""
+    """A point mass at the first site of a body, else at its end."""
     name = f"{site.name}_payload"
     load = spec.body(name)
     if load is None:
