@@ -4,12 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.report import interactive
 from bo_sysid.report.check_figures import recording_figure
 from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
 from bo_sysid.report.figures import predictions
 from bo_sysid.report.look import COLOURS, worst_channels
+from bo_sysid.report.robot import Posed, find_site
 
 EPOCH = 1_762_000_000.0  # [s] since 1970
 SECONDS = {"morning": 16.0, "noon": 18.0, "evening": 15.0}
@@ -170,3 +172,18 @@ def test_of_two_predictions_that_are_the_same_both_are_seen() -> None:
         under, over = drawn[COLOURS["nominal"]], drawn[COLOURS["identified"]]
         assert over.get_linestyle() == "--"
         assert under.get_linewidth() > over.get_linewidth()
+
+
+@pytest.mark.parametrize(("joints", "label"), [(3, "j0:<br>dry friction 2 N m"), (4, "j0")])
+def test_many_marked_sites_are_labelled_by_name(joints: int, label: str) -> None:
+    """What is said of each would lie over what is said of the next."""
+    link = '<body name="b{0}" pos="0 0 .2"><joint name="j{0}" axis="0 1 0"/><geom size=".05"/>'
+    bodies = "".join(link.format(k) for k in range(joints)) + "</body>" * joints
+    model = Model.from_xml(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    posed = Posed.of(model, {})
+    sites = [
+        (find_site(posed, "joint", f"j{k}"), f"j{k}:\ndry friction 2 N m") for k in range(joints)
+    ]
+    words = [t.text[0] for t in interactive.robot(posed, sites).data if t.type == "scatter3d"]
+    assert len(words) == joints
+    assert words[0] == label

@@ -31,6 +31,7 @@ _POINTS = 6_000  # of all channels of a page together
 _LEAST_POINTS = 400  # of a curve
 _DASHES = {"refitted": "dot"}
 _MARK = 0.09  # of the robot's size: radius of a mark
+_SPELLED_OUT = 3  # marked sites beside which there is room for what is said of them
 _STEEL = "#9FB0C3"
 
 
@@ -164,8 +165,9 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:
 
     Args:
         posed: the model in a pose.
-        sites: each with what is said of it.
+        sites: each with what is said of it; beside many of them only the names are written.
     """
+    many = len(sites) > _SPELLED_OUT
     guilty = {g for site, _ in sites for g in site.geoms}
     right, up = view(posed)
     toward = np.cross(right, up)
@@ -182,9 +184,10 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:
             beside = _MARK * (up + 1.5 * outside * right) + 0.3 * toward
             x, y, z = (site.point + size * beside)[:, None]
             side = "middle right" if outside > 0 else "middle left"
+            shown = words.partition(":")[0] if many else words
             figure.add_scatter3d(
                 x=x, y=y, z=z, mode="text", textposition=side,
-                text=[said(words).replace("\n", "<br>")],
+                text=[said(shown).replace("\n", "<br>")],
                 textfont={"color": NOMINAL, "size": 15}, hoverinfo="skip",
             )  # fmt: skip
     from_here = 1.7 * toward + 0.25 * up + 0.2 * right
