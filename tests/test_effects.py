@@ -149,6 +149,32 @@ def test_link_mass_scales_inertia_and_payload_adds_a_point(arm, machine) -> None
     assert loaded.body_subtreemass[1] == pytest.approx(nominal.body_subtreemass[1] + 0.1)
 
 
+_WEDGE = "0 0 0  .3 .02 0  .3 -.02 0  .3 0 .04"  # from the joint to .3 m along x
+
+
+@pytest.mark.parametrize(
+    ("geoms", "x"),
+    [
+        ('<geom type="box" pos=".1 0 0" size=".1 .02 .02"/>', 0.2),
+        ('<geom type="box" pos=".1 0 0" size=".02 .02 .1" euler="0 90 0"/>', 0.2),
+        ('<geom type="mesh" mesh="wedge"/>', 0.3),
+        ('<geom type="capsule" fromto="0 0 0 .2 0 0" size=".03"/>', 0.2),
+        ('<geom type="box" pos=".1 0 0" size=".03 .03 .03"/>', 0.1),
+        ('<geom type="box" pos=".1 0 0" size=".1 .02 .02"/><site pos=".15 0 0"/>', 0.15),
+    ],
+)
+def test_a_payload_hangs_at_the_site_or_the_end_of_a_long_geom(geoms: str, x: float) -> None:
+    model = Model.from_xml(
+        f'''<mujoco><asset><mesh name="wedge" vertex="{_WEDGE}"/></asset><worldbody>
+        <body name="link"><joint name="hinge" axis="0 1 0"/>{geoms}</body></worldbody></mujoco>'''
+    ).compile()
+    t = np.arange(0, 1, 0.01)
+    moved = Recording.from_arrays(t, qpos={"hinge": np.sin(3 * t)})
+    tip = survey(model, [moved]).bodies["link"].tip
+    assert tip[0] == pytest.approx(x, abs=1e-3)
+    assert np.hypot(*tip[1:]) < 0.03  # near the axis of the link, within its thickness
+
+
 def test_a_servo_with_more_gain_rests_at_the_same_place(arm, machine) -> None:
     model, _ = at(arm, machine, "actuator_gain", "actuator", "servo", [0.5])
     a = model.actuator("servo")

@@ -70,7 +70,7 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
     extent=_payload_extent,
     nominal=_carried,
     noun="a payload",
-    sentence="{site} carries {value} at its end that the model lacks.",
+    sentence="{site} carries a load of {value} that the model lacks.",
     form="child body with an inertial, at the first site, else the end",
     evidence="inertia that changes with posture and loads gravity",
     separation="several postures",

@@ -24,7 +24,9 @@ _LEAST = 0.03  # of the largest torque: less is no saturation
 _FEWEST = 5  # samples that the shortest filter needs
 _POSES = 20
 _INSTANTS = 200
+_LONG = 1.5  # times the next extent of a box or mesh, from which it has ends
 _FLOOR = 1e-6
+_ROUND = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
@@ -291,18 +293,27 @@ def _body(model: mujoco.MjModel, i: int) -> BodyScale:
     points = list(sites[:1])
     if not points:
         points = [model.body_pos[k] for k in range(1, model.nbody) if model.body_parentid[k] == i]
-        for g in np.flatnonzero(model.geom_bodyid == i):
-            axis = np.zeros(9)
-            mujoco.mju_quat2Mat(axis, model.geom_quat[g])
-            long = int(model.geom_type[g]) in (
-                int(mujoco.mjtGeom.mjGEOM_CAPSULE),
-                int(mujoco.mjtGeom.mjGEOM_CYLINDER),
-            )
-            reach = model.geom_size[g, 1] * axis.reshape(3, 3)[:, 2] if long else np.zeros(3)
-            points += [model.geom_pos[g] + reach, model.geom_pos[g] - reach]
+        geoms = np.flatnonzero(model.geom_bodyid == i).tolist()
+        points += [end for g in geoms for end in _ends(model, g)]
         points.append(model.body_ipos[i])
     x, y, z = max(points, key=lambda p: float(np.linalg.norm(p)))
     return BodyScale(model.body(i).name, float(model.body_mass[i]), (float(x), float(y), float(z)))
+
+
+def _ends(model: mujoco.MjModel, geom: int) -> tuple[Float[np.ndarray, "3"], ...]:
+    """Return the two ends of a long geom in the frame of its body, or the middle of another.
+
+    Ends of a capsule are the centres of its caps, as MJCF's `fromto` gives them.
+    """
+    middle, half = np.split(model.geom_aabb[geom], 2)
+    if int(model.geom_type[geom]) in _ROUND:
+        half = np.array([0.0, 0.0, model.geom_size[geom, 1]])
+    second, longest = np.sort(half)[1:]
+    reach = np.where(half == longest, half, 0.0) if longest > _LONG * second else np.zeros(3)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.geom_quat[geom])
+    into = axes.reshape(3, 3)
+    return tuple(model.geom_pos[geom] + into @ (middle + s * reach) for s in (1.0, -1.0))
 
 
 def _scales(
