@@ -26,4 +26,5 @@ def run(args: argparse.Namespace) -> None:
         from bo_sysid.plants.recorded import record_into
 
         path = record_into(run, study, args.study.stem, progress)
-    print(f"{path.parent}: recordings of the plant. Now: bo-sysid identify {path}")
+    verb = "identify" if study.parameters else "diagnose"
+    print(f"{path.parent}: recordings of the plant. Now: bo-sysid {verb} {path}")
