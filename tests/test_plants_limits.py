@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bo_sysid.errors import ModelError, StudyError
-from bo_sysid.mjcf import Model, address_edit
+from bo_sysid.mjcf import Model, address_edit, parameter_edits
 from bo_sysid.plants.build import build_plant, record
+from bo_sysid.plants.effects import realised
 from bo_sysid.plants.environment import BatchEnvironment, control_range
 from bo_sysid.plants.limits import LimitedTask, limit_edits
 from bo_sysid.plants.machine import VectorMachine
@@ -16,6 +17,7 @@ from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.plants.tasks import Start, find_task
 from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
 
 ARM = """
 <mujoco>
@@ -123,6 +125,43 @@ def test_an_effort_widens_no_range_of_the_model(tmp_path, own, kept):
     if own == "3 5":
         with pytest.raises(StudyError, match="leaves actuator 'elbow' no force"):
             limit_edits(study(tmp_path, {"elbow": {"effort": 2.0}}), model)
+
+
+def test_a_plant_that_saturates_below_its_limits_still_does(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    weak = {"effect": "actuator_saturation", "kind": "actuator", "site": "elbow"}
+    data = {
+        "model": "arm.xml", "recordings": {"train": ["none.csv"]},
+        "limits": {"elbow": {"effort": 5.0}},
+    }  # fmt: skip
+    model = Model.from_xml(ARM)
+
+    def most(lost: float) -> list[float]:
+        bound = Study.from_dict({**data, "plant": {"effects": [{**weak, "value": lost}]}}, tmp_path)
+        effects = realised(bound, model).edits
+        made = [model.compile(effects), model.compile([*effects, *limit_edits(bound, model)])]
+        return [float(m.actuator_forcerange[1, 1]) for m in made]
+
+    alone, kept = most(1.0)
+    assert kept == 5.0 < alone  # what it gives at most is beyond the effort
+    alone, kept = most(alone + 1.0 - 2.0)
+    assert kept == alone == pytest.approx(2.0)
+
+
+def test_a_force_range_that_is_a_parameter_differs_between_candidates(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM.replace('kp="20"', 'kp="20" forcerange="-4 4"'))
+    most = {"address": "actuator[elbow].forcerange[1]", "low": 1.0, "high": 6.0}
+    data = {
+        "model": "arm.xml", "recordings": {"train": ["none.csv"]}, "parameters": [most],
+        "limits": {"elbow": {"effort": 5.0}},
+    }  # fmt: skip
+    uncertain = Study.from_dict(data, tmp_path)
+    model = load_model(uncertain)
+    narrowed = limit_edits(uncertain, model)
+    for value, kept in ((1.0, 1.0), (3.0, 3.0), (6.0, 5.0)):
+        edits = parameter_edits(model, uncertain.parameter_set(model), [value])
+        made = model.compile([*edits, *narrowed])
+        np.testing.assert_allclose(made.actuator_forcerange[1], [-4.0, kept])
 
 
 def test_an_actuator_without_a_control_is_not_limited(tmp_path):

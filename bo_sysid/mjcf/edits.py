@@ -6,6 +6,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.address import resolve
@@ -195,6 +196,8 @@ class MotorEdit:
 class RangeEdit:
     """Narrows what actuators may be told and what they may do.
 
+    A range that is narrower already, as of a motor that saturates, stays.
+
     Attributes:
         controls: least and largest control by actuator.
         forces: least and largest force by actuator, in [N m] or [N] before the gear.
@@ -205,16 +208,28 @@ class RangeEdit:
     moves_mass = False
 
     def __call__(self, spec: mujoco.MjSpec) -> None:
-        """Set the ranges."""
-        for name, (low, high) in self.controls.items():
-            spec.actuator(name).ctrllimited = True
-            spec.actuator(name).ctrlrange = [low, high]
-        for name, (low, high) in self.forces.items():
-            spec.actuator(name).forcelimited = True
-            spec.actuator(name).forcerange = [low, high]
+        """Narrow the ranges."""
+        for name, bound in self.controls.items():
+            a = spec.actuator(name)
+            a.ctrlrange = _narrowed(bound, a.ctrllimited, a.ctrlrange)
+            a.ctrllimited = True
+        for name, bound in self.forces.items():
+            a = spec.actuator(name)
+            a.forcerange = _narrowed(bound, a.forcelimited, a.forcerange)
+            a.forcelimited = True
 
     def __str__(self) -> str:
         return f"ranges of {', '.join({**self.controls, **self.forces})}"
+
+
+def _narrowed(
+    bound: tuple[float, float], limited: mujoco.mjtLimited, own: Float[np.ndarray, "2"]
+) -> tuple[float, float]:
+    """Return a bound within the range that there is, if any."""
+    auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO and own[0] == own[1]
+    if auto or limited == mujoco.mjtLimited.mjLIMITED_FALSE:
+        return bound
+    return max(bound[0], float(own[0])), min(bound[1], float(own[1]))
 
 
 @dataclass(frozen=True)

@@ -56,8 +56,9 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
         where = ("limits", joint)
         effort = None if limit.effort is None else limit.effort / driven.count(joint)
         if effort is not None and any(has_bias(m, a) for m in machines):
-            forces[name] = _forces(machines, a, effort)
-            if not forces[name][0] < forces[name][1]:
+            most = _most_force(machines, a, effort)
+            forces[name] = (-most, most)
+            if not _leaves_force(machines, a, most):
                 raise study.error(where, f"leaves actuator {name!r} no force")
         low, high = common_bounds(machines, a, limit.position, effort)
         if not low < high:
@@ -90,17 +91,15 @@ def _require_kept(study: Study, model: Model, compiled: mujoco.MjModel) -> None:
             )
 
 
-def _forces(
-    machines: Sequence[mujoco.MjModel], actuator: int, effort: float
-) -> tuple[float, float]:
-    """Return the least and largest force of an actuator, before its gear, within an effort."""
-    most = effort / max(abs(float(m.actuator_gear[actuator, 0])) for m in machines)
-    low, high = -most, most
-    for m in machines:
-        if m.actuator_forcelimited[actuator]:
-            own_low, own_high = m.actuator_forcerange[actuator].tolist()
-            low, high = max(low, own_low), min(high, own_high)
-    return low, high
+def _most_force(machines: Sequence[mujoco.MjModel], actuator: int, effort: float) -> float:
+    """Return the largest force of an actuator, before its gear, within an effort."""
+    return effort / max(abs(float(m.actuator_gear[actuator, 0])) for m in machines)
+
+
+def _leaves_force(machines: Sequence[mujoco.MjModel], actuator: int, most: float) -> bool:
+    """Return whether the model's own range, if any, has forces within a bound."""
+    own = (m.actuator_forcerange[actuator] for m in machines if m.actuator_forcelimited[actuator])
+    return all(low < most and high > -most for low, high in own)
 
 
 class LimitedTask(VectorTask):
