@@ -109,7 +109,8 @@ class CandidateSet:
     ) -> "CandidateSet":
         """Return the first `size` points of a scrambled Sobol sequence within the bounds.
 
-        A parameter without an order takes its grid values, in equal shares.
+        A parameter without an order takes its grid values, in equal shares. Where all have none,
+        combinations recur, and the set is smaller: no candidate is in it twice.
         """
         sampler = qmc.Sobol(len(parameters), rng=np.random.default_rng(seed))
         unit = sampler.random_base2(int(np.ceil(np.log2(max(size, 2)))))[:size]
@@ -119,7 +120,8 @@ class CandidateSet:
         for k, p in enumerate(parameters):
             if not p.ordered:
                 points[:, k] = p.grid[np.minimum((unit[:, k] * p.steps).astype(int), p.steps - 1)]
-        return cls(tuple(parameters), points)
+        first = np.sort(np.unique(points, axis=0, return_index=True)[1])
+        return cls(tuple(parameters), points[first])
 
     @property
     def bounds(self) -> Points:

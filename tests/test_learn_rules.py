@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -22,7 +23,7 @@ from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
 from bo_sysid.learn.values import Estimate, Values, values
 from bo_sysid.parameters import CandidateSet, Parameter
-from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.limits import LimitedTask
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import VectorTask
@@ -256,6 +257,40 @@ def test_the_expected_floor_is_that_of_a_plant_without_effects(
     assert lacks_physics(floor, StopReason.CONVERGED) is high
     if not high:
         assert 0.8 < floor.ratio < 1.1
+
+
+TWO = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body pos="0 0 1">
+<joint name="a" axis="0 1 0" damping=".1"/>
+<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/>
+<body pos=".3 0 0"><joint name="b" axis="0 1 0" damping=".05"/>
+<geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass=".3"/></body></body></worldbody>
+<actuator><motor name="a" joint="a" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_noise_counts_only_where_something_was_recorded(tmp_path: Path) -> None:
+    """One joint at a tenth of the other's rate; at the truth Δ is that of the noise alone."""
+    (tmp_path / "two.xml").write_text(TWO)
+    noise = {"qpos": 1e-3, "qvel": 1e-2}
+    study = Study.from_dict(
+        {
+            "model": "two.xml",
+            "recordings": {"train": ["none.csv"], "noise": noise},
+            "parameters": [{"address": "joint[a].damping", "low": 0.05, "high": 0.15}],
+            "deviation": {"horizon": 10},
+            "plant": {"noise": noise},
+        },
+        tmp_path,
+    )
+    (whole,) = record(build_plant(study), load_model(study), 1, duration=4.0)
+    slow = {
+        n: replace(c, time=c.time[::10], values=c.values[::10])
+        for n, c in whole.channels.items()
+        if n.endswith(".b")
+    }
+    problem = make_problem(study, [replace(whole, channels={**whole.channels, **slow})])
+    truth = np.array([0.1])
+    found = float(problem.deviation(truth[None]).deviation[0])
+    assert floor_of(problem, truth, found).noise == pytest.approx(found, rel=0.1)
 
 
 @pytest.mark.parametrize("rates", [True, False])

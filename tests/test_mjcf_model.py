@@ -314,6 +314,18 @@ def test_export_carries_its_assets_along(tmp_path):
         assert [p.name for p in (moved / "out_assets").iterdir()] == ["shell.obj"]
 
 
+def test_export_of_a_model_that_strips_the_paths_of_its_assets(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "shell.obj").write_text(TETRAHEDRON)
+    text = MESHES.replace('meshdir="parts"', 'meshdir="parts" strippath="true"')
+    text = text.replace('"shell.obj"', '"C:/cad/shell.obj"')
+    (tmp_path / "robot.xml").write_text(text)
+    model = Model.from_file(tmp_path / "robot.xml")
+    model.export(tmp_path / "deep" / "out.xml")
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "deep" / "out.xml"))
+    np.testing.assert_allclose(roll_out(loaded), roll_out(model.compile()), atol=1e-10)
+
+
 def test_export_that_fails_leaves_the_old_file(tmp_path):
     path = tmp_path / "model.xml"
     path.write_text("old")

@@ -33,6 +33,13 @@ def test_a_sobol_design_fills_the_box_evenly(size: int) -> None:
     np.testing.assert_array_equal(design.points, again.points)
 
 
+def test_a_sobol_design_of_categories_has_none_twice() -> None:
+    kinds = [Parameter(n, (f"joint[{n}].damping",), 0.0, 3.0, 4, ordered=False) for n in ("a", "b")]
+    design = CandidateSet.from_sobol(kinds, 64)
+    assert len(np.unique(design.points, axis=0)) == len(design) == 16  # all that there are
+    assert len(CandidateSet.from_sobol([*kinds, B], 64)) == 64
+
+
 def test_candidates_cannot_be_changed() -> None:
     grid = CandidateSet.from_grid([A])
     with pytest.raises(ValueError, match="read-only"):

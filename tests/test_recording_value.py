@@ -129,6 +129,8 @@ def test_a_part_keeps_the_control_that_was_held_when_it_began():
     part = recording.between(0.1, 0.4)
     assert part.channels["qpos.a"].time.tolist() == [0.1, 0.3]
     assert part.channels["ctrl.m"].at(np.array([0.1])).item() == 7.0
+    assert part.span == (0.1, 0.3)
+    assert part.between(0.1, 0.4).origin == part.origin == recording.origin == 0.0
     assert recording.span == (0.0, 0.4)
     with pytest.raises(RecordingError, match=r"'qpos.a' has fewer than 2 samples"):
         recording.between(0.31, 0.39)

@@ -59,6 +59,17 @@ def test_the_model_predicts_its_own_recording(arm: Model, horizon: int) -> None:
     assert windows.aligned
 
 
+@pytest.mark.parametrize("horizon", [1, 7])
+def test_stamps_that_count_from_1970_are_on_the_steps_as_well(arm: Model, horizon: int) -> None:
+    """They are a quarter of a microsecond apart: what is on a step is off by as much."""
+    plain = simulated(arm)
+    late = {n: replace(c, time=c.time + 1_764_229_200.123) for n, c in plain.channels.items()}
+    windows, prediction = forecast(arm, replace(plain, channels=late), horizon)
+    assert windows.aligned
+    assert windows.steps == horizon
+    np.testing.assert_allclose(prediction.values, windows.observed, atol=1e-13)
+
+
 def kept(recording: Recording, channel: str, where: Callable[[np.ndarray], object]) -> Recording:
     """Return a recording with some samples of a channel, chosen by their stamps."""
     whole = recording.channels[channel]

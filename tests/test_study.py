@@ -4,13 +4,18 @@ import json
 from pathlib import Path
 
 import jsonschema
+import numpy as np
 import pytest
 import yaml
 
+from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.plants.build import study_task
+from bo_sysid.recording import Recording
 from bo_sysid.recording.columns import ClockRule, ColumnRule
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.simulation import cut
 from bo_sysid.study import Study, inputs, schema
 from bo_sysid.study.base import Section
 from bo_sysid.study.inputs import (
@@ -270,6 +275,30 @@ def test_without_holdout_the_last_quarter_is_set_aside(folder: Path) -> None:
     assert holdout.channels["qpos.elbow"].time[0] == pytest.approx(0.30)
     assert "0.2925 s" in train.notes[-1]
     assert holdout.channels["qpos.elbow"].time[-1] == pytest.approx(0.39)
+
+
+def test_what_has_a_memory_goes_on_in_the_last_quarter(tmp_path: Path) -> None:
+    """As if it had been cut from the whole log: the clock of a law, and a motor that lags."""
+    lags = '<general name="m" joint="a" dyntype="filterexact" dynprm=".2"/>'
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="a"/><geom size=".1" pos=".1 0 0"/></body>'
+        f"</worldbody><actuator>{lags}</actuator></mujoco>"
+    )
+    t = np.arange(0, 4, 0.01)
+    u = np.sign(np.sin(3 * t))
+    whole = Recording.from_arrays(t, qpos={"a": np.sin(t)}, qvel={"a": np.cos(t)}, ctrl={"m": u})
+    write_recording(whole, tmp_path / "log.parquet")
+    study = minimal(tmp_path, model="arm.xml", recordings={"train": "log.parquet"})
+    parts = whole, *load_train(study), *load_holdout(study)
+    model = load_model(study)
+    all_, train, held = (cut(model, [r], horizon=5, signals=(ELAPSED,)) for r in parts)
+    for windows in (train, held):
+        same = np.flatnonzero(np.isin(all_.time, windows.time))
+        assert len(same) == len(windows) > 0
+        np.testing.assert_array_equal(windows.signals[ELAPSED], all_.signals[ELAPSED][same])
+        np.testing.assert_allclose(windows.start.act, all_.start.act[same], atol=1e-12)
+    assert np.abs(held.start.act).max() > 0.1
+    assert held.signals[ELAPSED][0, 0] >= 2.9
 
 
 def test_the_model_is_loaded(folder: Path) -> None:

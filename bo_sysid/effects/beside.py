@@ -267,7 +267,7 @@ def as_commanded_and_measured(
                 "stamps at which it was recorded"
             )
         channels[r.source or r.channel] = made
-    return Recording(recording.name, channels, tuple(notes))
+    return replace(recording, channels=channels, notes=tuple(notes))
 
 
 def _interpolated(channel: Channel, time: Times) -> Channel:

@@ -25,6 +25,7 @@ from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.identify.problem import Problem
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import sensor_noise
+from bo_sysid.simulation import Prediction
 
 ABOVE = 1.15  # times the expected floor; where nothing lacked the ratio was .95 to 1.05
 
@@ -118,8 +119,7 @@ def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: in
     )
     seen = np.array([sigma[name] for name in windows.channels])
     noise = seen * rng.standard_normal(windows.observed.shape)
-    good = ~(clean.diverged | shaken.diverged)
-    return _mean_norm(problem, (shaken.values - clean.values + noise)[good])
+    return _apart(problem, clean, shaken, noise)
 
 
 def _resolution_part(problem: Problem, best: Point) -> float:
@@ -135,7 +135,19 @@ def _resolution_part(problem: Problem, best: Point) -> float:
     own, *others = problem.deviation.simulator.predictions(
         np.array(points), problem.deviation.windows
     )
-    return sum((0.5 * _mean_norm(problem, o.values - own.values) for o in others), 0.0)
+    return sum((0.5 * _apart(problem, own, o) for o in others), 0.0)
+
+
+def _apart(
+    problem: Problem,
+    a: Prediction,
+    b: Prediction,
+    noise: Float[np.ndarray, "W H c"] | float = 0.0,
+) -> float:
+    """Return Δ between two predictions, with noise, where there is a sample and none diverged."""
+    recorded = np.isfinite(problem.deviation.windows.observed)
+    difference = np.where(recorded, b.values - a.values + noise, 0.0)
+    return _mean_norm(problem, difference[~(a.diverged | b.diverged)])
 
 
 def _were_recorded(problem: Problem, point: Point, values: Float[np.ndarray, "W H c"]) -> float:

@@ -80,6 +80,7 @@ def _copy_assets(spec: mujoco.MjSpec, folder: Path, source: str) -> None:
                 cubes[side] = _copy(spec, directory, file, folder, copies, source)
     for compiler in (spec.compiler, *(e.compiler for e, _ in _with_files(spec))):
         compiler.meshdir = compiler.texturedir = ""
+    spec.strippath = False  # it would cut the folder off
     spec.modelfiledir = f"{folder.parent.resolve()}/"
 
 
@@ -117,7 +118,9 @@ def _copy(
 
 def _content(spec: mujoco.MjSpec, directory: str, file: str, source: str) -> bytes:
     """Return an asset's content from memory or from disk."""
-    places = [PurePosixPath(directory) / file, PurePosixPath(file), PurePosixPath(file).name]
+    name = PurePosixPath(file).name
+    stripped = [PurePosixPath(directory) / name, PurePosixPath(name)]  # as `strippath` has it
+    places = [PurePosixPath(directory) / file, PurePosixPath(file), *stripped]
     for place in map(str, places):
         if place in spec.assets:
             content = spec.assets[place]

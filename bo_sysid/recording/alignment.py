@@ -57,7 +57,7 @@ def control_steps(
     edges = np.asarray(start_times)[:, None] + np.arange(n_steps + 1) * dt
     if channel.hold == "linear":
         return _interpolated(channel, edges)
-    edges = _snapped(edges, channel.time, _SNAP * dt)
+    edges = _snapped(edges, channel.time, _SNAP * dt + rounding(channel.time))
     left, right = edges[:, :-1], edges[:, 1:]
     stamps, values = channel.time, channel.values
     last_row = stamps.size - 1
@@ -72,6 +72,14 @@ def control_steps(
         + (right - stamps[last]) * values[last]
     )
     return np.where(first == last, values[first], integral / (right - left))
+
+
+def rounding(time: Times) -> float:
+    """Return by how much in [s] a difference of time stamps may be off, in floating point.
+
+    Of stamps that count from 1970 it is half a microsecond.
+    """
+    return 2.0 * float(np.spacing(np.abs(time).max()))
 
 
 def _interpolated(channel: Channel, edges: Float[np.ndarray, "W _"]) -> Float[np.ndarray, "W S"]:

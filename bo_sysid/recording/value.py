@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -100,11 +100,13 @@ class Recording:
         name: a short name, for messages and tables.
         channels: channel by name.
         notes: what was done to the data on the way in, one sentence each.
+        begin: time at which the log began in [s], where this is a part of one.
     """
 
     name: str
     channels: Mapping[str, Channel]
     notes: tuple[str, ...] = field(default=())
+    begin: float | None = None
 
     def __post_init__(self) -> None:
         if not self.channels:
@@ -208,35 +210,42 @@ class Recording:
         return {n[len(start) :]: c for n, c in self.channels.items() if n.startswith(start)}
 
     def between(self, start: float, stop: float) -> "Recording":
-        """Return the part from `start` to before `stop`, in [s]; inputs reach in from before."""
+        """Return the part from `start` to before `stop`, in [s], and all inputs before it.
+
+        What has a memory, as a lag or friction that warms up, goes on from where it was.
+        """
         channels = {}
         for name, c in self.channels.items():
             first, last = np.searchsorted(c.time, [start, stop])
-            if c.continuous:
-                first = max(int(np.searchsorted(c.time, start, side="right")) - 1, 0)
-                # a command that did not change within the part brings a neighbour along
-                first, last = max(min(first, int(last) - 2), 0), max(int(last), 2)
+            if c.continuous:  # a command that did not change within the part brings a neighbour
+                first, last = 0, max(int(last), 2)
             if last - first < 2:
                 raise RecordingError(
                     f"{self.name}: channel {name!r} has fewer than 2 samples from {start:g} s to "
                     f"{stop:g} s"
                 )
-            channels[name] = Channel(
-                c.time[first:last], c.values[first:last], c.unit, c.source, c.hold
-            )
-        return Recording(self.name, channels, self.notes)
+            channels[name] = replace(c, time=c.time[first:last], values=c.values[first:last])
+        return replace(self, channels=channels, begin=self.origin)
 
     def with_notes(self, notes: Iterable[str]) -> "Recording":
         """Return a copy with `notes` added."""
-        return Recording(self.name, self.channels, (*self.notes, *notes))
+        return replace(self, notes=(*self.notes, *notes))
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time stamp over all channels, in [s]."""
-        return (
-            min(float(c.time[0]) for c in self.channels.values()),
-            max(float(c.time[-1]) for c in self.channels.values()),
-        )
+        """First and last time stamp in [s] of what was measured, or of the inputs alone."""
+        measured = [c for c in self.channels.values() if not c.continuous]
+        return _span(measured or self.channels.values())
+
+    @property
+    def origin(self) -> float:
+        """Time in [s] at which the log began, of which this may be a part."""
+        return _span(self.channels.values())[0] if self.begin is None else self.begin
+
+
+def _span(channels: Iterable[Channel]) -> tuple[float, float]:
+    times = [c.time for c in channels]
+    return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
 
 
 def wrong_name(name: str) -> str:

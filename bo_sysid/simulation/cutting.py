@@ -14,7 +14,7 @@ from bo_sysid.mjcf import Loops, Model, ParameterLike, room_for_delays
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.recording.alignment import control_steps
+from bo_sysid.recording.alignment import control_steps, rounding
 from bo_sysid.simulation.activations import activations, set_activations
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.smoothing import smooth
@@ -99,9 +99,10 @@ def _cut_one(
     inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
     first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
     instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
-    step = np.floor(instants / dt + _ON_STEP).astype(int)
+    on_step = _ON_STEP + rounding(time) / dt
+    step = np.floor(instants / dt + on_step).astype(int)
     fraction = instants / dt - step
-    fraction[np.abs(fraction) < _ON_STEP] = 0.0
+    fraction[np.abs(fraction) < on_step] = 0.0
     steps = int((step + (fraction > 0)).max())
     ctrl = controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
@@ -157,7 +158,7 @@ def _signal(
     recording: Recording, name: str, start: Float[np.ndarray, " W"], steps: int, dt: float
 ) -> Float[np.ndarray, "W S"]:
     if name == ELAPSED:
-        return np.asarray((start - recording.span[0])[:, None] + np.arange(steps) * dt)
+        return np.asarray((start - recording.origin)[:, None] + np.arange(steps) * dt)
     return control_steps(_channel(recording, name), start, steps, dt)
 
 

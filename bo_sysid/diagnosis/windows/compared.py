@@ -1,6 +1,7 @@
 """What a diagnosis sees of recordings: the instants at which positions were recorded."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,4 +42,4 @@ def _at_positions(model: Model, recording: Recording, observed: Collection[str])
                 channel.time[there], channel.values[there], channel.unit, channel.source
             )
     ordered = {n: channels[n] for n in recording.channels if n in channels}
-    return Recording(recording.name, ordered, recording.notes)
+    return replace(recording, channels=ordered)

@@ -1,6 +1,7 @@
 """The controls that laws write, along what was recorded: they give the scales of the actuators."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -44,4 +45,4 @@ def _one(model: mujoco.MjModel, recording: Recording, laws: Sequence[Controller]
         ctrl[law.actuator] = np.broadcast_to(np.asarray(law.law(inputs), float), time.shape)
         name = f"ctrl.{law.actuator}"
         made[name] = Channel(time, ctrl[law.actuator], "", f"{recording.name}: {name}", "zero")
-    return Recording(recording.name, {**recording.channels, **made}, recording.notes)
+    return replace(recording, channels={**recording.channels, **made})
