@@ -24,6 +24,8 @@ from bo_sysid.mjcf import address_edit
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.load import make_environment
 from bo_sysid.plants.tasks import Start
+from bo_sysid.policy.network import GaussianPolicy, Network
+from bo_sysid.policy.normalisation import Normaliser
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
@@ -76,6 +78,48 @@ def test_the_loop_goes_on_with_the_repaired_model(
     again = learned(tmp_path, lacking(trajectories=2, choose="argmax"))
     pd.testing.assert_frame_equal(again.iterations, told.iterations)
     assert again.chosen == told.chosen
+
+
+def test_the_plant_is_told_what_the_repaired_model_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A gain that is not known leaves less of the range that an effort allows."""
+
+    def gaining(study: Study, run: Run, **_: object) -> SimpleNamespace:
+        found = knowing(study, run)
+        data = yaml.safe_load(run.path("study_repaired.yaml").read_text())
+        gain = {"name": "gain", "address": "actuator[torque].gear[0]", "low": 1.0, "high": 1.6}
+        data["parameters"].append({**gain, "steps": 3})
+        run.write_text("study_repaired.yaml", yaml.safe_dump(data))
+        return found
+
+    monkeypatch.setattr(bo_sysid.diagnosis, "diagnose", gaining)
+    limits = {"hinge": {"effort": 0.5}}
+    told = learned(tmp_path, {**lacking(trajectories=2, choose="argmax"), "limits": limits})
+    assert told.iterations["diagnosed"].tolist() == [True, False]
+    first, second = (
+        np.abs(pd.read_parquet(tmp_path / f"run/trajectories/0{k}.parquet")["ctrl.torque"])
+        for k in (1, 2)
+    )
+    assert first.max() > 0.35
+    assert 0 < second.max() <= 0.5 / 1.6 + 1e-12
+    policy = LearnedPolicy.load(tmp_path / "run/iterations/01/policy.npz")
+    assert policy.about["commands"] == {"low": [-0.5 / 1.6], "high": [0.5 / 1.6]}
+
+
+@pytest.mark.parametrize("most", [0.1, 0.4])
+def test_actions_are_those_that_give_the_commands_of_the_model(most: float) -> None:
+    network = GaussianPolicy(Network((3, 4, 2)))
+    theta = np.random.default_rng(0).normal(size=network.size).astype(np.float32)
+    normaliser = Normaliser(np.zeros(3), np.ones(3), 5.0)
+    own = {"low": [-0.2, 0.0], "high": [0.2, 1.0]}
+    policy = LearnedPolicy(network, theta, normaliser, {"commands": own})
+    seen = np.random.default_rng(1).normal(size=(50, 3))
+    low, high = np.array([-most, -most]), np.array([most, 2.0])
+    given = low + (policy.acting(low, high)(seen) + 1) / 2 * (high - low)
+    wanted = np.array([-0.2, 0.0]) + (policy.act(seen) + 1) / 2 * np.array([0.4, 1.0])
+    np.testing.assert_allclose(given, np.clip(wanted, low, high), atol=1e-7)
+    assert policy.acting(np.array(own["low"]), np.array(own["high"])) == policy.act
 
 
 UPRIGHT = """

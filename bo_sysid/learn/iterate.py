@@ -16,7 +16,7 @@ from jaxtyping import Int
 from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import share_beyond
+from bo_sysid.learn.hand_over import command_range, share_beyond
 from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration, repaired_scene, stored_repair
 from bo_sysid.learn.repair import MOST, Repair, repaired
@@ -185,6 +185,7 @@ def _learned(
     policy = train_on(scene, environment, run, number, start, steps, watch)
     about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
     about["share_beyond"] = share_beyond(scene, policy, point)
+    about["commands"] = dict(zip(("low", "high"), command_range(scene), strict=True))
     policy = replace(policy, about=about)
     policy.save(place)
     return policy

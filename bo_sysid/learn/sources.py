@@ -16,7 +16,7 @@ from bo_sysid.learn.values import VALUE_SEED, Estimate
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.measuring import KINDS
-from bo_sysid.plants.plant import PlantError, Trajectory
+from bo_sysid.plants.plant import Act, PlantError, Trajectory
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import READERS, Recording, read_recording
 from bo_sysid.recording.writers import write_recording
@@ -111,7 +111,7 @@ class PlantSource:
             return None
         settings = self._scene.study.plant
         warmstart = settings is not None and settings.record.warmstart
-        source = self._excitation() if policy is None else policy.act
+        source = self._excitation() if policy is None else self._acting(policy)
         try:
             recording = self._plant.record(source, warmstart=warmstart)
         except PlantError as error:
@@ -121,6 +121,9 @@ class PlantSource:
         write_recording(recording, self._run.path(_file(number)))
         self._run.write_json("trajectories.json", [asdict(t) for t in self._plant.trajectories])
         return None
+
+    def _acting(self, policy: LearnedPolicy) -> Act:
+        return policy.acting(*self._plant.command_range(policy.policy.actions))
 
     def _excitation(self) -> np.ndarray:
         scene = self._scene
@@ -163,7 +166,7 @@ class PlantSource:
         """
         scene = self._scene
         episodes, seed = scene.study.learn.episodes, scene.seed + VALUE_SEED
-        return Estimate.of(self._plant.evaluate(policy.act, episodes, seed=seed))
+        return Estimate.of(self._plant.evaluate(self._acting(policy), episodes, seed=seed))
 
 
 class MachineSource:

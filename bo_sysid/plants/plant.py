@@ -135,6 +135,11 @@ class Plant:
         """Time between two rows of controls in [s]."""
         return self.task.control_timestep
 
+    def command_range(self, actions: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest and the highest command of every actuator, for so many actions."""
+        ones = np.ones((1, actions))
+        return self._machine.controls(-ones)[0], self._machine.controls(ones)[0]
+
     def record(
         self,
         source: np.ndarray | Act,

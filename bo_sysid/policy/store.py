@@ -2,7 +2,7 @@
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,27 @@ class LearnedPolicy:
         """Return the mean actions, `n x a` in [-1, 1], at `n x o` observations."""
         means = self.policy.network(self.theta, self.normaliser(observations))
         return np.asarray(np.clip(means, -1.0, 1.0))
+
+    def acting(self, low: np.ndarray, high: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return `act` for a machine whose actions from -1 to 1 are commands from `low` to `high`.
+
+        It is told what the model was on which the policy was learned, as far as its range goes: a
+        repair may have changed what an action means there (`about["commands"]`).
+
+        Args:
+            low: `a` commands at the actions -1.
+            high: `a` commands at the actions 1.
+        """
+        own = self.about.get("commands")
+        if own is None or (np.array_equal(own["low"], low) and np.array_equal(own["high"], high)):
+            return self.act
+        least, most = np.asarray(own["low"]), np.asarray(own["high"])
+
+        def act(observations: np.ndarray) -> np.ndarray:
+            commands = least + (self.act(observations) + 1.0) / 2.0 * (most - least)
+            return np.asarray(np.clip(2.0 * (commands - low) / (high - low) - 1.0, -1.0, 1.0))
+
+        return act
 
     def require(self, observation_size: int, action_size: int, where: str = "policy") -> None:
         """Refuse a model that this policy was not learned on.
