@@ -93,7 +93,7 @@ def _climb(
 def _laplace_scale(
     evidence: Evidence, prior: Prior, theta: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, "p p"]:
-    """Return the inverse of the negative Hessian at a mode, no wider than the prior."""
+    """Return the inverse of the negative Hessian at a mode, at most √2 as wide as the prior."""
     p = len(theta)
     offsets = _STEP * np.concatenate([np.eye(p), -np.eye(p)])
     _, gradient = _log_posterior(evidence, prior, theta + offsets)

@@ -35,7 +35,7 @@ class Identified:
     Attributes:
         rows: `n` evaluated rows of B, in order.
         deviation: `n`, Δ of each on all recordings.
-        entropy: `n` entropies of P; NaN for rows that earlier iterations had picked.
+        entropy: `n` entropies of P; NaN for rows that earlier iterations had picked, but the last.
         probabilities: `N` P(β).
         bootstrap: `N` P_boot(β).
         mean: `N` mean of g(Δ(β)), the power of Δ that the surrogate models (`belief.warp`).

@@ -210,6 +210,17 @@ def _bare(model: mujoco.MjModel) -> mujoco.MjModel:
     return bare
 
 
+def _constrain(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Compute the rows of the equalities at a pose, and nothing of masses.
+
+    Inertias that are too small, as on the way to a closed loop, would be told on the terminal.
+    """
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_tendon(model, data)
+    mujoco.mj_makeConstraint(model, data)
+
+
 def _rows(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "e nv"]:
     return np.asarray(data.efc_J.reshape(-1, model.nv)[: data.ne])
 
@@ -220,7 +231,7 @@ def _newton(
     """Yield the steps of some degrees of freedom that close the loops; the caller moves `qpos`."""
     for _ in range(_ITERATIONS):
         data.qpos[:] = qpos
-        mujoco.mj_fwdPosition(model, data)
+        _constrain(model, data)
         J = _rows(model, data)[:, dofs]
         step = -np.linalg.lstsq(J, data.efc_pos[: data.ne], rcond=1e-9)[0]
         longest = float(np.abs(step).max(initial=0.0))
@@ -242,7 +253,7 @@ def _somewhere(model: mujoco.MjModel) -> Float[np.ndarray, " nq"]:
 def _slopes(model: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> Float[np.ndarray, "e nv"]:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
-    mujoco.mj_fwdPosition(model, data)
+    _constrain(model, data)
     return _rows(model, data).copy()
 
 
