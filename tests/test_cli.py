@@ -285,6 +285,14 @@ def test_threads_are_those_of_the_option(
     assert say(verb, "arm.yaml")[2] == "bo-sysid: 2 threads\n"
 
 
+def test_excite_refuses_a_folder_that_is_a_file_before_its_search(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bo_sysid.excite.excite.excite", None)  # never called
+    code, _, err = say("excite", "arm.yaml", "--out", "log.csv")
+    assert (code, err) == (2, "bo-sysid: log.csv: File exists\n")
+
+
 def test_options_change_the_study(folder: Path, say: Say) -> None:
     code, out, _ = say("check", "arm.yaml", "--set", "search.candidates={sobol: 77}", "--seed", "3")
     assert code == 0

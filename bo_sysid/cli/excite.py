@@ -48,6 +48,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Plan, write, and print what the trajectory will tell."""
     study = load_study(args)
+    folder = run_folder(args, "excite")
+    folder.mkdir(parents=True, exist_ok=True)  # before the search, which takes minutes
 
     from bo_sysid.excite.excite import excite
     from bo_sysid.execution import Progress, use_threads
@@ -65,7 +67,6 @@ def run(args: argparse.Namespace) -> None:
             effects=args.effects,
             report=lambda done, cost: progress(Progress(min(done, args.budget), args.budget)),
         )
-    folder = run_folder(args, "excite")
     for name, frame in (("controls.csv", found.controls), ("parameters.csv", found.parameters)):
         with atomic(folder / name) as path:
             frame.to_csv(path, index=False)

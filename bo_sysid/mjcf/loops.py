@@ -138,7 +138,7 @@ class Loops:
         data, out = mujoco.MjData(self.model), np.zeros(len(qpos))
         for k, row in enumerate(qpos):
             data.qpos[:] = row
-            mujoco.mj_fwdPosition(self.model, data)
+            _constrain(self.model, data)
             out[k] = np.abs(data.efc_pos[: data.ne]).max(initial=0.0)
         return out
 
@@ -153,7 +153,7 @@ class Loops:
         out[:, free, free] = 1.0
         for k, row in enumerate(qpos):
             data.qpos[:] = row
-            mujoco.mj_fwdPosition(self.model, data)
+            _constrain(self.model, data)
             out[k][np.ix_(self.dofs, free)] = self._following(data)
         return out
 
