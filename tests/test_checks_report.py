@@ -229,6 +229,24 @@ def test_a_proposal_has_no_keys_at_their_defaults() -> None:
     assert proposed_clocks(written["clocks"], "ctrl", 0.004) == {"ctrl": {"shift": 0.005}}
 
 
+def test_a_proposal_states_a_unit_in_place_of_the_wrong_one() -> None:
+    """A wire's scale is beside the unit of the rule, which the proposal may replace."""
+    data = {
+        "model": str(ARM),
+        "recordings": {"train": "log.csv", "columns": {"qpos.a": {"unit": "rad"}, "qpos.b": "b"}},
+    }
+    written = Study.from_dict(data, Path()).resolved()["recordings"]["columns"]
+    wires = {n: Wire(n, scale=pi / 180, unit="deg") for n in ("qpos.a", "qpos.b")}
+    assert proposed_columns(written, wires, {}) == {
+        "qpos.a": {"unit": "deg"},
+        "qpos.b": {"from": "b", "unit": "deg"},
+    }
+    ticks = {"qpos.a": Wire("qpos.a", scale=0.1, unit="ticks")}
+    assert proposed_columns({"qpos.a": {"unit": "deg"}}, ticks, {}) == {
+        "qpos.a": {"unit": "ticks", "scale": pytest.approx(0.1 * pi / 180, rel=1e-5)}
+    }
+
+
 def test_a_proposal_keeps_the_size_of_a_jump() -> None:
     written = {"qpos.a": {"from": "theta", "unwrap": 4.096}, "qpos.b": {"unwrap": True}}
     wires = {

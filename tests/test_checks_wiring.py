@@ -128,6 +128,31 @@ def test_degrees_of_one_encoder_and_its_speed() -> None:
     assert found.wires["qvel.elbow"].unit == "deg/s"
 
 
+@pytest.mark.parametrize("names", [("qpos.elbow",), ("qpos.shoulder", "qpos.elbow")])
+def test_degrees_that_were_stated_and_are_radians(names: tuple[str, ...]) -> None:
+    """As read with `unit: deg`, which took the angles for smaller than they are."""
+    channels = dict(recorded().channels)
+    for name in names:
+        c = channels[name]
+        channels[name] = Channel(c.time, c.values * pi / 180, "rad", name, c.hold)
+    found = find_wiring(Model.from_xml(ARM).compile(), [Recording("log", channels)])
+    assert found.wires == {n: Wire(n, scale=180 / pi, unit="rad") for n in names}
+    written = {n: {"unit": "degree", "scale": 1.0} for n in names}
+    assert proposed_columns(written, found.wires, {}) == {n: {"unit": "rad"} for n in names}
+
+
+def test_the_unit_of_a_speed_that_was_stated_and_is_wrong() -> None:
+    channels = dict(recorded().channels)
+    c = channels["qvel.elbow"]
+    channels["qvel.elbow"] = Channel(c.time, c.values * pi / 30, "rad/s", c.source, c.hold)
+    found = find_wiring(Model.from_xml(ARM).compile(), [Recording("log", channels)])
+    assert found.wires == {"qvel.elbow": Wire("qvel.elbow", scale=30 / pi, unit="rad/s")}
+    written = {"qvel.elbow": {"from": "w", "unit": "rpm"}}
+    assert proposed_columns(written, found.wires, {}) == {
+        "qvel.elbow": {"from": "w", "unit": "rad/s"}
+    }
+
+
 def test_an_order_and_a_late_clock_at_once() -> None:
     def change(values: dict[str, np.ndarray]) -> None:
         values["ctrl.a"], values["ctrl.b"] = values["ctrl.b"].copy(), values["ctrl.a"].copy()

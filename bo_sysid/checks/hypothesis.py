@@ -25,6 +25,8 @@ Laws = Mapping[str, tuple[Law, tuple[str, ...]]]
 Units = Sequence[tuple[str, float]]
 ANGLES: Units = (("deg", pi / 180), ("mrad", 1e-3), ("turn", 2 * pi), ("ticks", 2 * pi / 4096))
 LENGTHS: Units = (("mm", 1e-3), ("cm", 1e-2))
+UNDONE: Mapping[str, Units] = {"rad": (("rad", 180 / pi),), "m": (("m", 1e3), ("m", 1e2))}
+"""By SI unit, the ways back to it where deg, mm or cm was stated and is wrong."""
 INPUTS: Units = (("milli", 1e-3), ("%", 1e-2), ("PWM", 1 / 255))
 """Other units that a control may be in, with their SI values: mN m or mA, per cent, −255…255."""
 FREE = "of its own"
@@ -103,6 +105,7 @@ class Evidence:
         step = max(traces.count // most, 1)
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
+        self.stated = {n: c.unit for r in traces.recordings for n, c in r.channels.items()}
         silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
         self.dynamics = Dynamics(model, silent)
         known = [n for a, n in zip(ids, self.actuators, strict=True) if follows(model, a)]

@@ -8,7 +8,7 @@ from typing import Any
 from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.wraps import Wrap
 from bo_sysid.recording.columns import ClockRule, ColumnRule
-from bo_sysid.recording.units import UNITS
+from bo_sysid.recording.units import is_unit, unit
 
 Rule = dict[str, Any]
 _KEPT = ("unit", "signed", "hold", "clock", "missing")
@@ -39,13 +39,13 @@ def proposed_columns(
         sign, scale, offset = (
             rule.pop(k, d) for k, d in (("sign", 1), ("scale", 1), ("offset", 0))
         )
-        known = wire.unit and wire.unit in UNITS and UNITS[wire.unit].factor
-        if known and "unit" not in rule and scale == 1:
-            rule["unit"] = wire.unit
+        whole = scale * wire.scale * (_factor(rule.get("unit")) or 1.0)
+        if isclose(whole, _factor(wire.unit) or 0.0, rel_tol=1e-9):
+            rule["unit"], scale = wire.unit, 1
+        elif wire.unit == "ticks":
+            rule["unit"], scale = "ticks", whole
         else:
             scale *= wire.scale
-            if wire.unit == "ticks":
-                rule["unit"] = "ticks"
         made: Rule = {} if column == name else {"from": column}
         made |= {k: v for k, v in rule.items() if k in _KEPT and v != _DEFAULTS[k]}
         if sign * wire.sign < 0:
@@ -64,6 +64,11 @@ def proposed_columns(
             made["unwrap"] = True if own is True else _unwrap(own * wire.scale)
         out[name] = made
     return out
+
+
+def _factor(name: str | None) -> float | None:
+    """Return the SI value of one unit; None where it has none, or there is no such unit."""
+    return unit(name, "columns").factor if name and is_unit(name) else None
 
 
 def _unwrap(period: float) -> bool | float:

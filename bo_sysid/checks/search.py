@@ -18,6 +18,7 @@ from bo_sysid.checks.hypothesis import (
     FREE,
     INPUTS,
     LENGTHS,
+    UNDONE,
     Evidence,
     Hypothesis,
     Units,
@@ -139,6 +140,18 @@ def _signs(h: Hypothesis) -> Iterator[Hypothesis]:
 
 def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
     """Yield other units of one channel, and of all channels that one logger writes alike."""
+    for names, unit, factor in dict.fromkeys(_other_units(evidence, h)):
+        wires = {
+            n: replace(h.wires[n], scale=h.wires[n].scale * factor, unit=unit)
+            for n in names
+            if not h.wires[n].unit
+        }
+        if wires:
+            yield h.with_wires(wires, f"unit of {', '.join(wires)}: {unit}")
+
+
+def _other_units(evidence: Evidence, h: Hypothesis) -> Iterator[tuple[tuple[str, ...], str, float]]:
+    """Yield channels with a unit that they may be in, and the factor to SI from what they are."""
     turning = [f"qpos.{j}" for j in evidence.joints if j in evidence.hinges]
     turning = [n for n in turning if n in h.wires]
     sliding = [n for n in h.wires if n.startswith("qpos.") and n not in turning]
@@ -149,20 +162,13 @@ def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
         (turning, ANGLES), (goals, ANGLES), ([*turning, *goals], ANGLES),
         (sliding, LENGTHS), (motors, INPUTS),
     ]  # fmt: skip
-    singles = [([n], ANGLES) for n in (*turning, *goals)]
-    singles += [([n], LENGTHS) for n in sliding] + [([n], INPUTS) for n in motors]
-    done = set()
-    for names, units in [*groups, *singles]:
-        for unit, factor in units:
-            if names and (tuple(names), unit) not in done:
-                done.add((tuple(names), unit))
-                wires = {
-                    n: replace(h.wires[n], scale=h.wires[n].scale * factor, unit=unit)
-                    for n in names
-                    if not h.wires[n].unit
-                }
-                if wires:
-                    yield h.with_wires(wires, f"unit of {', '.join(wires)}: {unit}")
+    groups += [([n], ANGLES) for n in (*turning, *goals)]
+    groups += [([n], LENGTHS) for n in sliding] + [([n], INPUTS) for n in motors]
+    for names, units in groups:
+        yield from ((tuple(names), unit, factor) for unit, factor in units)
+        for si, back in UNDONE.items():
+            stated = tuple(n for n in names if evidence.stated[h.wires[n].source] == si)
+            yield from ((stated, unit, factor) for unit, factor in back)
 
 
 def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:

@@ -10,6 +10,11 @@ from bo_sysid.checks.traces import Traces
 
 TURNING: Units = (("deg/s", pi / 180), ("rpm", 2 * pi / 60), ("mrad/s", 1e-3), ("turn/s", 2 * pi))
 SLIDING: Units = (("mm/s", 1e-3), ("cm/s", 1e-2))
+UNDONE: Mapping[str, Units] = {
+    "rad/s": (("rad/s", 180 / pi), ("rad/s", 30 / pi)),
+    "m/s": (("m/s", 1e3), ("m/s", 1e2)),
+}
+"""By SI unit, the ways back to it where deg/s, rpm, mm/s or cm/s was stated and is wrong."""
 ALIKE = 0.8  # correlation from which on a speed belongs to a position
 _CLEAR = 0.03  # by which another position's rate must resemble it more
 _SAME = 1.35  # ratio of a speed to the rate that is no unit
@@ -44,7 +49,8 @@ def speed_wires(
         sign = 1 if correlation[source] > 0 else -1
         factor = float(np.std(rate) / max(np.std(speeds[source]), 1e-300))
         units = TURNING if q.removeprefix("qpos.") in hinges else SLIDING
-        unit, scale = _unit(factor, units)
+        stated = traces.recordings[0].channels[source].unit
+        unit, scale = _unit(factor, (*units, *UNDONE.get(stated, ())))
         wires[v] = Wire(source, sign, scale, 0.0, unit)
     return wires, found
 
