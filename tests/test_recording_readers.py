@@ -196,6 +196,8 @@ def test_time_stamps_of_a_date_become_seconds(ending, zone, tmp_path):
     recording = read_recording(path)
     np.testing.assert_allclose(recording.channels["qpos.a"].time, seconds, atol=1e-6)
     assert "Dates in column 'time' converted to seconds since 1970." in recording.notes
+    with pytest.raises(RecordingError, match=r"'time' are dates.* in s; unit is 'ms', leave it"):
+        read_recording(path, {"time": {"unit": "ms"}})
 
 
 @pytest.mark.parametrize("resolution", ["ns", "us", "ms"])

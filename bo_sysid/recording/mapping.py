@@ -27,10 +27,7 @@ from bo_sysid.recording.value import HELD_KINDS, KINDS, UNUSED, Channel, Hold, R
 
 _SEVERAL = 20  # stamps, from which their distance is looked at
 _FAST, _SLOW = 5e-5, 0.5  # [s] between which motions are sampled
-_DATES = {
-    "M": "Dates in column {} converted to seconds since 1970",
-    "m": "Durations in column {} converted to seconds",
-}
+_DATES = {"M": ("Dates", "seconds since 1970"), "m": ("Durations", "seconds")}
 
 
 def to_recording(
@@ -195,12 +192,14 @@ class _Mapper:
         named = stated.unit or table.units.get(column) or "s"
         factor = unit_of_kind(named, "time", where).factor or 1.0
         kind = table.columns[column].dtype.kind
-        if kind == "m" and factor != 1.0:
-            raise RecordingError(
-                f"{where} are durations, which are read in s; unit is {named!r}, leave it out"
-            )
         if kind in _DATES:
-            self.notes.append(f"{_DATES[kind].format(repr(column))}.")
+            what, told = _DATES[kind]
+            if factor != 1.0:
+                raise RecordingError(
+                    f"{where} are {what.lower()}, which are read in s; unit is {named!r}, leave it "
+                    "out"
+                )
+            self.notes.append(f"{what} in column {column!r} converted to {told}.")
         if factor != 1.0:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
         raw = table.column(column)
