@@ -64,6 +64,19 @@ def test_a_log_without_a_joint_says_how_to_hold_it(tmp_path: Path) -> None:
     assert overview(study).channels["channel"].tolist() == ["qpos.elbow", "qvel.elbow", "ctrl.e"]
 
 
+def test_a_log_without_a_ball_joint_says_how_to_hold_it(tmp_path: Path) -> None:
+    """The joint is named, and not its first coordinate; `unrecorded` is for hinges and slides."""
+    text = ARM.replace('axis="0 1 0" type="slide"', 'type="ball"').replace(".3 .01", ".3 1 0 0 0")
+    text = text.replace('<motor name="f" joint="finger"/>', "")
+    text = text.replace(' ctrl="1 2"', "").replace('<jointpos joint="finger"/>', "")
+    (tmp_path / "arm.xml").write_text(text)
+    rows = "".join(f"{0.01 * k:.2f},{np.sin(k):.4f},0\n" for k in range(80))
+    (tmp_path / "log.csv").write_text("time,qpos.elbow,ctrl.e\n" + rows)
+    study = Study.from_dict({"model": "arm.xml", "recordings": {"train": "log.csv"}}, tmp_path)
+    with pytest.raises(RecordingError, match=r"no channel 'qpos.finger.0'.*hold: \[finger\]\}$"):
+        overview(study)
+
+
 def test_tasks_of_dm_control_hold_nothing() -> None:
     model = {"dm_control": {"domain": "cheetah", "task": "run"}, "hold": ["bthigh"]}
     with pytest.raises(StudyError, match="hold goes with file"):

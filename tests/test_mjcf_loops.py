@@ -1,5 +1,6 @@
 """Closed chains: joints that follow, against geometry and against MuJoCo's own motion."""
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -83,6 +84,23 @@ def test_a_mimic_follows_in_proportion_and_a_soft_equality_does_not() -> None:
     soft = FINGERS.replace('<joint name="mimic"', '<joint solref="-50 -1" name="mimic"')
     assert not Loops.of(mujoco.MjModel.from_xml_string(soft))
     assert not Loops.of(model, [], ["left", "right"])
+
+
+def test_one_column_is_read_for_two_joints_only_where_they_are_tied(tmp_path: Path) -> None:
+    time = 0.01 * np.arange(80)
+    columns = ["time", "qpos.left", "right", "ctrl.grip"]
+    frame = pd.DataFrame(
+        dict(zip(columns, [time, *np.sin([time, 2 * time, 3 * time])], strict=True))
+    )
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "tied.xml").write_text(FINGERS)
+    (tmp_path / "apart.xml").write_text(re.sub("<equality>.*</equality>", "", FINGERS))
+    study = {"recordings": {"train": "log.csv", "columns": {"qpos.right": "qpos.left"}}}
+    overview(Study.from_dict({"model": "tied.xml", **study}, tmp_path))
+    with pytest.raises(
+        RecordingError, match=r"log.csv: qpos.left: .* as qpos.right and as qpos.left; .*'right'"
+    ):
+        overview(Study.from_dict({"model": "apart.xml", **study}, tmp_path))
 
 
 def _turned(seconds: float, sigma: float = 0.0, seed: int = 0, change: str = "") -> pd.DataFrame:

@@ -13,6 +13,7 @@ from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
 from bo_sysid.recording.noise import noise_sigma
+from bo_sysid.recording.value import UNUSED
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.study import Study
 
@@ -92,10 +93,11 @@ def _require_numbers(study: Study, model: Model) -> None:
 
 
 def require_known(model: Model, recording: Recording) -> None:
-    """Refuse a recording with a joint, actuator or sensor that the model does not have.
+    """Refuse what the model does not have, and one column for two joints that move on their own.
 
     Raises:
-        RecordingError: the message names the channel and the nearest one of the model.
+        RecordingError: the message names the channel and the nearest one of the model, or the
+            channels and the nearest column that is not used.
     """
     known = _known(model)
     for name in recording.channels:
@@ -104,6 +106,27 @@ def require_known(model: Model, recording: Recording) -> None:
             raise RecordingError(
                 f"{recording.name}: channel {name!r} is not in the model {model.source}; "
                 f"{nearest(name, known[kind]) or f'it has no {kind} at all'}"
+            )
+    _require_own_columns(model, recording)
+
+
+def _require_own_columns(model: Model, recording: Recording) -> None:
+    """Refuse one column for two joints, but for those that the model ties to others."""
+    unused = [n.removeprefix(UNUSED) for n in recording.notes if n.startswith(UNUSED)]
+    for kind in ("qpos", "qvel"):
+        first: dict[str, str] = {}
+        for joint, channel in recording.of_kind(kind).items():
+            other = first.setdefault(channel.source, joint)
+            if other == joint or not channel.source:
+                continue
+            if {other, joint} & set(model.loops.joints):
+                continue
+            name = f"{kind}.{joint}"
+            near = nearest(name, [c for n in unused for c in n.removesuffix(".").split(", ")])
+            raise RecordingError(
+                f"{channel.source}: this column is read as {kind}.{other} and as {name}; each "
+                "joint needs one of its own, unless an equality of the model ties it to another"
+                + (f"; of those that are not used: {near}" if near else "")
             )
 
 
@@ -189,7 +212,7 @@ def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, st
             )
             if name.startswith("qpos."):
                 end = "" if said.endswith("?") else "."
-                said += f"{end} {_remedy(model, recording, name.removeprefix('qpos.'))}"
+                said += f"{end} {_remedy(model, recording, _joint(model, name))}"
             raise RecordingError(said)
 
 
@@ -203,10 +226,16 @@ def _remedy(model: Model, recording: Recording, joint: str) -> str:
             "It follows from the recorded joints through the model's equalities: model: "
             f"{{file: …, unrecorded: {{{nothing}}}}}"
         )
-    return (
-        f"To hold the joint still instead: model: {{file: …, hold: [{joint}]}}; to let it move "
-        f"unmeasured: unrecorded: {{{joint}: null}}"
-    )
+    still = f"To hold the joint still instead: model: {{file: …, hold: [{joint}]}}"
+    if f"qpos.{joint}" not in model.qpos_channels:  # several coordinates: a ball, a free joint
+        return still
+    return f"{still}; to let it move unmeasured: unrecorded: {{{joint}: null}}"
+
+
+def _joint(model: Model, position: str) -> str:
+    """Return the joint of a channel ``qpos.<joint>`` or ``qpos.<joint>.<index>``."""
+    name = position.removeprefix("qpos.")
+    return name if name in model.joints else name.rpartition(".")[0]
 
 
 def _channels(
