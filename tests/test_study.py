@@ -354,6 +354,36 @@ def test_two_parameters_of_one_name_are_refused(folder: Path) -> None:
         study.parameter_set(load_model(study))
 
 
+@pytest.mark.parametrize(
+    ("apply", "low", "high", "expected"),
+    [
+        ("set", -1, 2, r"parameters\.1\.low: .*geom\[upper\]\.mass set -1: mass.* negative"),
+        ("scale", -2, -1, r"parameters\.1\.low: .*negative"),
+        ("add", -3, -2, r"parameters\.1\.low: .*negative"),
+        ("add", -0.5, 1, ""),
+    ],
+)
+def test_a_bound_with_which_the_model_does_not_compile_is_refused(
+    folder: Path, apply: str, low: float, high: float, expected: str
+) -> None:
+    damping = {"address": "joint[*].damping", "each": True, "low": 0, "high": 1}
+    mass = {"address": "geom[upper].mass", "apply": apply, "low": low, "high": high}
+    study = minimal(folder, parameters=[damping, mass])
+    if expected:
+        with pytest.raises(StudyError, match=expected):
+            study.parameter_set(load_model(study))
+    else:
+        assert len(study.parameter_set(load_model(study))) == 3
+
+
+def test_a_wrong_bound_is_told_with_its_line(folder: Path) -> None:
+    text = FULL.replace("apply: set, low: 0.4", "apply: set, low: -0.4")
+    (folder / "arm.yaml").write_text(text)
+    study = load(folder)
+    with pytest.raises(StudyError, match=r"arm.yaml, line \d+: parameters\.0\.low: "):
+        study.parameter_set(load_model(study))
+
+
 @pytest.mark.parametrize("name", ["P", "row", "level", "deviation", "entropy", "mean"])
 def test_a_parameter_has_no_name_of_a_column(folder: Path, name: str) -> None:
     entry = {"name": name, "address": "joint[elbow].damping", "low": 0, "high": 1}

@@ -13,6 +13,7 @@ from bo_sysid.errors import ModelError, StudyError, nearest
 from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
+from bo_sysid.study.bounds import require_bounds
 from bo_sysid.study.messages import study_error
 from bo_sysid.study.outer import (
     Compare,
@@ -177,13 +178,15 @@ class Study(Section):
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
-            StudyError: an address is none or matches nothing, two parameters have one name, or one
-                has the name of a column of the tables.
+            StudyError: an address is none or matches nothing, two parameters have one name, one
+                has the name of a column of the tables, or the model does not compile at a bound.
+            ModelError: two parameters share an address.
         """
         from bo_sysid.mjcf import Address
         from bo_sysid.parameters import COLUMNS, Parameter
 
         found: dict[str, Parameter] = {}
+        entries: dict[str, int] = {}
         for i, entry in enumerate(self.parameters):
             if entry.name in COLUMNS:
                 raise self.error(
@@ -204,6 +207,7 @@ class Study(Section):
                     raise self.error(
                         ("parameters", i), f"there is another parameter {name!r}; name one of them"
                     )
+                entries[name] = i
                 found[name] = Parameter(
                     name,
                     addresses,
@@ -214,7 +218,9 @@ class Study(Section):
                     unit=entry.unit,
                     ordered=entry.ordered is not False,
                 )
-        return tuple(found.values())
+        parameters = tuple(found.values())
+        require_bounds(self, model, parameters, entries)
+        return parameters
 
     def resolved(
         self, relative_to: str | Path | None = None, *, defaults: bool = True

@@ -1,0 +1,56 @@
+"""Whether a model can have the bounds of its parameters, before anything is simulated."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Literal
+
+from bo_sysid.errors import ModelError
+
+if TYPE_CHECKING:
+    from bo_sysid.mjcf import Model
+    from bo_sysid.parameters import Parameter
+    from bo_sysid.study.study import Study
+
+Bound = Literal["low", "high"]
+
+
+def require_bounds(
+    study: "Study", model: "Model", parameters: Sequence["Parameter"], entries: Mapping[str, int]
+) -> None:
+    """Refuse a bound with which a model does not compile, such as a mass below 0.
+
+    Two models are compiled, all parameters at their low and at their high; only where one of them
+    is refused, each parameter alone, the others as the model has them. What two parameters do
+    together is left to the search.
+
+    Args:
+        study: has the parameters, for the message.
+        model: the nominal model.
+        parameters: of the study.
+        entries: by the parameter's name, which entry of ``parameters:`` it stands in.
+
+    Raises:
+        StudyError: the message names the first such bound and what MuJoCo says of it.
+        ModelError: two parameters share an address.
+    """
+    from bo_sysid.mjcf import nominal
+
+    bounds: tuple[Bound, ...] = ("low", "high")
+    for bound in bounds:
+        if not _refused(model, parameters, [getattr(p, bound) for p in parameters]):
+            continue
+        own = [nominal(model, p) for p in parameters]
+        for k, p in enumerate(parameters):
+            if why := _refused(model, parameters, [*own[:k], getattr(p, bound), *own[k + 1 :]]):
+                raise study.error(("parameters", entries[p.name], bound), why)
+
+
+def _refused(model: "Model", parameters: Sequence["Parameter"], values: Sequence[float]) -> str:
+    """Return why a model does not compile with some values; empty where it does."""
+    from bo_sysid.mjcf import parameter_edits
+
+    edits = parameter_edits(model, parameters, values)
+    try:
+        model.compile(edits)
+    except ModelError as error:
+        return str(error)
+    return ""
