@@ -19,11 +19,12 @@ from bo_sysid.checks.motion import (
     excitation_flags,
     range_flags,
     sampling_flags,
+    slow_flags,
 )
 from bo_sysid.checks.numerics import contact_flags, far_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS
-from bo_sysid.checks.sensitivity import Information, in_words, information
+from bo_sysid.checks.sensitivity import Information, bounds_flags, in_words, information
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.effects import Site, survey
@@ -116,6 +117,27 @@ def test_clocks_that_lose_samples() -> None:
     keep[100:130] = False
     (flag,) = sampling_flags([Recording.from_arrays(TIME[keep], qpos={"x": TIME[keep]})])
     assert "about 30 samples lost" in flag.sentence
+
+
+def test_motions_that_are_sampled_rarely_may_have_another_unit_of_time() -> None:
+    """A sensor may be slow: a temperature is."""
+    slow = Recording.from_arrays(25 * TIME, name="b", qpos={"x": TIME}, sensor={"warm": TIME})
+    (flag,) = slow_flags([Recording.from_arrays(TIME, name="a", qpos={"x": TIME}), slow])
+    assert flag.channels == ("b",)
+    assert "every 0.25 s in b," in flag.sentence
+    assert "unit: us" in flag.sentence
+    warm = {n.replace("qpos", "sensor"): c for n, c in slow.channels.items()}
+    assert slow_flags([Recording("c", warm)]) == []
+    assert slow_flags([Recording.from_arrays(10 * TIME, qpos={"x": TIME})]) == []
+
+
+def test_bounds_that_leave_out_the_model_as_it_is() -> None:
+    names = ("mass", "gain", "damping")
+    mass, gain, damping = (Parameter(n, (f"geom[a].{n}",), 1.0, 3.0) for n in names)
+    (flag,) = bounds_flags([mass, gain, damping], np.array([0.5, 1.0, 3.25]))
+    assert flag.channels == ("mass", "damping")
+    assert "mass (0.5, and not 1 to 3) and damping (3.25, and not 1 to 3)" in flag.sentence
+    assert bounds_flags([mass, gain], np.array([1.0, 3.0])) == []
 
 
 @pytest.mark.parametrize("period", [2 * pi, 360.0, 4096.0])

@@ -14,11 +14,12 @@ from bo_sysid.checks.motion import (
     excitation_flags,
     range_flags,
     sampling_flags,
+    slow_flags,
 )
 from bo_sysid.checks.numerics import contact_flags, far_flags, step_effect, step_flags
 from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
-from bo_sysid.checks.sensitivity import in_words, information
+from bo_sysid.checks.sensitivity import bounds_flags, in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.errors import RecordingError
@@ -105,7 +106,8 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         simulator, point, windows, _windows(study, model, right, 0.5 * windows.timestep)
     )
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
-    flags = [*wrap_flags(wraps), *wiring.flags, *excitation_flags(motion), *weak]
+    flags = [*slow_flags(read), *bounds_flags(parameters, point), *wrap_flags(wraps)]
+    flags += [*wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
     flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
     flags += contact_flags(compiled, right)

@@ -23,6 +23,7 @@ _STUCK = 0.25  # [s] of one and the same value while the channel otherwise chang
 _RUNS = 15.0  # so many times its typical run
 _THAW = 3.0  # times the usual step, that a frozen channel jumps at least
 _JITTER = 0.2  # of the interval
+_SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 _BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MOTION = [
     "recording", "joint", "range", "speed", "fastest", "reversals", "low_hz", "high_hz", "noise",
@@ -257,6 +258,26 @@ def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:
             {"seconds": float(runs[k]), "start": float(channel.time[first[k]])},
         )
     ]
+
+
+def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:
+    """Return positions and speeds so far apart that their time stamps may be in another unit."""
+    apart: dict[str, float] = {}
+    for r in recordings:
+        moving = [*r.of_kind("qpos").values(), *r.of_kind("qvel").values()]
+        apart[r.name] = max((Sampling.of(c.time).median_dt for c in moving), default=0.0)
+    slow = [name for name, interval in apart.items() if interval > _SLOW]
+    if not slow:
+        return []
+    interval = max(apart.values())
+    more = f" and {len(slow) - 3} more" if len(slow) > 3 else ""
+    sentence = (
+        f"Motions are sampled every {interval:.3g} s in {', '.join(slow[:3])}{more}, which is too "
+        "rarely for most machines. Perhaps the time stamps are in a smaller unit than the study "
+        "says, ms and not s, or us and not ms: recordings: columns: {time: {from: …, unit: us}}. "
+        "Nothing else that is said here holds then."
+    )
+    return [Flag("look", "sampling", tuple(slow), sentence, {"interval": interval})]
 
 
 def sampling_flags(recordings: Sequence[Recording]) -> list[Flag]:

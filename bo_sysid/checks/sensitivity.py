@@ -14,6 +14,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.arrays import Point
+from bo_sysid.checks.flags import Flag
 from bo_sysid.parameters import Parameter
 from bo_sysid.simulation import Simulator, State, Windows
 
@@ -23,6 +24,7 @@ _PRIOR = 1 / np.sqrt(12)  # of the range: standard deviation of what is uniform 
 _WEAK = 0.1  # of the range: a standard deviation that is weak
 _SAYS_NOTHING = 0.9  # of the prior: so little do the recordings narrow it
 _DEAD = 1e-9
+_SHOWN = 4  # parameters that a sentence lists
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,28 @@ def _without(effect: np.ndarray, nuisance: np.ndarray) -> np.ndarray:
     alive = nuisance[:, scale > _DEAD * max(float(scale.max()), 1e-300)]
     q, _ = np.linalg.qr(alive / np.linalg.norm(alive, axis=0))
     return np.asarray(effect - q @ (q.T @ effect))
+
+
+def bounds_flags(parameters: Sequence[Parameter], point: Point) -> list[Flag]:
+    """Return the parameters whose bounds leave out the model as it is.
+
+    Args:
+        parameters: d parameters.
+        point: d values that stand for the model as it is.
+    """
+    outside = {
+        p.name: f"{p.name} ({value:.4g}, and not {p.low:.4g} to {p.high:.4g})"
+        for p, value in zip(parameters, point.tolist(), strict=True)
+        if abs(value - 0.5 * (p.low + p.high)) > (0.5 + _DEAD) * (p.high - p.low)
+    }
+    if not outside:
+        return []
+    more = f", and {len(outside) - _SHOWN} more" if len(outside) > _SHOWN else ""
+    sentence = (
+        f"The model as it is lies outside the bounds of {_listed(list(outside.values())[:_SHOWN])}"
+        f"{more}: it is none of the candidates, as is right only where it is known to be wrong."
+    )
+    return [Flag("look", "bounds", tuple(outside), sentence)]
 
 
 def in_words(combination: Mapping[str, float]) -> str:
