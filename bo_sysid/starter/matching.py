@@ -9,6 +9,7 @@ from scipy.optimize import linear_sum_assignment
 
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.columns import WORDS, Column, derivatives, words
+from bo_sysid.starter.numbers import UNKNOWN, as_counted, by_number, numbered
 
 _SURE, _LIKELY, _ORDER = 0.9, 0.6, 0.3
 _PARTS = frozenset(
@@ -61,23 +62,7 @@ def match(
     """
     if not elements or not columns:
         return []
-    counted = _counted_alike(elements, columns)
-    score = np.array(
-        [
-            [
-                fits(n, c) * max(_likeness(n, c, counted), trust * _likeness(o, c, counted))
-                for c in columns
-            ]
-            for n, o in zip(elements, also or elements, strict=True)
-        ]
-    )
-    guesses = []
-    rows, picked = linear_sum_assignment(-score)
-    for r, p in zip(rows.tolist(), picked.tolist(), strict=True):
-        if score[r, p] >= _LIKELY:
-            sure = score[r, p] >= _SURE
-            reason = "the name" if sure else "a similar name"
-            guesses.append(_guess(kind, elements[r], columns[p], reason, float(score[r, p])))
+    guesses = _named(kind, elements, columns, also or elements, trust, fits)
     guesses += _alone(kind, elements, columns, guesses, fits)
     used = {g.column for g in guesses}
     unused = [c for c in columns if c.name not in used]
@@ -90,6 +75,37 @@ def match(
             _guess(kind, e, c, reason, confidence) for e, c in zip(left, family, strict=True)
         ]
     return guesses + _in_order(kind, elements, columns, guesses, fits)
+
+
+def _named(
+    kind: str,
+    elements: Sequence[str],
+    columns: Sequence[Column],
+    also: Sequence[str],
+    trust: float,
+    fits: Fits,
+) -> list[Guess]:
+    """Match by names, of the elements or those beside them."""
+    own, beside = as_counted(elements, columns), as_counted(also, columns)
+    likeness = [
+        [
+            max(_likeness(n, c, own[n, c.name]), _likeness(o, c, beside[o, c.name], trust))
+            for c in columns
+        ]
+        for n, o in zip(elements, also, strict=True)
+    ]
+    score = np.array(
+        [
+            [fits(n, c) * like for c, (like, _) in zip(columns, row, strict=True)]
+            for n, row in zip(elements, likeness, strict=True)
+        ]
+    )
+    rows, picked = linear_sum_assignment(-score)
+    return [
+        _guess(kind, elements[r], columns[p], likeness[r][p][1], likeness[r][p][0])
+        for r, p in zip(rows.tolist(), picked.tolist(), strict=True)
+        if score[r, p] >= _LIKELY
+    ]
 
 
 def _alone(
@@ -143,7 +159,7 @@ def named_after(elements: Sequence[str], column: Column) -> bool:
 
 
 def rates_of(table: RawTable, positions: Sequence[Guess], columns: Sequence[Column]) -> list[Guess]:
-    """Match velocities with the positions that they are the rates of."""
+    """Match velocities with the positions that they are the rates of, and are no surer than."""
     velocities = [c for c in columns if c.kind == "velocity"]
     found = derivatives(table, [*(g.column for g in positions), *(c.name for c in velocities)])
     out = []
@@ -151,7 +167,8 @@ def rates_of(table: RawTable, positions: Sequence[Guess], columns: Sequence[Colu
         for c in velocities:
             if found.get(c.name) == g.column:
                 channel = g.channel.replace("qpos.", "qvel.", 1)
-                out.append(Guess(channel, c.name, c.unit, f"it is the rate of {g.column}", 0.9))
+                sure = min(_SURE, g.confidence)
+                out.append(Guess(channel, c.name, c.unit, f"it is the rate of {g.column}", sure))
     return out
 
 
@@ -159,42 +176,37 @@ def _guess(kind: str, element: str, column: Column, reason: str, confidence: flo
     return Guess(f"{kind}.{element}", column.name, column.unit, reason, confidence)
 
 
-def _counted_alike(elements: Sequence[str], columns: Sequence[Column]) -> bool:
-    """Whether every numbered element has its number among as many numbered columns, or more.
-
-    A model that counts from 0 and a log that counts from 1 share most of their numbers, and none
-    of them means the same.
-    """
-    told = max(_families(columns), key=len, default=[])
-    own = [tuple(int(w) for w in words(e) if w.isdigit()) for e in elements]
-    if len(told) < len(elements) or not all(own):
-        return True
-    return set(own) <= {tuple(_number(c)) for c in told}
-
-
-def _likeness(element: str, column: Column, counted: bool = True) -> float:
-    """Return how much of an element's name a column carries, 0 to 1.
+def _likeness(
+    element: str, column: Column, seen: Sequence[str], trust: float = 1.0
+) -> tuple[float, str]:
+    """Return how much of an element's name a column carries, 0 to 1, and what that is called.
 
     Args:
         element: its name.
         column: any.
-        counted: whether a number that both have, and nothing else, says anything.
+        seen: the words of the name, numbered as the column counts.
+        trust: what the name counts.
     """
-    if column.name.endswith((f".{element}", f"/{element}")) or column.name == element:
-        return 1.0
-    own = words(element)
+    recounted = tuple(seen) != words(element) and UNKNOWN not in seen
+    if recounted:
+        return trust * min(_shared(seen, column), _LIKELY), (
+            "a similar name; the log counts from another number"
+        )
+    exact = column.name.endswith((f".{element}", f"/{element}")) or column.name == element
+    likeness = trust * (1.0 if exact else _shared(seen, column))
+    return likeness, "the name" if likeness >= _SURE else "a similar name"
+
+
+def _shared(own: Sequence[str], column: Column) -> float:
+    """Return how much of the words of a name a column carries, 0 to 1."""
     bare = [w for w in own if w not in _PARTS]
     special = [w for w in bare if w not in _GENERIC] or bare or list(own)
     shared = [w for w in special if w in column.words]
     if shared and len(shared) == len(special):
         letters = [w for w in shared if not w.isdigit()]
         named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
-        return named if letters else 0.6 * counted
-    if (
-        special
-        and (counted or not all(w.isdigit() for w in special))
-        and all(_begun(w, column.words) for w in special)
-    ):
+        return named if letters else _LIKELY
+    if special and all(_begun(w, column.words) for w in special):
         return _BEGUN
     return 0.5 * len(shared) / max(len(special), 1)
 
@@ -208,28 +220,9 @@ def _begun(word: str, others: Sequence[str]) -> bool:
     )
 
 
-def numbered(columns: Sequence[Column], count: int) -> list[Column]:
-    """Return `count` columns whose names differ by a number alone, in its order; else nothing."""
-    fits = next((f for f in _families(columns) if len(f) == count), [])
-    return sorted(fits, key=_number)
-
-
-def _families(columns: Sequence[Column]) -> list[list[Column]]:
-    """Return the columns whose names differ by a number alone, together."""
-    families: dict[tuple[str, ...], list[Column]] = {}
-    for c in columns:
-        stem = tuple(w for w in c.words if not w.isdigit())
-        families.setdefault(stem, []).append(c)
-    return list(families.values())
-
-
 def _family(columns: Sequence[Column], count: int) -> list[Column]:
     """Return `count` numbered columns, or all columns where there are as many; else nothing."""
     found = numbered(columns, count)
     if found or len(columns) != count:
         return found
-    return sorted(columns, key=_number)
-
-
-def _number(column: Column) -> list[int]:
-    return [int(w) for w in column.words if w.isdigit()] or [0]
+    return by_number(columns)
