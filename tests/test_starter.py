@@ -806,7 +806,7 @@ def test_the_clock_is_the_column_that_is_called_time_or_never_falls() -> None:
     for name in ("time", "stamp_time"):
         table = RawTable("log", {"loop_time": loop, name: time})
         columns = [replace(c, kind="time") for c in describe(table)]
-        assert clock_rule(table, columns).get("from", "time") == name
+        assert clock_rule(table, columns)[0].get("from", "time") == name
 
 
 def test_a_joint_that_never_moves_gets_no_parameters(tmp_path: Path) -> None:

@@ -105,12 +105,13 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     commands = _commands(model, compiled, columns)
     commands += _left_over(model, table, columns, (*positions, *velocities, *commands))
     guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
-    time = clock_rule(table, columns)
+    time, stepped = clock_rule(table, columns)
     ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
     rules |= {n: {"from": g.column} for n, g in pose.items()}
     guesses |= pose
+    guesses |= {} if stepped is None else {"time": stepped}
     known = (model.qpos_channels, model.qvel_channels, model.act_channels, model.sensor_channels)
     used = {g.column for g in guesses.values()}.union(*known)
     silent = [j for j in joints if positions and f"qpos.{j}" not in guesses]

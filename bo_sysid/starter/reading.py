@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import pi
+from math import log, pi
 
 import mujoco
 import numpy as np
@@ -25,6 +25,10 @@ _FITS = {
 _ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
 _FORCES = ("current", "voltage", "torque", "force")
 _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
+_CLOCKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_USUAL = 5e-3  # [s] between samples: of units, that in which a step comes nearest
+_SHORTEST, _LONGEST = 8e-5, 0.4  # [s] between samples, of fast and slow logs
+_STEPPED = 0.7  # how sure a unit is for which the steps of a clock speak
 
 
 def told_unit(name: str, where: str) -> Unit:
@@ -47,7 +51,7 @@ def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> boo
 
 def driven(compiled: mujoco.MjModel, channel: str) -> str:
     """Return the joint that a position, a speed or a control is about; empty where none."""
-    kind, element = channel.split(".", 1)
+    kind, _, element = channel.partition(".")
     if kind in ("qpos", "qvel"):
         return element
     if kind != "ctrl":
@@ -119,19 +123,37 @@ def _rises(table: RawTable, column: Column) -> bool:
     return bool((np.diff(values[np.isfinite(values)]) >= 0).all())
 
 
-def clock_rule(table: RawTable, columns: Sequence[Column]) -> Rule:
-    """Return the rule of the clock where it has another name or unit; empty where it is told."""
+def clock_rule(table: RawTable, columns: Sequence[Column]) -> tuple[Rule, Guess | None]:
+    """Return the rule of the clock where it has another name or unit; empty where it is told.
+
+    Beside it stands the guess where the steps of the clock alone speak for its unit.
+    """
     clocks = [c for c in columns if c.kind == "time"]
     if table.clocks or not clocks:
-        return {}
+        return {}, None
     clock = max(clocks, key=lambda c: (c.name.lower() == "time", _rises(table, c)))
-    values = table.column(clock.name)
-    step = float(np.median(np.diff(values[np.isfinite(values)])))
-    dated = table.columns[clock.name].dtype.kind in "mM"  # read in seconds, however it is called
-    named = clock.unit if clock.unit in ("ms", "us", "µs", "ns") and not dated else ""
-    if not named and not dated:
-        named = next((u for u, f in (("ns", 3e4), ("us", 300.0), ("ms", 0.5)) if step > f), "")
     rule: Rule = {} if clock.name == "time" else {"from": clock.name}
-    if named:
-        rule["unit"] = named
-    return rule
+    if table.columns[clock.name].dtype.kind in "mM":  # read in seconds, however it is called
+        return rule, None
+    if clock.unit in ("ms", "us", "µs", "ns"):
+        return rule | {"unit": clock.unit}, None
+    values = table.column(clock.name)
+    guess = _by_steps(float(np.median(np.diff(values[np.isfinite(values)]))), clock.name)
+    return (rule if guess is None else rule | {"unit": guess.unit}), guess
+
+
+def _by_steps(step: float, column: str) -> Guess | None:
+    """Return the unit of a clock by its median step; None where these are seconds, and no other.
+
+    One step may be that of a slow log in one unit and of a fast log in the next.
+    """
+    if not step > 0:
+        return None
+    lasts = {u: step * seconds for u, seconds in _CLOCKS.items()}
+    named = min(lasts, key=lambda u: abs(log(lasts[u] / _USUAL)))
+    others = [u for u, t in lasts.items() if u != named and _SHORTEST < t < _LONGEST]
+    if named == "s" and not others:
+        return None
+    told = [f"{1e3 * lasts[u]:.4g} ms in {u}" for u in (named, *others)]
+    reason = f"its steps, of {', but '.join(told)}"
+    return Guess("time", column, named, reason, _UNTOLD if others else _STEPPED)
