@@ -184,7 +184,8 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     """Return bounds of what a joint may lack, and how it moved in any recording.
 
     Friction, damping or a rotor that alone needs what the actuators gave, as a standard deviation,
-    is the most that is worth trying; a joint without any is bounded by what moved it.
+    is the most that is worth trying, or twice what the model has where that is more; a joint
+    without any is bounded by what moved it.
     """
     compiled = model.compile()
     machine = survey(compiled, recordings)
@@ -196,6 +197,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     for name, joint in machine.joints.items():
         values = np.concatenate([r.channels[f"qpos.{name}"].values for r in recordings])
         force = sum(machine.actuators[a].force_std for a in joint.actuators)
+        own = compiled.joint(name)
         rows.append(
             {
                 "joint": name,
@@ -204,9 +206,9 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
                 else "is how the base floats: nothing rubs there"
                 if name in floating
                 else "",
-                "friction": force or joint.force,
-                "damping": (force or joint.force) / joint.speed,
-                "armature": force / joint.acceleration or joint.inertia,
+                "friction": _bound(force or joint.force, own.frictionloss),
+                "damping": _bound((force or joint.force) / joint.speed, own.damping),
+                "armature": _bound(force / joint.acceleration or joint.inertia, own.armature),
                 "low": float(values.min()),
                 "high": float(values.max()),
                 "speed": float(fastest[name]),
@@ -214,6 +216,11 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
         )
     shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
     return pd.DataFrame(rows).assign(horizon=instants_in(_WINDOW, recordings, shown))
+
+
+def _bound(tried: float, own: np.ndarray) -> float:
+    """Return the most of what a joint has that is worth trying; what the model has lies inside."""
+    return max(tried, 2 * float(own[0]))
 
 
 def _floating_by_joints(model: mujoco.MjModel) -> set[str]:
