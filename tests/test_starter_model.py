@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
+import pytest
 
 from bo_sysid.mjcf import Model
 from bo_sysid.starter.init import init
@@ -33,3 +35,52 @@ def test_bounds_hold_what_the_model_has(tmp_path: Path) -> None:
     bounds = Study.load(path).parameter_set(Model.from_file(tmp_path / "wheel.xml"))
     high = {p.addresses[0]: p.high for p in bounds}
     assert high == {f"joint[wheel].{kind}": 2 * value for kind, value in own.items()}
+
+
+LINK = (
+    '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 -.1"/>'
+    '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/><axis xyz="0 1 0"/>'
+    '<limit lower="-3" upper="3" effort="9" velocity="9"/>{4}</joint>'
+)
+GRIPPER = (
+    '<robot name="arm"><link name="base"/>'
+    + "".join(LINK.format(n) for n in ("upper", "thumb", "finger"))
+    + JOINT.format("elbow", "continuous", "base", "upper", "")
+    + JOINT.format("mimic", "prismatic", "upper", "finger", '<mimic joint="grip"/>')
+    + JOINT.format("grip", "prismatic", "upper", "thumb", "")
+    + "</robot>"
+)
+
+
+@pytest.mark.parametrize(
+    ("efforts", "expected"),
+    [
+        (("elbow",), ["elbow"]),  # nothing tells what the gripper did
+        (("elbow", "grip"), ["elbow", "grip"]),
+        ((), ["elbow", "grip"]),  # to be filled in
+    ],
+)
+def test_a_urdf_gets_motors_where_a_column_may_tell_about_them(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    efforts: tuple[str, ...],
+    expected: list[str],
+) -> None:
+    """A finger that mimics another has none, and one without a column keeps nobody waiting."""
+    by_names = "bo_sysid.starter.init.by_behaviour"  # of a motion that nothing explains: slow
+    monkeypatch.setattr(by_names, lambda model, tables, rules: rules)
+    (tmp_path / "arm.urdf").write_text(GRIPPER)
+    log = {"elbow_pos": np.sin(3 * TIME), "grip_pos": 0.02 * np.cos(5 * TIME)}
+    log |= {f"{name}_effort": np.cos(TIME) for name in efforts}
+    started = init(
+        tmp_path / "arm.urdf", [written(tmp_path / "log.csv", log)], tmp_path / "arm.yaml"
+    )
+    assert started.rules.following == ("mimic",)
+    assert started.rules.unmatched == (() if efforts else ("elbow", "grip"))
+    exported = mujoco.MjModel.from_xml_path(str(tmp_path / "arm_motors.xml"))
+    assert [exported.actuator(a).name for a in range(exported.nu)] == expected
+    dropped = "drives grip, which got no motor"
+    assert any(dropped in n for n in started.notes) == (efforts == ("elbow",))

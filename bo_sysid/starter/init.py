@@ -13,7 +13,7 @@ import pandas as pd
 from bo_sysid.checks.motion import excitation, excitation_flags
 from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
-from bo_sysid.mjcf import Model
+from bo_sysid.mjcf import Loops, Model
 from bo_sysid.mjcf.commands import driven_joint, other_drives
 from bo_sysid.mjcf.edits import MotorEdit
 from bo_sysid.mjcf.joints import FREE, SCALAR, SLIDE
@@ -68,17 +68,15 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     _alike([*tables[:1], *(t for f in holdout for t in read_tables(f))])
     whole, notes, fixed = _held_base(source, tables[0])
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
-    if edits:
-        notes.append(
-            f"{source.name} has no actuators: {motors.name} has a motor of 1 N m (N) for every "
-            "joint."
+    if edits and motors.exists():
+        raise UserError(
+            f"{motors}: exists, where the model with motors belongs; remove it, or name another "
+            "study with --out"
         )
-        if motors.exists():
-            raise UserError(
-                f"{motors}: exists, where the model with motors belongs; remove it, or name "
-                "another study with --out"
-            )
-    rules, scales, hints = _guessed(source, whole, edits, tables, "fixed" if fixed else "free")
+    kept, rules, scales, hints = _guessed(
+        source, whole, edits, tables, "fixed" if fixed else "free"
+    )
+    notes += _motor_notes(source, motors, edits, kept)
     if not_found := rules.to_fill_in:
         notes.append(f"No column was found for: {', '.join(not_found)}. Fill in what is marked.")
     if not_found or rules.held:
@@ -86,7 +84,7 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     out.parent.mkdir(parents=True, exist_ok=True)
     text = study_text(
         source.stem,
-        relative(motors if edits else source, out.parent),
+        relative(motors if kept else source, out.parent),
         [relative(f, out.parent) for f in train],
         [relative(f, out.parent) for f in holdout],
         rules,
@@ -95,8 +93,8 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
         base_fixed=fixed,
         notes=notes,
     )
-    if edits:  # not before all else is known to fit
-        whole.export(motors, edits)
+    if kept:  # not before all else is known to fit
+        whole.export(motors, kept)
     with atomic(out) as beside:
         beside.write_text(text, encoding="utf-8")
     return Started(out, rules, tuple(notes))
@@ -108,8 +106,11 @@ def _guessed(
     edits: Sequence[MotorEdit],
     tables: Sequence[RawTable],
     base: Literal["free", "fixed"],
-) -> tuple[Rules, pd.DataFrame, dict[str, str]]:
-    """Return the rules that read the tables on a model with its motors, its scales, and hints."""
+) -> tuple[Sequence[MotorEdit], Rules, pd.DataFrame, dict[str, str]]:
+    """Return motors, the rules that read the tables on a model with them, its scales, and hints.
+
+    Of the motors that no column tells about none is left, where one tells about others.
+    """
     with TemporaryDirectory() as spare:
         read_from, nominal = source, whole
         if edits:
@@ -122,15 +123,18 @@ def _guessed(
             nominal = Model.from_file(read_from, base=base, hold=rules.held, unrecorded=follow)
             rules = rules.without_controls(set(free) - set(nominal.controlled))
         if rules.missing:
-            return rules, pd.DataFrame(), {}
+            return edits, rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
+        told = [e for e in edits if e.joint not in rules.unmatched]
+        if any(f"ctrl.{e.joint}" in rules.columns for e in told) and len(told) < len(edits):
+            return _guessed(source, whole, told, tables, base)
         scales = _scales(nominal, [read(t, rules) for t in tables])
         hints = _hints(nominal, tables[0], rules)
         bare = [
             n for n in hints if "scale" not in rules.columns[n] and not agrees(rules.guesses[n])
         ]
         marked = {n: without_constant(rules.guesses[n]) for n in bare}
-        return replace(rules, guesses={**rules.guesses, **marked}), scales, hints
+        return edits, replace(rules, guesses={**rules.guesses, **marked}), scales, hints
 
 
 def _hints(model: Model, table: RawTable, rules: Rules) -> dict[str, str]:
@@ -173,11 +177,39 @@ def _held_base(source: Path, table: RawTable) -> tuple[Model, list[str], bool]:
 
 
 def _motors(model: Model) -> list[MotorEdit]:
-    """Return edits that give a model without actuators (as every URDF) a motor for each joint."""
+    """Return edits that give a model without actuators (as every URDF) motors.
+
+    Each joint has one but those that follow from others, as a finger that mimics another.
+    """
     if model.actuators:
         return []
     compiled = model.compile()
-    return [MotorEdit(n) for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
+    equal = compiled.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    mimics = [compiled.joint(int(j)).name for j in compiled.eq_obj1id[equal]]
+    following = Loops.of(compiled, mimics).joints
+    return [
+        MotorEdit(n)
+        for n in model.joints
+        if int(compiled.joint(n).type[0]) in SCALAR and n not in following
+    ]
+
+
+def _motor_notes(
+    source: Path, motors: Path, edits: Sequence[MotorEdit], kept: Sequence[MotorEdit]
+) -> list[str]:
+    """Return what is to be said of motors that a model was given."""
+    if not edits:
+        return []
+    notes = [
+        f"{source.name} has no actuators: {motors.name} has a motor of 1 N m (N) for "
+        f"{', '.join(e.joint for e in kept)}."
+    ]
+    if without := [e.joint for e in edits if e not in kept]:
+        notes.append(
+            f"No column was found for what drives {', '.join(without)}, which got no motor: right "
+            f"for joints that hang free. If a column says it, add a motor to {motors.name}."
+        )
+    return notes
 
 
 def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
