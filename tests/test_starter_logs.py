@@ -1,11 +1,17 @@
 """`init`: logs that are fast, gappy, or no logs that can be read."""
 
+from pathlib import Path
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.guess import guess_rules, read
+from bo_sysid.starter.init import init
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import read_train
 
 WHEEL = """
 <mujoco><worldbody><body><joint name="wheel"/><geom size=".1"/></body></worldbody>
@@ -42,3 +48,33 @@ def test_the_unit_of_a_clock_that_names_none_is_told_by_its_steps(
     assert (guess is None or guess.confidence >= 0.55) == sure
     if not sure:
         assert f"of {1e3 * interval:g} ms in {unit}, but" in guess.reason
+
+
+def test_a_merged_log_with_empty_cells_is_read_with_its_gaps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Controls at a quarter of the rate, and a sensor at half of it, leave cells empty."""
+    by_names = "bo_sysid.starter.init.by_behaviour"  # the motion is not this model's
+    monkeypatch.setattr(by_names, lambda model, tables, rules: rules)
+    (tmp_path / "wheel.xml").write_text(
+        WHEEL.replace("</mujoco>", '<sensor><jointvel name="s" joint="wheel"/></sensor></mujoco>')
+    )
+    time = 0.01 * np.arange(400)
+    log = pd.DataFrame(
+        {"time": time, "wheel_pos": np.sin(time), "wheel_torque": np.cos(3 * time),
+         "sensor.s": np.cos(time)}
+    )  # fmt: skip
+    told, half = np.arange(400) % 4 == 0, np.arange(400) % 2 == 0
+    log["wheel_torque"] = log["wheel_torque"].where(told)
+    log["sensor.s"] = log["sensor.s"].where(half)
+    logs = [tmp_path / "log.csv", tmp_path / "held_out.csv"]
+    for path in logs:
+        log.to_csv(path, index=False)
+    started = init(tmp_path / "wheel.xml", logs, tmp_path / "wheel.yaml")
+    (recording,) = read_train(Study.load(started.path))
+    np.testing.assert_allclose(recording.channels["qpos.wheel"].time, time)
+    np.testing.assert_allclose(recording.channels["sensor.s"].time, time[half])
+    np.testing.assert_allclose(recording.channels["ctrl.wheel"].values, np.cos(3 * time[told]))
+    text = started.path.read_text()
+    assert "300 of 400 cells are empty" in text
+    assert "sensor.s: {missing: skip}  # sure: the name; 200 of 400 cells are empty" in text

@@ -21,6 +21,7 @@ from bo_sysid.recording import RawTable, Recording, read_tables
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.runs import atomic
 from bo_sysid.starter.behaviour import agrees, by_behaviour
+from bo_sysid.starter.blanks import skipping
 from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, guess_rules, read
 from bo_sysid.starter.pose import pose_guesses
@@ -117,7 +118,7 @@ def _guessed(
             read_from = Path(spare) / f"{source.stem}.xml"
             whole.export(read_from, edits)
             nominal = Model.from_file(read_from)
-        rules = guess_rules(nominal, tables[0])
+        rules = skipping(guess_rules(nominal, tables[0]), tables)
         if rules.held or rules.following:
             free, follow = nominal.controlled, dict.fromkeys(rules.following)
             nominal = Model.from_file(read_from, base=base, hold=rules.held, unrecorded=follow)
