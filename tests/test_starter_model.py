@@ -8,8 +8,11 @@ import pandas as pd
 import pytest
 
 from bo_sysid.mjcf import Model
+from bo_sysid.recording import read_tables
+from bo_sysid.starter.guess import guess_rules
 from bo_sysid.starter.init import init
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
 
 TIME = np.arange(0.0, 4.0, 0.01)
 
@@ -84,3 +87,46 @@ def test_a_urdf_gets_motors_where_a_column_may_tell_about_them(
     assert [exported.actuator(a).name for a in range(exported.nu)] == expected
     dropped = "drives grip, which got no motor"
     assert any(dropped in n for n in started.notes) == (efforts == ("elbow",))
+
+
+CASTER = """
+<mujoco><worldbody><body name="cart"><joint name="wheel"/><geom size=".1"/>
+  <body name="caster" pos="0 0 -.2"><joint name="caster_ball" type="ball"/><geom size=".03"/>
+  </body></body>{}</worldbody>{}
+  <actuator><motor name="wheel" joint="wheel"/></actuator></mujoco>"""
+ROD = '<body name="rod"><joint name="rod"/><geom size=".1"/></body>'
+CLOSED = '<equality><connect body1="caster" body2="rod" anchor="0 0 0"/></equality>'
+
+
+@pytest.mark.parametrize(
+    ("recorded", "elsewhere", "equality", "expected"),
+    [
+        (False, "", "", ("caster_ball",)),
+        (True, "", "", ()),
+        (False, ROD, CLOSED, ()),  # it moves as the loop asks
+    ],
+)
+def test_a_ball_joint_that_was_not_recorded_is_held(
+    tmp_path: Path, recorded: bool, elsewhere: str, equality: str, expected: tuple[str, ...]
+) -> None:
+    (tmp_path / "cart.xml").write_text(CASTER.format(elsewhere, equality))
+    wave = np.sin(3 * TIME)
+    log = {f"qpos.caster_ball.{k}": np.full(len(TIME), float(k == 0)) for k in range(4 * recorded)}
+    log |= {"wheel_pos": wave, "rod_pos": 0.5 * wave, "wheel_torque": np.cos(TIME)}
+    (table,) = read_tables(written(tmp_path / "log.csv", log))
+    rules = guess_rules(Model.from_file(tmp_path / "cart.xml"), table)
+    assert rules.held == expected
+    assert "caster_ball" not in rules.following
+
+
+def test_a_study_holds_a_ball_joint_and_says_what_it_would_be_read_from(tmp_path: Path) -> None:
+    (tmp_path / "cart.xml").write_text(CASTER.format("", ""))
+    log = {"wheel_pos": np.sin(3 * TIME), "wheel_torque": np.cos(TIME), "spare": np.cos(9 * TIME)}
+    path = init(
+        tmp_path / "cart.xml", [written(tmp_path / "log.csv", log)], tmp_path / "cart.yaml"
+    ).path
+    study, text = Study.load(path), path.read_text()
+    assert study.model.hold == ("caster_ball",)
+    assert "not recorded, so held where the model puts them: caster_ball" in text
+    assert "# qpos.caster_ball.3: {from: FILL IN}  # or held; one of: spare" in text
+    assert load_model(study).qpos_channels == ("qpos.wheel",)

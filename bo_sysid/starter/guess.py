@@ -10,7 +10,7 @@ import numpy as np
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Loops, Model
-from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.mjcf.joints import BALL, SCALAR
 from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
@@ -31,8 +31,9 @@ class Rules:
         columns: by channel, the rule as it stands in a study.
         clocks: by kind, the clock as it stands in a study.
         guesses: by channel (or ``time``), the reason and the confidence of its rule.
-        held: joints that were not recorded, of a model of which others were.
+        held: joints that were not recorded, ball joints as well, of a model of which others were.
         following: joints that were not recorded and are tied to others, as in a closed chain.
+        of_held: channels of the held joints, which a column may be after all.
         missing: all joints, where a column was found for none.
         unmatched: actuators without a column.
         unused: columns that nothing was matched with.
@@ -46,6 +47,7 @@ class Rules:
     unmatched: tuple[str, ...]
     unused: tuple[str, ...]
     following: tuple[str, ...] = ()
+    of_held: tuple[str, ...] = ()
 
     @property
     def to_fill_in(self) -> tuple[str, ...]:
@@ -115,18 +117,29 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     known = (model.qpos_channels, model.qvel_channels, model.act_channels, model.sensor_channels)
     used = {g.column for g in guesses.values()}.union(*known)
     silent = [j for j in joints if positions and f"qpos.{j}" not in guesses]
-    loops = Loops.of(compiled, silent).joints
-    following = tuple(n for n in silent if n in loops or tied_by(compiled, n))
+    loops = Loops.of(compiled, silent)
+    following = tuple(n for n in silent if n in loops.joints or tied_by(compiled, n))
+    alone = not loops.model.eq_active0.any()  # a ball joint may be what closes a loop
+    balls = _silent_balls(model, table) if alone and (positions or pose) else []
+    scalar = tuple(j for j in silent if j not in following)
     return Rules(
         {"time": time, **rules} if time else rules,
         {},
         guesses,
-        tuple(j for j in silent if j not in following),
+        (*scalar, *balls),
         () if positions else tuple(joints),
         tuple(a for a in model.controlled if f"ctrl.{a}" not in guesses),
         tuple(c.name for c in columns if c.kind != "time" and c.name not in used),
         following,
+        (*(f"qpos.{j}" for j in scalar), *(f"qpos.{j}.{k}" for j in balls for k in range(4))),
     )
+
+
+def _silent_balls(model: Model, table: RawTable) -> list[str]:
+    """Return the ball joints that no column is called after."""
+    compiled = model.compile()
+    balls = [n for n in model.joints if int(compiled.joint(n).type[0]) == BALL]
+    return [n for n in balls if not any(f"qpos.{n}.{k}" in table.columns for k in range(4))]
 
 
 def _body(compiled: mujoco.MjModel, joint: str) -> str:

@@ -83,8 +83,8 @@ def _open(rules: Rules) -> list[str]:
         left = f"one of: {', '.join(rules.unused)}" if rules.unused else "no column is left"
     lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
     lines += [f"    {c}: {{from: FILL IN}}  # not found; {left}" for c in rules.to_fill_in]
-    held = rules.held if rules.unused else ()
-    return lines + [f"    # qpos.{j}: {{from: FILL IN}}  # or held; {left}" for j in held]
+    held = rules.of_held if rules.unused else ()
+    return lines + [f"    # {c}: {{from: FILL IN}}  # or held; {left}" for c in held]
 
 
 def _held(rules: Rules) -> str:
