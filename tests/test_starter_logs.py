@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.guess import guess_rules, read
@@ -78,3 +79,13 @@ def test_a_merged_log_with_empty_cells_is_read_with_its_gaps(
     text = started.path.read_text()
     assert "300 of 400 cells are empty" in text
     assert "sensor.s: {missing: skip}  # sure: the name; 200 of 400 cells are empty" in text
+
+
+def test_a_log_that_is_named_twice_is_not_held_out_from_itself(tmp_path: Path) -> None:
+    (tmp_path / "wheel.xml").write_text(WHEEL)
+    (tmp_path / "log.csv").write_text("time,wheel_pos,wheel_torque\n0,0,1\n1,1,1\n2,3,1\n")
+    (tmp_path / "logs").mkdir()
+    twice = [tmp_path / "log.csv", tmp_path / "logs" / ".." / "log.csv"]
+    with pytest.raises(UserError, match=r"log\.csv: named twice"):
+        init(tmp_path / "wheel.xml", twice, tmp_path / "wheel.yaml")
+    assert not (tmp_path / "wheel.yaml").exists()

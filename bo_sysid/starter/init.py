@@ -56,13 +56,13 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
         out: the study file to be written, which must not exist.
 
     Raises:
-        UserError: the study exists, a file cannot be read, a log has no clock, or the model no
-            hinge and no slide.
+        UserError: the study exists, a file cannot be read or is named twice, a log has no clock,
+            or the model no hinge and no slide.
     """
     out, source = Path(out), Path(model)
     if out.exists():
         raise UserError(f"{out}: exists; name another file with --out, or remove it")
-    files = [Path(log) for log in logs]
+    files = _different([Path(log) for log in logs])
     held = max(len(files) // 4, 1) if len(files) > 1 else 0
     train, holdout = files[: len(files) - held], files[len(files) - held :]
     tables = _alike([t for f in train for t in read_tables(f)])
@@ -99,6 +99,17 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     with atomic(out) as beside:
         beside.write_text(text, encoding="utf-8")
     return Started(out, rules, tuple(notes))
+
+
+def _different(files: list[Path]) -> list[Path]:
+    """Return the files, of which none may be named twice."""
+    for k, file in enumerate(files):
+        if file.resolve() in [f.resolve() for f in files[:k]]:
+            raise UserError(
+                f"{file}: named twice; a log that is fitted to cannot be the one that is held out, "
+                "so name each once"
+            )
+    return files
 
 
 def _guessed(
