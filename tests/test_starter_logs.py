@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bo_sysid.errors import UserError
+from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import RawTable
+from bo_sysid.recording import RawTable, read_tables
+from bo_sysid.starter.columns import describe
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
 from bo_sysid.study import Study
@@ -89,3 +90,11 @@ def test_a_log_that_is_named_twice_is_not_held_out_from_itself(tmp_path: Path) -
     with pytest.raises(UserError, match=r"log\.csv: named twice"):
         init(tmp_path / "wheel.xml", twice, tmp_path / "wheel.yaml")
     assert not (tmp_path / "wheel.yaml").exists()
+
+
+def test_a_clock_of_text_is_named_with_what_could_be_read(tmp_path: Path) -> None:
+    rows = [f"12:00:00.{10 * k:03d}000,{np.sin(k)},{np.cos(k)}" for k in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,wheel_pos,wheel_torque", *rows]))
+    (table,) = read_tables(tmp_path / "log.csv")
+    with pytest.raises(RecordingError, match=r"column 'time' .* text, as '12:00:00.*2024-05-01 12"):
+        describe(table)

@@ -116,6 +116,20 @@ def spoilt(table: RawTable) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _unread_clocks(table: RawTable) -> list[str]:
+    """Return which columns of text are called like a clock, and what could be read."""
+    found = []
+    for name, values in table.columns.items():
+        cells = pd.Series(values).dropna().astype(str)
+        text = pd.to_numeric(cells, errors="coerce").isna()
+        if _named(name, "").kind == "time" and text.all() and len(cells):
+            found.append(
+                f"column {name!r} is called like one and holds text, as {cells.iloc[0]!r}: stamps "
+                "are numbers, or dates with a time of day such as 2024-05-01 12:00:00.25"
+            )
+    return found
+
+
 def words(name: str) -> tuple[str, ...]:
     """Return the parts of a name, split at marks, before capitals and before digits."""
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
@@ -185,7 +199,8 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
         raise RecordingError(
             f"{table.source}: no column looks like a clock among "
             f"{', '.join(repr(c.name) for c in found)}; expected one called time, t or stamp, or "
-            "one that rises in equal steps" + "".join(f"; {s}" for s in spoilt(table))
+            "one that rises in equal steps"
+            + "".join(f"; {s}" for s in (*spoilt(table), *_unread_clocks(table)))
         )
     return [
         replace(c, kind="time", reason="it alone rises in equal steps") if c.name == best else c
