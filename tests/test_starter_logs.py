@@ -98,3 +98,11 @@ def test_a_clock_of_text_is_named_with_what_could_be_read(tmp_path: Path) -> Non
     (table,) = read_tables(tmp_path / "log.csv")
     with pytest.raises(RecordingError, match=r"column 'time' .* text, as '12:00:00.*2024-05-01 12"):
         describe(table)
+
+
+def test_a_log_of_one_row_is_refused_without_warnings(tmp_path: Path) -> None:
+    """Warnings are errors here."""
+    (tmp_path / "wheel.xml").write_text(WHEEL)
+    (tmp_path / "log.csv").write_text("time,qpos.wheel,qvel.wheel,ctrl.wheel\n0,0.1,0.2,0.3\n")
+    with pytest.raises(RecordingError, match="at least 2 are needed"):
+        init(tmp_path / "wheel.xml", [tmp_path / "log.csv"], tmp_path / "wheel.yaml")

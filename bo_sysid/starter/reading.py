@@ -138,7 +138,8 @@ def clock_rule(table: RawTable, columns: Sequence[Column]) -> tuple[Rule, Guess 
     if clock.unit in ("ms", "us", "µs", "ns"):
         return rule | {"unit": clock.unit}, None
     values = table.column(clock.name)
-    guess = _by_steps(float(np.median(np.diff(values[np.isfinite(values)]))), clock.name)
+    steps = np.diff(values[np.isfinite(values)])
+    guess = _by_steps(float(np.median(steps)), clock.name) if steps.size else None
     return (rule if guess is None else rule | {"unit": guess.unit}), guess
 
 
