@@ -331,6 +331,24 @@ def test_what_cannot_be_tested_is_said() -> None:
     assert "not tested" in flag.sentence
 
 
+def noisy_elbow(seconds: float, noise: float) -> list[str]:
+    """Return what is said of the arm's log, so long, with noise at the elbow: in [rad]."""
+    channels = dict(recorded().between(0.0, seconds).channels)
+    c = channels["qpos.elbow"]
+    values = c.values + noise * np.random.default_rng(3).standard_normal(len(c.values))
+    channels["qpos.elbow"] = Channel(c.time, values, c.unit, c.source, c.hold)
+    found = find_wiring(Model.from_xml(ARM).compile(), [Recording("log", channels)])
+    return [f.sentence for f in found.flags if "not tested" in f.sentence]
+
+
+def test_a_log_that_is_too_short_says_how_long_it_must_be_and_for_which_noise() -> None:
+    """Instants are 1.5 widths of the filter apart, and noise takes the widest, of 0.07 s."""
+    assert noisy_elbow(4.0, 0.0) == []
+    (said,) = noisy_elbow(4.0, 0.05)
+    assert "have 4 s, and need 7.1 s, since the noise of qpos.elbow" in said
+    assert noisy_elbow(7.2, 0.05) == []
+
+
 def test_a_drive_that_is_late_is_no_clock() -> None:
     log, late = recorded(), 0.025
     channels = dict(log.channels)

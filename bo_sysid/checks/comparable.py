@@ -38,7 +38,7 @@ def comparable(
         return "a joint is neither a hinge nor a slide, or none was recorded"
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:
-        return "the recordings are too short"
+        return _too_short(traces)
     traces = _off_contact(model, _off_stops(model, traces))
     if tight := _tight(model, traces):
         return f"the tendon {tight} is at its limit in the recordings, and pulls as nothing tells"
@@ -46,6 +46,15 @@ def comparable(
     for joint in beyond_range(model, recordings):
         free.jnt_limited[free.joint(joint).id] = 0
     return free, traces
+
+
+def _too_short(traces: Traces) -> str:
+    """Return why there are too few instants in recordings."""
+    needed, has = traces.needed(_LEAST), traces.seconds
+    if has > needed:
+        return "gaps in the recordings leave too few stretches to look at"
+    told = f", since the noise of {traces.noisiest} needs a wide filter" if traces.noisiest else ""
+    return f"the recordings are too short; they have {has:.2g} s, and need {needed:.2g} s{told}"
 
 
 def _off_stops(model: mujoco.MjModel, traces: Traces) -> Traces:

@@ -5,7 +5,7 @@ what holds between the signals then holds between the traces, and sensor noise i
 """
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +21,8 @@ WIDTHS = (0.006, 0.01, 0.016, 0.024, 0.03, 0.04, 0.05, 0.07)
 """Standard deviations of the filter to choose from, in s."""
 _NOISE_SHARE = 0.03  # of an acceleration, that the filter may leave
 _EDGE = 4.0  # standard deviations at both ends that are not used
+_APART = 1.5  # standard deviations between two instants
+_FEW = 4  # recordings whose noise is looked at
 LATEST = 0.12
 """Largest delay that is looked for, in s."""
 _HALVED = 2.0  # intervals of a filter in which every other sample is enough
@@ -94,6 +96,26 @@ class Traces:
     def count(self) -> int:
         """Number n of instants."""
         return sum(map(len, self.instants))
+
+    @property
+    def seconds(self) -> float:
+        """Length of the recordings together, in [s]."""
+        return sum(float(grid[-1] - grid[0]) for grid in self._grids)
+
+    def needed(self, count: int) -> float:
+        """Return how long the recordings must be together for `count` instants, in [s]."""
+        ends = 2 * (_EDGE * self.width + LATEST)
+        return _APART * self.width * count + ends * len(self.recordings)
+
+    @property
+    def noisiest(self) -> str:
+        """The channel whose noise asks for so wide a filter; empty where the sampling does."""
+        narrower = [w for w in _usable(self.recordings, self.measured) if w < self.width]
+        if not narrower:
+            return ""
+        shares = [_noise_shares(r, self.measured, narrower[-1]) for r in self.recordings[:_FEW]]
+        worst = {name: max(s.get(name, 0.0) for s in shares) for s in shares for name in s}
+        return max(worst, key=worst.__getitem__, default="")
 
     def at(self, instants: Sequence[Float[np.ndarray, " n"]]) -> "Traces":
         """Return the same at other instants of each recording, in [s]."""
@@ -183,25 +205,33 @@ def _width(recordings: Sequence[Recording], measured: Sequence[str]) -> float:
     White noise σ at interval dt becomes an acceleration of σ √(3 dt / (8 √π w⁵)) after a Gaussian
     of standard deviation w.
     """
-    least = 1.5 * max(_dt(r, measured) for r in recordings)
-    usable = [w for w in WIDTHS if w >= least] or [least]
+    usable = _usable(recordings, measured)
     for width in usable:
-        shares = []
-        for r in recordings[:4]:
-            grid = _grid(r, measured, width)
-            worst = 0.0
-            for name in _alike(r, measured):
-                c = r.channels[name]
-                bend = Trace.of(c, grid, width, held=False).bend
-                dt = float(np.median(np.diff(c.time)))
-                noise = noise_sigma(c.time, c.values) * np.sqrt(
-                    3 * dt / (8 * np.sqrt(np.pi) * width**5)
-                )
-                worst = max(worst, noise / max(float(bend.std()), np.finfo(float).tiny))
-            shares.append(worst)
-        if float(np.median(shares)) < _NOISE_SHARE:
+        shares = [_noise_shares(r, measured, width) for r in recordings[:_FEW]]
+        if float(np.median([max(s.values(), default=0.0) for s in shares])) < _NOISE_SHARE:
             return width
     return usable[-1]
+
+
+def _usable(recordings: Sequence[Recording], measured: Sequence[str]) -> Sequence[float]:
+    """Return the widths that the samples resolve."""
+    least = 1.5 * max(_dt(r, measured) for r in recordings)
+    return [w for w in WIDTHS if w >= least] or [least]
+
+
+def _noise_shares(
+    recording: Recording, measured: Sequence[str], width: float
+) -> Mapping[str, float]:
+    """Return by channel how much of its acceleration is noise after a filter."""
+    grid = _grid(recording, measured, width)
+    shares = {}
+    for name in _alike(recording, measured):
+        c = recording.channels[name]
+        bend = Trace.of(c, grid, width, held=False).bend
+        dt = float(np.median(np.diff(c.time)))
+        noise = noise_sigma(c.time, c.values) * np.sqrt(3 * dt / (8 * np.sqrt(np.pi) * width**5))
+        shares[name] = noise / max(float(bend.std()), np.finfo(float).tiny)
+    return shares
 
 
 def _alike(recording: Recording, measured: Sequence[str]) -> list[str]:
@@ -226,7 +256,7 @@ def _instants(
     first, last = grid[0] + margin, grid[-1] - margin
     if last - first < 2 * width:
         return grid[len(grid) // 2 :][:1]
-    count = int(np.clip((last - first) / (1.5 * width), 2, most))
+    count = int(np.clip((last - first) / (_APART * width), 2, most))
     t = np.linspace(first, last, count)
     good = np.ones(count, bool)
     for name in measured:
