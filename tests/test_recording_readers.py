@@ -300,12 +300,16 @@ GOOD = "time,qpos.a,ctrl.m\n0.0,1.0,1\n0.1,2.0,2\n0.2,4.0,3\n"
         GOOD.replace("\n", ",\n"),
         GOOD.replace("\n", ",\n").replace("ctrl.m,", "ctrl.m", 1),
         GOOD.replace("time", '"time"'),
+        "sep=;\n" + GOOD.replace(",", ";"),
+        '"sep=,"\r\n' + GOOD,
+        GOOD.replace(",", "\t").encode("utf-16"),
+        b"\xfe\xff" + GOOD.encode("utf-16-be"),
     ],
-    ids=range(15),
+    ids=range(19),
 )
 def test_the_ways_to_write_a_csv_file(text, tmp_path):
     path = tmp_path / "log.csv"
-    path.write_bytes(text.encode())
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     channels = read_recording(path).channels
     assert channels["qpos.a"].values.tolist() == [1, 2, 4]
     assert channels["ctrl.m"].time.tolist() == [0, 0.1, 0.2]
@@ -348,8 +352,9 @@ def test_a_bad_cell_among_decimal_commas_is_named(tmp_path):
         ("time,qpos.a\n", "names its columns but holds no samples"),
         ("  \n\n", "the first line must name the columns"),
         (GOOD.replace("\n", ",7\n").replace("ctrl.m,7", "ctrl.m,"), "last column has values"),
-        (GOOD.encode("utf-16"), "not text"),
-        (GOOD.replace("ctrl.m", "ctrl.µ").encode("latin1"), "not UTF-8 text"),
+        (GOOD.encode("utf-16")[:-1], "not UTF-8 or UTF-16 text"),
+        (GOOD.encode("utf-16-le"), "not text"),
+        (GOOD.replace("ctrl.m", "ctrl.µ").encode("latin1"), "not UTF-8 or UTF-16 text"),
     ],
 )
 def test_a_wrong_csv_file_says_where(text, match, tmp_path):

@@ -15,6 +15,8 @@ from bo_sysid.recording.formats.registry import content, reader, require_content
 from bo_sysid.recording.table import RawTable
 
 _COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
+_SEPARATOR = re.compile(r'"?sep=.?"?')  # a first line that Excel writes and reads
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")  # the first bytes of what Excel calls Unicode text
 _TRAILING = ""  # name of the empty column after a separator at the end of each line
 
 
@@ -24,7 +26,7 @@ def read_csv(path: Path) -> RawTable:
 
     Between other separators than commas, numbers may have decimal commas.
     Blank lines and lines that start with ``#`` may stand before the header; the header itself may
-    start with ``#``, as `numpy.savetxt` writes it.
+    start with ``#``, as `numpy.savetxt` writes it. Before all may stand Excel's ``sep=;``.
     """
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
@@ -85,6 +87,8 @@ def _text(path: Path) -> str:
             data = gzip.decompress(path.read_bytes())
         else:
             data = path.read_bytes()
+        if data.startswith(_UTF16):
+            return data.decode("utf-16")
         if content(data) or b"\0" in data[:4096]:
             raise RecordingError(
                 f"{path}: not text as its ending says; its content is {content(data) or 'binary'}"
@@ -93,12 +97,14 @@ def _text(path: Path) -> str:
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise RecordingError(f"{path}: a damaged gzip file: {error}") from None
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not UTF-8 text: {error}") from None
+        raise RecordingError(f"{path}: not UTF-8 or UTF-16 text: {error}") from None
 
 
 def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
     """Return the column names, the separator, and the lines below the header."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    if _SEPARATOR.fullmatch(lines[0].strip()):
+        lines.pop(0)  # the header tells it as well
     comments = []
     while lines and (not lines[0].strip() or lines[0].lstrip().startswith("#")):
         comments.append(lines.pop(0))
