@@ -88,25 +88,8 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
             f"base, and {model.source} has no hinge or slide, and the log no such pose; write the "
             f"study by hand, with columns like {', '.join(map(repr, model.qpos_channels[:4]))}"
         )
-    positions = match(
-        "qpos",
-        joints,
-        [c for c in columns if c.kind == "position" or named_after(joints, c)],
-        [_body(compiled, j) for j in joints],
-        trust=_BODY,
-        fits=partial(fits_joint, compiled),
-    )
-    if joints and not positions and (bad := spoilt(table)):
-        raise RecordingError(
-            f"{table.source}: no column looks like the position of a joint of {model.source} "
-            f"({', '.join(joints)}); {'; '.join(bad)}"
-        )
-    velocities = rates_of(table, positions, columns) or match(
-        "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
-    )
-    commands = _commands(model, compiled, columns)
-    commands += _left_over(model, table, columns, (*positions, *velocities, *commands))
-    guesses = {g.channel: g for g in (*positions, *velocities, *commands)}
+    guesses = {g.channel: g for g in _matched(model, table, columns, joints)}
+    positions = any(n.startswith("qpos.") for n in guesses)
     time, stepped = clock_rule(table, columns)
     ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
@@ -133,6 +116,36 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         following,
         (*(f"qpos.{j}" for j in scalar), *(f"qpos.{j}.{k}" for j in balls for k in range(4))),
     )
+
+
+def _matched(
+    model: Model, table: RawTable, columns: Sequence[Column], joints: Sequence[str]
+) -> list[Guess]:
+    """Match joints and actuators with columns.
+
+    Raises:
+        RecordingError: cells that are no numbers hide the positions.
+    """
+    compiled = model.compile()
+    positions = match(
+        "qpos",
+        joints,
+        [c for c in columns if c.kind == "position" or named_after(joints, c)],
+        [_body(compiled, j) for j in joints],
+        trust=_BODY,
+        fits=partial(fits_joint, compiled),
+    )
+    if joints and not positions and (bad := spoilt(table)):
+        raise RecordingError(
+            f"{table.source}: no column looks like the position of a joint of {model.source} "
+            f"({', '.join(joints)}); {'; '.join(bad)}"
+        )
+    velocities = rates_of(table, positions, columns) or match(
+        "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
+    )
+    commands = _commands(model, compiled, columns)
+    commands += _left_over(model, table, columns, (*positions, *velocities, *commands))
+    return [*positions, *velocities, *commands]
 
 
 def _silent_balls(model: Model, table: RawTable) -> list[str]:
