@@ -3,16 +3,20 @@
 import hashlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import pandas as pd
 import pytest
 import yaml
 from diagnosis_helpers import ARM, NAMES, record
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
-from bo_sysid.diagnosis.diagnose import _nowhere, gather
+from bo_sysid.diagnosis.answer.holdout import judge
+from bo_sysid.diagnosis.diagnose import _nowhere, _outside, gather
+from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
@@ -79,6 +83,39 @@ def test_the_forecast_error_falls_to_the_noise(diagnosed) -> None:
     assert result.holdout.error("forecast", 0.08, "repaired") < 1.15 * floor
     assert result.holdout.error("forecast", 0.08, "refitted") > 3 * floor
     assert "falls from" in result.sentences[-1]
+
+
+def test_a_short_recording_costs_the_others_no_proof(diagnosed) -> None:
+    result, _ = diagnosed
+    whole = record(FRICTION, seed=2, duration=4.0)
+    brief = replace(whole.between(0.0, 0.25), name="brief")
+    alone, both = (
+        judge(result.evidence, result.outcome, told) for told in ([whole], [whole, brief])
+    )
+    assert (alone.short, both.short) == ((), ("brief",))
+    pd.testing.assert_frame_equal(both.table, alone.table)
+    none = judge(result.evidence, result.outcome, [brief])
+    assert none.as_json() == {"forecast": {}, "fit": {}, "free_run": {}}
+    assert none.sentences[0].startswith("The hold-out cannot be judged: ")
+
+
+def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
+    result, _ = diagnosed
+    half = record(FRICTION, seed=2, duration=4.0).between(0.0, 0.5)
+    told = judge(result.evidence, result.outcome, [half])
+    assert set(told.table[told.table.measure == "forecast"].horizon_s) == {AHEAD}
+    before, after, floor = (
+        told.error("forecast", AHEAD, m) for m in ("refitted", "repaired", "noise_floor")
+    )
+    assert after < 1.5 * floor < before
+    assert "falls from" in told.sentences[0]
+
+
+def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:
+    heavy = {"name": "m", "address": "body[forearm].mass", "low": 2.0, "high": 3.0, "steps": 5}
+    study = write_study(tmp_path, parameters=[heavy])
+    (note,) = _outside(study, gather(study, load_train(study)))
+    assert note.startswith("The model as it is lies outside the bounds of m (")
 
 
 def test_the_repaired_model_loads_and_holds_the_friction(diagnosed) -> None:

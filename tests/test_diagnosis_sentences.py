@@ -90,6 +90,13 @@ def test_a_spring_that_a_model_has_is_told_as_the_spring() -> None:
     )
 
 
+def test_what_is_all_taken_away_is_nothing() -> None:
+    """A bound leaves a trifle below 0, which was said as -0.00."""
+    assert said("joint_spring", machine(stiffness=2.0), -2.0 - 1e-12) == (
+        "The spring at the hinge is 0.00 ± 0.03 N m/rad, not 2 as in the model."
+    )
+
+
 def test_what_no_effect_explains_is_said_with_where_it_acts() -> None:
     (said_of_joint,) = Unexplained(0.5, "joint", "y_axis", ("speed",)).sentences
     assert said_of_joint == (

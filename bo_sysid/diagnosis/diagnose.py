@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.motion import range_flags
+from bo_sysid.checks.sensitivity import bounds_flags
 from bo_sysid.diagnosis.answer.answer import Answer, make_answer
 from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.answer.experiment import EXPERIMENT, next_experiment
@@ -32,6 +34,7 @@ from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
+from bo_sysid.mjcf import nominal
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation.of_study import study_laws
@@ -188,7 +191,9 @@ def diagnose(
     holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
     said = [note for recording in evidence.recordings for note in recording.notes]
     left_out = located.prepared.problem.windows.left_out
-    told = (*_nowhere(study, evidence), *notes, *held_notes(study))
+    short = [f"The hold-out {name} is too short for a forecast." for name in holdout.short]
+    told = (*_nowhere(study, evidence), *_outside(study, evidence))
+    told = (*told, *notes, *held_notes(study), *short)
     result = Diagnosis(
         study.name,
         answer,
@@ -225,6 +230,8 @@ def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
     wanted = chosen(study_effects(study), asked, study.diagnosis.exclude)
     missing = [e.id for e in wanted if e.id not in found and e.family in ("physics", "sensing")]
     sites = "nowhere in this model as it was recorded"
+    if study.diagnosis.known:
+        sites += ", or would change what is known"
     said = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
     if any(e.family == "numerics" for e in wanted):
         said.append(
@@ -232,6 +239,14 @@ def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
             "says where it shows."
         )
     return tuple(said)
+
+
+def _outside(study: Study, evidence: Evidence) -> tuple[str, ...]:
+    """Return the parameters whose bounds leave out the model's own value, and what is done then."""
+    parameters = study.parameter_set(evidence.given)
+    own = np.array([nominal(evidence.given, p) for p in parameters])
+    said = (flag.sentence for flag in bounds_flags(parameters, own))
+    return tuple(f"{sentence} Values between are fitted as well." for sentence in said)
 
 
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:

@@ -12,6 +12,7 @@ from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.answer.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import subset
 from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.sets.rules import LOOSE
 from bo_sysid.diagnosis.sets.shapes import with_shapes_unsure
@@ -354,6 +355,5 @@ def _placed(located: Located, unexplained: Unexplained) -> Unexplained:
 def _without(located: Located, fit: Fit, kept: tuple[bool, ...]) -> Fit:
     if all(kept):
         return fit
-    keep = np.flatnonzero(kept)
-    members, x = tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
+    members, x = subset(fit, np.flatnonzero(kept).tolist())
     return located.search.refit(members, x, start=fit.start, guess=fit.hypothesis, effort=FINAL)

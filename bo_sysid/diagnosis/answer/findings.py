@@ -17,6 +17,7 @@ _SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
+_ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
 _TIME = 0.3e-3  # [s] the same for times
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
@@ -134,7 +135,7 @@ def findings(
                 candidate.site.name,
                 quantity,
                 before,
-                quantity.value if candidate.effect.absolute else begun + quantity.value,
+                quantity.value if candidate.effect.absolute else _sum(begun, quantity.value),
                 details,
                 _group_words(label, candidate, fit),
                 probability,
@@ -184,7 +185,7 @@ def sentence(
             f"{amount(bend)} before it slips, which the model lacks."
         )
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
-        whole = Quantity(begun + quantity.value, quantity.unit, (begun + low, begun + high))
+        whole = Quantity(_sum(begun, quantity.value), quantity.unit, (begun + low, begun + high))
         now = amount(whole)
         noun = re.sub(r"^an? ", "the ", effect.noun)
         text = f"{noun} at {site} is {now}, not {before:.4g} as in the model."
@@ -202,6 +203,12 @@ def sentence(
     if bend:
         text += f" It gives way by {amount(bend)} before it slips."
     return text[0].upper() + text[1:]
+
+
+def _sum(before: float, change: float) -> float:
+    """Return what there is after a change; 0 where all of it is taken away, but for rounding."""
+    after = before + change
+    return 0.0 if abs(after) < _ROUNDING * abs(before) else after
 
 
 def _negated(quantity: Quantity) -> Quantity:

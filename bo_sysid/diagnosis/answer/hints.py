@@ -219,7 +219,7 @@ def left_sentence(best: Fit, most: int, least: float) -> str:
     """
     small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
     said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
-    if len(units_of(best)) >= most:
+    if best.size >= most:
         return (
             f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
             "missing."

@@ -34,6 +34,7 @@ _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is w
 _ALIKE = 0.02  # by which two errors differ in words
 _WORSE = 0.2  # of an error, by which a repair makes longer windows worse
 _AT_FLOOR = 1.5  # of the floor, below which a forecast is as good as the sensors
+_SPARE = 1.1  # times the length of a window, that a recording has at least
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
 
@@ -49,6 +50,7 @@ class Holdout:
         note: why there is none, where there is none.
         parameters: whether the study has parameters, which `refitted` differs by.
         beyond: by joint, the share of the instants in which it is where no training recording was.
+        short: names of recordings that are shorter than a forecast and what it begins from.
     """
 
     table: pd.DataFrame
@@ -57,6 +59,7 @@ class Holdout:
     note: str = ""
     parameters: bool = True
     beyond: Mapping[str, float] = field(default_factory=dict)
+    short: tuple[str, ...] = ()
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
         """Return one error, None where it was not computed."""
@@ -127,6 +130,9 @@ class Holdout:
         out: dict[str, Any] = {}
         for measure in ("forecast", "fit"):
             rows = self.table[self.table.measure == measure]
+            if rows.empty:
+                out[measure] = {}
+                continue
             horizon = float(rows.horizon_s.min())
             errors = rows[rows.horizon_s == horizon].set_index("model").error
             names = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
@@ -166,21 +172,38 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     traced = pd.DataFrame()
     length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
-    try:
-        rows += _forecasts(evidence, outcome, recordings, models, AHEAD)[0]
-        rows += _fits(evidence, outcome, recordings, models)
-        models.pop("learned_residual", None)  # a baseline of what is told first; its law is slow
-        made, traced = _forecasts(evidence, outcome, recordings, models, LONGER)
-        rows += made
-    except RecordingError as error:
-        return Holdout(_table([]), {}, traced, f"The hold-out cannot be judged: {error}")
-    if length > PAST + free:
-        made, free_runs, longer = _free_runs(evidence, outcome, recordings, models, free)
+    all_but_law = {name: h for name, h in models.items() if name != "learned_residual"}
+    measured = (
+        partial(_forecasts, evidence, outcome, recordings, models, AHEAD),
+        partial(_fits, evidence, outcome, recordings, models),
+        # a baseline of what is told first; its law is slow
+        partial(_forecasts, evidence, outcome, recordings, all_but_law, LONGER),
+    )
+    note = ""
+    for measure in measured:
+        try:
+            made, shown = measure()
+        except RecordingError as error:
+            note = note or f"The hold-out cannot be judged: {error}"
+        else:
+            rows, traced = rows + made, traced if shown.empty else shown
+    if rows and length > PAST + free:
+        made, free_runs, longer = _free_runs(evidence, outcome, recordings, all_but_law, free)
         rows, traced = rows + made, traced if longer.empty else longer
     return Holdout(
-        _table(rows), free_runs, traced, parameters=bool(evidence.nuisances),
-        beyond=beyond(evidence.recordings, recordings, evidence.machine.joints),
+        _table(rows), free_runs, traced, note, parameters=bool(evidence.nuisances),
+        beyond=beyond(evidence.recordings, recordings, evidence.machine.joints) if rows else {},
+        short=tuple(r.name for r in recordings if not _lasts(r, PAST + AHEAD)),
     )  # fmt: skip
+
+
+def _lasting(recordings: Sequence[Recording], seconds: float) -> Sequence[Recording]:
+    """Return the recordings that have windows of some length; all of them where none has."""
+    return [r for r in recordings if _lasts(r, seconds)] or recordings
+
+
+def _lasts(recording: Recording, seconds: float) -> bool:
+    return recording.span[1] - recording.span[0] > _SPARE * seconds
 
 
 def beyond(
@@ -211,7 +234,8 @@ def _forecasts(
     models: Mapping[str, Hypothesis],
     ahead: float,
 ) -> tuple[list[dict[str, Any]], pd.DataFrame]:
-    problem, past = _cut(evidence, outcome, recordings, PAST, ahead)
+    lasting = _lasting(recordings, PAST + ahead)
+    problem, past = _cut(evidence, outcome, lasting, PAST, ahead)
     made = _each(models, partial(forecast, problem, past))
     rows = [_row("forecast", ahead, name, errors.ahead) for name, errors in made.items()]
     floor = noise_floor(problem, past, models["repaired"], made["repaired"])
@@ -225,16 +249,17 @@ def _fits(
     outcome: Outcome,
     recordings: Sequence[Recording],
     models: Mapping[str, Hypothesis],
-) -> list[dict[str, Any]]:
+) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     compared = {*evidence.model.qpos_channels, *evidence.sigma}
-    horizon = max(instants_in(LONGER, recordings, compared), 4)
+    lasting = _lasting(recordings, LONGER)
+    horizon = max(instants_in(LONGER, lasting, compared), 4)
     problem = pose(
-        evidence.model, evidence.machine, recordings, evidence.sigma, (), horizon=horizon,
+        evidence.model, evidence.machine, lasting, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,
     )  # fmt: skip
     made = _each(models, partial(fitted, problem))
     rows = [_row("fit", LONGER, n, errors.ahead) for n, errors in made.items()]
-    return [*rows, _row("fit", LONGER, "noise_floor", 1.0)]
+    return [*rows, _row("fit", LONGER, "noise_floor", 1.0)], pd.DataFrame()
 
 
 def _free_runs(
@@ -246,7 +271,7 @@ def _free_runs(
 ) -> tuple[list[dict[str, Any]], dict[str, Mapping[str, float]], pd.DataFrame]:
     """Return the errors of runs of seconds as rows, by model and channel, and their traces."""
     try:
-        problem, past = _cut(evidence, outcome, recordings, PAST, free)
+        problem, past = _cut(evidence, outcome, _lasting(recordings, PAST + free), PAST, free)
     except RecordingError:
         return [], {}, pd.DataFrame()
     made, rows = _each(models, partial(forecast, problem, past)), []

@@ -34,6 +34,7 @@ _ADDRESSES = {
 }
 """Where the repaired model has an effect at `{site}`, and the details of it by name."""
 _SIGNED = ("rest angle", *"xyz")  # details that may be negative
+_ZERO = 1e-9  # what is left of friction that the machine lacks
 _SAME = 1e-3  # relative difference of what was found from what the repaired model has
 _NO_ADDRESS = {
     "timestep": "recordings are cut for the time step of the repaired model",
@@ -147,7 +148,7 @@ def _found(model: Model, finding: Finding, detail: str) -> tuple[float, Quantity
 def _holds(model: Model, address: str, value: float) -> bool:
     """Whether a model has a value there, and not, such as a second lag, beside it."""
     try:
-        return bool(np.isclose(Address.parse(address).read(model), value, rtol=_SAME, atol=0.0))
+        return bool(np.isclose(Address.parse(address).read(model), value, rtol=_SAME, atol=_ZERO))
     except ModelError:
         return False
 
