@@ -10,12 +10,13 @@ import mujoco
 import pandas as pd
 import pytest
 import yaml
-from diagnosis_helpers import ARM, NAMES, record
+from diagnosis_helpers import ARM, NAMES, arm, record
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.diagnosis.answer.holdout import judge
 from bo_sysid.diagnosis.diagnose import _nowhere, _outside, gather
+from bo_sysid.diagnosis.windows.evidence import rates_note
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
 from bo_sysid.runs import Run, plain
@@ -109,6 +110,13 @@ def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
     )
     assert after < 1.5 * floor < before
     assert "falls from" in told.sentences[0]
+
+
+def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
+    fast, slow = record(duration=1.0), record(seed=1, duration=1.0, sampling=0.02)
+    (note,) = rates_note([fast, slow], arm())
+    assert note.startswith("arm 0 is sampled every 0.002 s and arm 1 every 0.02 s: ")
+    assert rates_note([fast, replace(fast, name="again")], arm()) == rates_note([], arm()) == ()
 
 
 def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from bo_sysid.diagnosis.answer.sentences import (
 from bo_sysid.diagnosis.answer.tables import bent_pose, sets
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
-from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence, rates_note
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
@@ -188,12 +188,13 @@ def diagnose(
     )  # fmt: skip
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
-    holdout = judge(evidence, outcome, load_holdout(study, strict=strict))
+    unseen = load_holdout(study, strict=strict)
+    holdout = judge(evidence, outcome, unseen)
     said = [note for recording in evidence.recordings for note in recording.notes]
     left_out = located.prepared.problem.windows.left_out
     short = [f"The hold-out {name} is too short for a forecast." for name in holdout.short]
     told = (*_nowhere(study, evidence), *_outside(study, evidence))
-    told = (*told, *notes, *held_notes(study), *short)
+    told = (*told, *notes, *held_notes(study), *rates_note(unseen, evidence.model), *short)
     result = Diagnosis(
         study.name,
         answer,

@@ -75,7 +75,7 @@ class Evidence:
             said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
             said.append("Nothing touches in the training recordings: contact is left out there.")
-        return (*said, *_rates(self.recordings, self.model))
+        return (*said, *rates_note(self.recordings, self.model))
 
     def as_it_moved(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with contact, where it was left out and something touches in others."""
@@ -91,18 +91,16 @@ class Evidence:
         return replace(self, candidates=held)
 
 
-def _rates(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]:
+def rates_note(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]:
     """Return what recordings of different rates mean for windows, in words."""
     intervals = {
         r.name: min(float(np.median(np.diff(r.channels[n].time))) for n in held)
         for r in recordings
         if (held := [n for n in model.qpos_channels if n in r.channels])
     }
-    slow, fast = (
-        max(intervals, key=intervals.__getitem__),
-        min(intervals, key=intervals.__getitem__),
-    )
-    if intervals[slow] < _OTHER_RATE * intervals[fast]:
+    slow = max(intervals, key=intervals.__getitem__, default="")
+    fast = min(intervals, key=intervals.__getitem__, default="")
+    if not intervals or intervals[slow] < _OTHER_RATE * intervals[fast]:
         return ()
     return (
         f"{fast} is sampled every {intervals[fast]:.3g} s and {slow} every {intervals[slow]:.3g} "
