@@ -325,3 +325,33 @@ def test_a_spring_beside_one_with_higher_terms_adds_its_own_force(own, id, x) ->
         mujoco.mj_step(arm.machine.model, data)
     details = CATALOGUE[id].details
     assert details is None or not details(np.array(x), arm.machine, HINGE)
+
+
+DRIVEN = """<mujoco><option timestep="0.001" integrator="implicitfast"/>
+<default>{defaults}</default><worldbody><body><joint name="hinge" axis="0 1 0" {joint}/>
+ <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".01" mass=".5"/></body></worldbody>
+<actuator><motor name="motor" joint="hinge" {motor}/></actuator></mujoco>"""
+OWN = {
+    "joint": 'damping=".1" armature=".02" margin=".05"',
+    "motor": 'gear="5" ctrllimited="true" ctrlrange="-2 2" armature=".01" damping=".02"',
+}
+
+
+@pytest.mark.parametrize(
+    ("id", "x"), [("cogging", [0.3, 0.1, 6.0]), ("dry_friction", [0.2, 1, 1e-3])]
+)
+def test_what_is_added_takes_nothing_from_the_defaults_of_a_model(id, x) -> None:
+    """It moves as where the model states the same of each of its own elements."""
+    ends = []
+    for text in (
+        DRIVEN.format(defaults="", **OWN),
+        DRIVEN.format(
+            defaults="".join(f"<{kind} {own}/>" for kind, own in OWN.items()),
+            **dict.fromkeys(OWN, ""),
+        ),
+    ):
+        data = mujoco.MjData(Bench(text).edited(id, "joint", "hinge", x)[0])
+        data.qvel[0], data.ctrl[0] = 3.0, 0.1
+        mujoco.mj_step(data.model, data, 300)
+        ends.append((*data.qpos, *data.qvel))
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-9)

@@ -10,6 +10,7 @@ import pytest
 from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.mjcf.commands import units
+from bo_sysid.mjcf.edits import MotorEdit
 
 ARM = """
 <mujoco>
@@ -518,6 +519,17 @@ def test_actuators_without_a_control_are_no_controls() -> None:
     assert model.actuators == ("friction", "actuator_1", "valve", "actuator_3")
     assert model.controlled == ("actuator_1", "valve", "actuator_3")
     assert model.ctrl_channels == tuple(f"ctrl.{name}" for name in model.controlled)
+
+
+def test_an_added_motor_gives_what_it_is_told_whatever_the_defaults_of_a_model() -> None:
+    model = Model.from_xml("""<mujoco>
+      <default><motor gear="5" ctrllimited="true" ctrlrange="-1 1" forcerange="-2 2"/></default>
+      <worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>""")
+    compiled = model.compile([MotorEdit("j")])
+    data = mujoco.MjData(compiled)
+    data.ctrl[0] = 3.0
+    mujoco.mj_forward(compiled, data)
+    assert data.qfrc_actuator[0] == 3.0
 
 
 def test_only_controls_that_are_a_force_or_a_position_have_a_unit() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bo_sysid.effects.contract import Filter, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.recording import Channel
 
 _NO_CONTROL = 16  # mjsActuator.ctrlspec of input="none"
@@ -66,7 +67,9 @@ def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActua
     name = f"{joint}_{what}"
     if spec.actuator(name) is not None:
         name += f"_{len(spec.actuators)}"
-    motor = spec.add_actuator(
+    motor: mujoco.MjsActuator = add_plain(
+        spec,
+        "actuator",
         name=name,
         trntype=mujoco.mjtTrn.mjTRN_JOINT,
         target=joint,

@@ -12,6 +12,7 @@ from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.compiling import make_room
 from bo_sysid.mjcf.model import Model
+from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.mjcf.values import Target, write_value
 
 Apply = Literal["set", "scale", "add"]
@@ -186,9 +187,8 @@ class MotorEdit:
 
     def __call__(self, spec: mujoco.MjSpec) -> None:
         """Add the motor."""
-        motor = spec.add_actuator(
-            name=self.joint, target=self.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
+        joint = mujoco.mjtTrn.mjTRN_JOINT
+        motor = add_plain(spec, "actuator", name=self.joint, target=self.joint, trntype=joint)
         motor.set_to_motor()
 
 
