@@ -99,6 +99,31 @@ def test_a_servo_of_any_gear_and_gain_is_told_no_position_beyond_its_limits(tmp_
     np.testing.assert_allclose(sorted(rests), [-0.5, 1.0], atol=1e-5)
 
 
+@pytest.mark.parametrize("limited", ["auto", "true"])
+def test_a_servo_that_inherits_the_range_of_its_joint_is_narrowed(tmp_path, limited):
+    text = ARM.replace('<joint name="elbow"', '<joint name="elbow" range="-100 100"')
+    inherits = f'kp="20" inheritrange="1" ctrllimited="{limited}"'
+    model = Model.from_xml(text.replace('kp="20" ctrlrange="-3 3"', inherits))
+    limits = {"elbow": {"position": [-0.5, 1.0]}}
+    made = model.compile(limit_edits(study(tmp_path, limits), model))
+    np.testing.assert_allclose(made.actuator_ctrlrange[1], [-0.5, 1.0])
+    data = mujoco.MjData(made)
+    data.ctrl[1] = 1.7
+    mujoco.mj_forward(made, data)
+    assert data.actuator_force[1] == pytest.approx(20 * 1.0)
+
+
+def test_an_integrator_keeps_the_range_that_it_inherits(tmp_path):
+    """It is that of its activation, not of its control, which is a rate."""
+    text = ARM.replace('<joint name="elbow"', '<joint name="elbow" range="-100 100"')
+    given = '<position name="elbow" joint="elbow" kp="20" ctrlrange="-3 3"/>'
+    rated = '<intvelocity name="elbow" joint="elbow" kp="20" inheritrange="1" ctrlrange="-3 3"/>'
+    model = Model.from_xml(text.replace(given, rated))
+    limits = {"elbow": {"position": [-0.5, 1.0]}}
+    made = model.compile(limit_edits(study(tmp_path, limits), model))
+    np.testing.assert_allclose(made.actuator_actrange[1], np.radians([-100, 100]))
+
+
 def test_a_velocity_servo_keeps_to_the_effort_however_fast_its_joint_is(tmp_path):
     servo = '<velocity name="shoulder" joint="shoulder" gear="2" kv="1.5" ctrlrange="-9 9"/>'
     text = ARM.replace('<motor name="shoulder" joint="shoulder" gear="4" ctrlrange="-3 3"/>', servo)

@@ -199,7 +199,8 @@ class RangeEdit:
     A range that is narrower already, as of a motor that saturates, stays.
 
     Attributes:
-        controls: least and largest control by actuator.
+        controls: least and largest control by actuator, within its joint's range where a servo
+            inherits that.
         forces: least and largest force by actuator, in [N m] or [N] before the gear.
     """
 
@@ -211,6 +212,9 @@ class RangeEdit:
         """Narrow the ranges."""
         for name, bound in self.controls.items():
             a = spec.actuator(name)
+            if a.inheritrange > 0 and a.dyntype != mujoco.mjtDyn.mjDYN_INTEGRATOR:
+                # its joint's range, within which controls are bounded already
+                a.inheritrange, a.ctrllimited = 0.0, mujoco.mjtLimited.mjLIMITED_FALSE
             a.ctrlrange = _narrowed(bound, a.ctrllimited, a.ctrlrange)
             a.ctrllimited = True
         for name, bound in self.forces.items():
