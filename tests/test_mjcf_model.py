@@ -495,6 +495,27 @@ def test_a_model_with_settotalmass_is_hashed_and_written_without_a_warning(tmp_p
     model.export(tmp_path / "cheetah.xml")
 
 
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+@pytest.mark.parametrize("total", ["", '<compiler settotalmass="3"/>'])
+@pytest.mark.parametrize("address", ["joint[a].armature", "body[link].mass"])
+def test_servos_and_springs_stay_as_mujoco_derived_them_when_masses_change(
+    address, total, tmp_path
+):
+    text = f"""<mujoco>{total}<worldbody><body name="link"><joint name="a" axis="0 1 0"/>
+      <geom size=".1" pos=".3 0 0"/><body pos=".6 0 0"><joint name="b" springdamper=".1 .7"/>
+      <geom size=".1" pos="0 .1 0"/></body></body></worldbody>
+      <actuator><position joint="a" kp="20" dampratio="1"/></actuator></mujoco>"""
+    plain, model = mujoco.MjModel.from_xml_string(text), Model.from_xml(text)
+    edit = address_edit(model, [address], 1.1)
+    model.export(tmp_path / "edited.xml", [edit])
+    written = mujoco.MjModel.from_xml_path(str(tmp_path / "edited.xml"))
+    for compiled in (model.compile(), model.compile([edit]), written):
+        for field in ("actuator_biasprm", "dof_damping", "jnt_stiffness"):
+            np.testing.assert_allclose(getattr(compiled, field), getattr(plain, field), rtol=1e-14)
+    assert written.actuator_biasprm[0, 2] == plain.actuator_biasprm[0, 2] < 0
+    assert not np.allclose(written.dof_invweight0, plain.dof_invweight0)
+
+
 def test_compiling_for_simulation_is_cheap():
     model = Model.from_dm_control("cheetah", "run")
 

@@ -17,7 +17,6 @@ from bo_sysid.effects.contract import (
 )
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf.joints import settle_springdamper
 
 
 def _damping(site: Site, machine: Machine) -> float:
@@ -47,7 +46,6 @@ def _viscous_extent(site: Site, machine: Machine) -> Extent:
 def viscous_damping(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Linear damping."""
     j = spec.joint(site.name)
-    settle_springdamper(j, machine.model)
     j.damping[0] = max(j.damping[0] + x[0], 0.0)
 
 

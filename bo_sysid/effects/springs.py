@@ -9,7 +9,6 @@ from bo_sysid.effects.actuators import passive_motor
 from bo_sysid.effects.contract import Component, Extent, Force, Magnitudes, Part, Site, unit_at
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf.joints import settle_springdamper
 
 _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, *range(2, 49))  # the same in the range of a slide; linear motors have up to 50
@@ -19,9 +18,7 @@ _NO_SPRING = 1e-3  # of the springs that make it up: a sum that rests nowhere
 _WEAK = 1e-6  # [1/rad] slope, relative to the force, of a spring that acts as a constant force
 
 
-def add_spring(
-    spec: mujoco.MjSpec, joint: str, stiffness: float, force: float, machine: Machine
-) -> Force | None:
+def add_spring(spec: mujoco.MjSpec, joint: str, stiffness: float, force: float) -> Force | None:
     """Add a spring to a joint: the force ``force - stiffness·q``.
 
     Together with a spring that the joint has, this is again one spring: stiffnesses add, and the
@@ -32,7 +29,6 @@ def add_spring(
     j = spec.joint(joint)
     if np.any(np.asarray(j.stiffness[1:])):
         return Force(joint, lambda m: force - stiffness * m.qpos[joint])
-    settle_springdamper(j, machine.model)
     angle = np.pi / 180 if j.compiler.degree and j.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
     at_zero = j.stiffness[0] * j.springref * angle + force
     total = j.stiffness[0] + stiffness
@@ -89,7 +85,7 @@ def _rest_angle(x: Magnitudes, machine: Machine, site: Site) -> Mapping[str, tup
 )
 def joint_spring(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
     """Spring of stiffness x[0] with the force x[1] at position 0: rest position x[1]/x[0]."""
-    return add_spring(spec, site.name, float(x[0]), float(x[1]), machine)
+    return add_spring(spec, site.name, float(x[0]), float(x[1]))
 
 
 def _constant_extent(site: Site, machine: Machine) -> Extent:
@@ -112,7 +108,7 @@ def _constant_extent(site: Site, machine: Machine) -> Extent:
 )
 def constant_force(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
     """A constant force along the joint."""
-    return add_spring(spec, site.name, 0.0, float(x[0]), machine)
+    return add_spring(spec, site.name, 0.0, float(x[0]))
 
 
 def _cogging_extent(site: Site, machine: Machine) -> Extent | None:

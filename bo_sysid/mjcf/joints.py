@@ -21,18 +21,3 @@ def joint_units(model: mujoco.MjModel) -> dict[str, str]:
         name, place = model.joint(j).name, "rad" if model.jnt_type[j] == HINGE else "m"
         units[f"qpos.{name}"], units[f"qvel.{name}"] = place, f"{place}/s"
     return units
-
-
-def settle_springdamper(joint: mujoco.MjsJoint, compiled: mujoco.MjModel) -> None:
-    """Give a joint of a spec the stiffness and damping that MuJoCo derives from `springdamper`.
-
-    As long as a joint has it, MuJoCo derives them again, whatever else is written into the spec.
-
-    Args:
-        joint: of the spec, changed in place; one without `springdamper` stays as it is.
-        compiled: the spec as compiled before any edit.
-    """
-    if np.any(np.asarray(joint.springdamper) > 0):
-        derived = compiled.joint(joint.name)
-        joint.damping[0], joint.stiffness[0] = derived.damping[0], derived.stiffness[0]
-        joint.springdamper = np.zeros(2)

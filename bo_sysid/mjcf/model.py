@@ -21,6 +21,7 @@ from bo_sysid.mjcf.compiling import (
     refit_keyframes,
     spec_xml,
 )
+from bo_sysid.mjcf.derived import settle
 from bo_sysid.mjcf.export import write_mjcf
 from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass, same_inertia
 from bo_sysid.mjcf.loops import Loops
@@ -38,7 +39,7 @@ class Forms:
     """The forms in which a model keeps its spec; private to this package, never changed.
 
     Attributes:
-        full: as read, elements named.
+        full: as read, elements named, what MuJoCo derives from masses settled.
         lean: `full` without what only the eye needs.
         full_base: what mass edits start from: `full` with its masses released from
             `settotalmass`; `full` itself where the model does not use that.
@@ -66,7 +67,9 @@ class Forms:
         compile_spec(spec, source)  # a copy silently drops what refers to nothing
         full = spec.copy()
         drop_overruled_inertials(full)
-        compile_spec(full, source)  # numbers the elements and fuses static bodies
+        settle(
+            full, compile_spec(full, source)
+        )  # which numbers the elements and fuses static bodies
         sources.name_elements(full)
         lean = stripped(full)
         model = compile_spec(lean, source)

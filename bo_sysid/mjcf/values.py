@@ -10,7 +10,6 @@ from jaxtyping import Float
 from bo_sysid.mjcf.attributes import Attribute
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.inertia import inertial, make_explicit, mass_key, scale_mass
-from bo_sysid.mjcf.joints import settle_springdamper
 from bo_sysid.mjcf.strip import stripped
 
 
@@ -186,8 +185,6 @@ def _settle(element: Any, nominal: mujoco.MjModel, target: Target) -> None:
             element.size, element.pos, element.quat = compiled.size, compiled.pos, compiled.quat
             element.size[0] = first
             element.fromto[0] = np.nan
-    elif kind == "joint" and name in ("damping", "stiffness"):
-        settle_springdamper(element, nominal)
     elif kind == "actuator" and name in ("ctrlrange", "actrange") and element.inheritrange > 0:
         setattr(element, name, compiled_vector(nominal, kind, target.element, attribute))
         element.inheritrange = 0
