@@ -93,6 +93,22 @@ def test_forces_follow_their_formula(arm, machine, id, site, x, expected) -> Non
     np.testing.assert_allclose(force(model) - force(arm.compile()), expected, atol=2e-6)
 
 
+@pytest.mark.parametrize(
+    ("id", "x", "expected"), [("constant_force", [0.7], 0.7), ("joint_spring", [2.0, 0.3], -0.7)]
+)
+def test_a_force_on_a_joint_leaves_the_rest_length_of_tendons(machine, id, x, expected) -> None:
+    text = ARM.replace(
+        "<actuator>",
+        """<tendon><fixed name="tie" stiffness="3">
+      <joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-.5"/></fixed></tendon>
+      <actuator>""",
+    )
+    plain, tied = mujoco.MjModel.from_xml_string(text), Model.from_xml(text)
+    model, _ = at(tied, machine, id, "joint", "elbow", x)
+    np.testing.assert_array_equal(model.tendon_lengthspring, plain.tendon_lengthspring)
+    np.testing.assert_allclose(force(model) - force(plain), [0, expected, 0], atol=2e-6)
+
+
 def test_two_forces_on_one_joint_add(arm, machine) -> None:
     edits = [
         lambda s: CATALOGUE["constant_force"].parts(

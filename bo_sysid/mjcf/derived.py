@@ -1,7 +1,8 @@
-"""What MuJoCo derives from masses at every compilation, written down once.
+"""What MuJoCo derives from masses and poses at every compilation, written down once.
 
 A machine keeps its gains and its springs when the model's masses turn out to be others. Left as
-they are, `dampratio` and `springdamper` would follow every edit of mass, inertia or armature.
+they are, `dampratio`, `springdamper` and the automatic `springlength` would follow every edit of
+mass, inertia, armature or reference position.
 """
 
 import mujoco
@@ -25,3 +26,6 @@ def settle(spec: mujoco.MjSpec, compiled: mujoco.MjModel) -> None:
             derived = compiled.joint(joint.id)
             joint.damping[0], joint.stiffness[0] = derived.damping[0], derived.stiffness[0]
             joint.springdamper = np.zeros(2)
+    for tendon in spec.tendons:
+        if np.all(np.asarray(tendon.springlength) == -1):
+            tendon.springlength = compiled.tendon_lengthspring[tendon.id]

@@ -39,7 +39,7 @@ class Forms:
     """The forms in which a model keeps its spec; private to this package, never changed.
 
     Attributes:
-        full: as read, elements named, what MuJoCo derives from masses settled.
+        full: as read, elements named, what MuJoCo derives from masses and poses settled.
         lean: `full` without what only the eye needs.
         full_base: what mass edits start from: `full` with its masses released from
             `settotalmass`; `full` itself where the model does not use that.

@@ -190,7 +190,6 @@ def _settle(element: Any, nominal: mujoco.MjModel, target: Target) -> None:
         element.inheritrange = 0
     elif attribute.size > 0 and attribute.compiled:
         field = getattr(element, attribute.spec)
-        derived = field == -1 if name == "springlength" else np.isnan(field)
-        if np.any(derived):
+        if np.any(np.isnan(field)):
             vector = compiled_vector(nominal, kind, target.element, attribute)
             setattr(element, attribute.spec, vector)
