@@ -305,9 +305,9 @@ def test_scores_of_a_run():
     scores = score(revealed())
     assert scores.rate("names and sites right, class counted, from 2 sigma") == 0.5
     assert scores.rate("the same in tier 2") == 1.0
-    assert scores.rate("false alarms where nothing is missing") == pytest.approx(1 / 3)
+    assert scores.rate("false alarms where nothing is missing") == 0.5  # one of three failed
     assert scores.rate("unknown physics located") == 1.0
-    assert scores.rate("confident wrong names") == pytest.approx(2 / 7)
+    assert scores.rate("confident wrong names") == pytest.approx(2 / 6)
     assert scores.rate("cannot tell or right, below 2 sigma") == 1.0
     assert scores.rate("diagnoses that failed") == pytest.approx(1 / 7)
     assert scores.rate("repaired forecast within 1.15 of the noise floor") == 0.5
@@ -321,7 +321,7 @@ def test_scores_of_a_run():
     assert scores.by_decade.loc["below 2", "detected"] == 0.0
     assert scores.by_machine.loc["two_link_arm", "n"] == 4
     assert scores.nothing.loc[(2, "two_link_arm"), "detected"] == 1.0
-    assert scores.nothing.loc[(3, "two_link_arm"), "upper_bound"] == pytest.approx(1 - 0.05**0.5)
+    assert scores.nothing.loc[(3, "two_link_arm"), "upper_bound"] == pytest.approx(0.95)
     assert scores.by_effect.loc["dry_friction", "right"] == 0.5
     assert scores.magnitudes.loc["dry_friction", "n"] == 1
     assert scores.forecasts.loc["tier 2", "repaired"] == 1.1
@@ -351,8 +351,36 @@ def test_cases_of_several_runs_are_scored_together():
     whole = score(revealed())
     pd.testing.assert_frame_equal(both.summary, whole.summary)
     pd.testing.assert_frame_equal(both.confusion, whole.confusion)
-    assert both.rate("confident wrong names") == pytest.approx(2 / 7)
+    assert both.rate("confident wrong names") == pytest.approx(2 / 6)
     assert runs[0].rate("confident wrong names") == pytest.approx(1 / 2)
+
+
+def test_diagnoses_that_fail_do_not_lower_the_rates_of_errors():
+    """Two answers, one of them a false alarm; any number of failures beside them."""
+    told = [answer(), answer(finding("armature", "elbow"))]
+    for failed in (0, 8):
+        cases = [*told, *[None] * failed]
+        scores = score([Revealed(f"case-{k}", truth(), a, None, 1.0) for k, a in enumerate(cases)])
+        rates = scores.summary.set_index("what")
+        for what in ("false alarms where nothing is missing", "confident wrong names"):
+            assert rates.loc[what, ["count", "of"]].tolist() == [1, 2]
+        assert scores.nothing.loc[(3, "two_link_arm"), "detected"] == 0.5
+        assert rates.loc["diagnoses that failed", "count"] == failed
+
+
+@pytest.mark.parametrize(
+    ("told", "cases", "error"),
+    [
+        (answer(finding("cogging", "elbow", p=0.98)), 1, 0.98),
+        (answer(), 1, 1.0),
+        (answer(verdict="unknown-physics"), 0, float("nan")),
+    ],
+)
+def test_probabilities_of_names_that_unknown_physics_is_given_are_calibrated(told, cases, error):
+    magnet = truth(concealed("magnet", "elbow", known=False), tier=4)
+    calibration = score([Revealed("a", magnet, told, None, 1.0)]).calibration
+    assert calibration.cases == cases
+    assert calibration.error == pytest.approx(error, nan_ok=True)
 
 
 def test_a_run_without_physics_missing_has_scores():

@@ -47,7 +47,8 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
         "<h2>By machine</h2>", _table(scores.by_machine.reset_index()),
         "<h2>By size, in sensor sigma</h2>", _table(scores.by_decade.reset_index()),
         "<h2>Where nothing is missing</h2>",
-        "<p>Detected is a false alarm; its interval and its upper bound are beside it.</p>",
+        "<p>Detected is a false alarm; its interval and its upper bound are beside it. Diagnoses "
+        "that failed are left out.</p>",
         _table(scores.nothing.reset_index()),
         "<h2>By effect, from 2 sigma</h2>", _table(scores.by_effect.reset_index()),
         "<h2>What concealed effects were called</h2>", _table(scores.confusion.reset_index()),
@@ -56,7 +57,8 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
         _table(scores.forecasts.reset_index(names="cases")),
         "<h2>Stated probabilities</h2>",
         f"<p>{calibration.cases} cases; calibration error {calibration.error:.3f}, of which "
-        f"{calibration.expected:.3f} would be there under perfect calibration.</p>",
+        f"{calibration.expected:.3f} would be there under perfect calibration. Answers "
+        "that rightly call physics unknown and name nothing state none and are left out.</p>",
         _diagram(calibration), _table(calibration.bins),
         "<h2>Cases</h2>", _table(shown, wrong),
     ]  # fmt: skip

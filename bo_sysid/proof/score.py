@@ -29,12 +29,14 @@ class Scores:
         by_machine: the same by machine.
         by_effect: rates by effect, from 2 sigma up.
         by_decade: rates by size.
-        nothing: false alarms where nothing is missing, by tier and machine.
+        nothing: false alarms where nothing is missing, by tier and machine, of the cases that
+            were answered.
         confusion: concealed effects (rows) and what they were called (columns), counts; the last
             row is what was found where nothing is concealed.
         magnitudes: error of magnitudes and coverage of intervals, by effect.
         forecasts: medians of the held-out errors of each model, by tier.
-        calibration: stated probabilities and how often they were right.
+        calibration: stated probabilities and how often they were right; an answer that rightly
+            says "unknown" and names nothing states none.
     """
 
     cases: pd.DataFrame
@@ -55,7 +57,8 @@ class Scores:
         """Return the scores of some cases, such as those of several runs, from their two tables."""
         missing = cases[cases.missing]
         tellable = effects[effects.known & (effects["size"] >= LEAST)]
-        answered = cases[cases.answered & (cases.known | ~cases.missing)]
+        answered = cases[cases.answered]
+        stating = answered[answered.known | ~answered.flagged | (answered.found != "")]
         return cls(
             cases,
             effects,
@@ -64,11 +67,11 @@ class Scores:
             _rates(missing, "machine", _SCORES),
             _rates(tellable.rename(columns={"found": "right"}), "effect", ("right",)),
             _in_order(_rates(missing[missing.known], "decade", _SCORES)),
-            _rates(cases[~cases.missing], ["tier", "machine"], _NOTHING),
+            _rates(answered[~answered.missing], ["tier", "machine"], _NOTHING),
             _confusion(cases, effects),
             _magnitudes(effects),
             forecasts(cases),
-            reliability(answered.probability.to_numpy(float), answered["right"].to_numpy(bool)),
+            reliability(stating.probability.to_numpy(float), stating["right"].to_numpy(bool)),
         )
 
     def rate(self, name: str) -> float:
@@ -105,8 +108,13 @@ _TYPES = {"known": bool, "found": bool, "covered": bool, "size": float, "error":
 
 
 def _summary(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
-    """Return the rates that the proof is about."""
-    missing, nothing = cases[cases.missing], cases[~cases.missing]
+    """Return the rates that the proof is about.
+
+    A diagnosis that failed is never right; where a rate counts errors, it has made none and is left
+    out.
+    """
+    answered = cases[cases.answered]
+    missing, nothing = cases[cases.missing], answered[~answered.missing]
     known = missing[missing.known & (missing.smallest >= LEAST)]
     unknown = missing[~missing.known & (missing.smallest >= LEAST)]
     two = known[known.tier == 2]
@@ -122,8 +130,8 @@ def _summary(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
         _rate("unknown physics flagged", unknown.flagged),
         _rate("unknown physics located", unknown.located),
         _rate("unknown physics with its dependence", unknown.dependence),
-        _rate("confident wrong names", cases.confident_wrong),
-        _rate("known physics flagged as unknown", known.flagged),
+        _rate("confident wrong names", answered.confident_wrong),
+        _rate("known physics flagged as unknown", known.flagged[known.answered]),
         _rate("truth within the 95 % interval", found.covered),
         _rate(f"repaired forecast within {FORECAST_GOAL:g} of the noise floor",
               (ratio <= FORECAST_GOAL)[ratio.notna()]),
