@@ -198,8 +198,10 @@ class TestTransmission:
     @pytest.mark.parametrize(
         ("effect", "shapes"), [("backlash", [0.25, 0.0]), ("joint_compliance", [0.0])]
     )
-    def test_the_damping_of_a_joint_is_shared_by_motor_and_link(self, effect, shapes) -> None:
-        rod = pendulum(MOTOR, damping=0.4)
+    @pytest.mark.parametrize("own", ['damping="0.4"', 'springdamper=".5 .7"'])
+    def test_the_damping_of_a_joint_is_shared_by_motor_and_link(self, effect, shapes, own) -> None:
+        rod = Bench(PENDULUM.format(actuator=MOTOR, damping=0.4).replace('damping="0.4"', own))
+        damping = rod.machine.model.dof_damping[0]
         model, _ = rod.edited(effect, "joint", "hinge", [0.1, 0.01, 0.25, *shapes])
         data = mujoco.MjData(model)
         for motor, link in ((1.0, 0.0), (0.0, 1.0), (0.7, -0.2)):
@@ -207,7 +209,7 @@ class TestTransmission:
             mujoco.mj_forward(model, data)
             lost = -data.qvel @ data.qfrc_damper
             between = model.dof_damping[1] * data.qvel[1] ** 2  # of the spring itself
-            assert lost - between == pytest.approx(0.4 * (0.75 * motor**2 + 0.25 * link**2))
+            assert lost - between == pytest.approx(damping * (0.75 * motor**2 + 0.25 * link**2))
 
     @pytest.mark.parametrize("compliance", [5e-5, 5e-4, 5e-3, 0.05, 0.2, 0.4])
     @pytest.mark.parametrize("push", [0.5, -2.0])
@@ -330,15 +332,26 @@ def test_a_spring_beside_one_with_higher_terms_adds_its_own_force(own, id, x) ->
 DRIVEN = """<mujoco><option timestep="0.001" integrator="implicitfast"/>
 <default>{defaults}</default><worldbody><body><joint name="hinge" axis="0 1 0" {joint}/>
  <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".01" mass=".5"/></body></worldbody>
+<tendon><fixed name="belt" {tendon}><joint joint="hinge" coef="1"/></fixed></tendon>
+<equality><joint joint1="hinge" {equality}/></equality>
 <actuator><motor name="motor" joint="hinge" {motor}/></actuator></mujoco>"""
 OWN = {
-    "joint": 'damping=".1" armature=".02" margin=".05"',
+    "joint": 'damping=".1" stiffness=".2" armature=".02" margin=".05" actuatorfrcrange="-3 3"',
+    "tendon": 'stiffness=".1" frictionloss=".05" limited="true" range="-2 2"',
+    "equality": 'solref=".5 1" active="false"',
     "motor": 'gear="5" ctrllimited="true" ctrlrange="-2 2" armature=".01" damping=".02"',
 }
 
 
 @pytest.mark.parametrize(
-    ("id", "x"), [("cogging", [0.3, 0.1, 6.0]), ("dry_friction", [0.2, 1, 1e-3])]
+    ("id", "x"),
+    [
+        ("cogging", [0.3, 0.1, 6.0]),
+        ("dry_friction", [0.2, 1, 1e-3]),
+        ("backlash", [0.1, 0.01, 0.5, 0.25, 0.0]),
+        ("joint_compliance", [0.05, 0.01, 0.5, 0.0]),
+        ("joint_compliance", [1e-5, 0.0, 0.5, 0.0]),
+    ],
 )
 def test_what_is_added_takes_nothing_from_the_defaults_of_a_model(id, x) -> None:
     """It moves as where the model states the same of each of its own elements."""

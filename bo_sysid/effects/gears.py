@@ -17,6 +17,8 @@ from bo_sysid.effects.contract import (
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
+from bo_sysid.mjcf.joints import settle_springdamper
+from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.mjcf.strip import stripped
 
 _GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
@@ -105,17 +107,19 @@ def _second_joint(
     explicit = spec.option.integrator in _EXPLICIT
     floor = max(_ROTOR * scale.inertia, kp * dt**2, 2.0 * kd * dt if explicit else 0.0)
     joint.armature = max(joint.armature, floor)
-    play = joint.parent.add_joint(
-        name=f"{site.name}_{name}", type=joint.type, axis=joint.axis, pos=joint.pos
+    play: mujoco.MjsJoint = add_plain(
+        joint.parent,
+        "joint",
+        name=f"{site.name}_{name}",
+        type=joint.type,
+        axis=joint.axis,
+        pos=joint.pos,
     )
     if joint.frame is not None:
         play.set_frame(joint.frame)
-    play.damping, play.stiffness = np.zeros(3), np.zeros(3)
-    play.armature = play.frictionloss = play.ref = play.springref = 0.0
-    play.limited = mujoco.mjtLimited.mjLIMITED_FALSE
-    play.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    settle_springdamper(joint, machine.model)
     if np.any(joint.damping):
-        link = spec.add_tendon(name=f"{site.name}_{name}_link")
+        link = add_plain(spec, "tendon", name=f"{site.name}_{name}_link")
         for turned in (joint, play):
             link.wrap_joint(turned.name, 1.0)
         link.damping = on_link * np.array(joint.damping)
@@ -281,7 +285,9 @@ def joint_compliance(
         flex.damping[0] = (float(x[1]) + 4.0 * _RATIO * _step(machine)) / compliance
     else:
         impedance = min(1.0 - compliance / slow, _HARDEST)
-        spec.add_equality(
+        add_plain(
+            spec,
+            "equality",
             name=flex.name,
             type=mujoco.mjtEq.mjEQ_JOINT,
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
