@@ -108,27 +108,30 @@ def test_kp_of_normalised_controls_keeps_what_they_ask_for(share) -> None:
     assert rest(arm, model, u) == pytest.approx(balance(100.0 + x, goal), abs=1e-5)
 
 
-def test_an_encoder_offset_shifts_the_goal_along() -> None:
+def test_a_servo_ends_where_an_encoder_with_an_offset_reads_its_goal() -> None:
     arm = pendulum(SERVO)
-    model, (reading, goal) = arm.edited("encoder_offset", "joint", "hinge", [0.2])
+    model, (reading,) = arm.edited("encoder_offset", "joint", "hinge", [0.2])
     model.opt.gravity[:] = 0
-    shifted = goal.change(Channel(np.arange(2.0), np.full(2, GOAL), hold="zero"), 0.001)
-    assert rest(arm, model, float(shifted.values[0])) + reading.offset == pytest.approx(GOAL)
+    assert rest(arm, model) + reading.offset == pytest.approx(GOAL)
 
 
+@pytest.mark.parametrize("limits", ["", 'ctrlrange="-.4 .4"'])
 @pytest.mark.parametrize(("gear", "gain", "bias"), [(2, 10, -10), (1, 0.2, -12), (-3, 4, -2)])
-def test_an_encoder_offset_is_what_the_servo_reads_whatever_gear_and_gain(gear, gain, bias) -> None:
+def test_an_encoder_offset_is_what_the_servo_reads_whatever_gear_gain_and_range(
+    gear, gain, bias, limits
+) -> None:
+    """What the control asks for is clipped, what the encoder reads is not."""
     servo = (
         f'<actuator><general name="servo" joint="hinge" gear="{gear}" gainprm="{gain}" '
-        f'biastype="affine" biasprm="0.3 {bias} -1"/></actuator>'
+        f'biastype="affine" biasprm="0.3 {bias} -1" {limits}/></actuator>'
     )
     arm, offset, u, q, v = pendulum(servo), 0.2, 0.5, 0.3, -0.7
-    model, (_, goal) = arm.edited("encoder_offset", "joint", "hinge", [offset])
-    shifted = goal.change(Channel(np.arange(2.0), np.full(2, u), hold="zero"), 0.001)
+    model, _ = arm.edited("encoder_offset", "joint", "hinge", [offset])
     data = mujoco.MjData(model)
-    data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, shifted.values[0]
+    data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, u
     mujoco.mj_forward(model, data)
-    expected = gain * u + 0.3 + bias * gear * (q + offset) - gear * v
+    told = min(u, 0.4) if limits else u
+    expected = gain * told + 0.3 + bias * gear * (q + offset) - gear * v
     assert data.actuator_force[0] == pytest.approx(expected)
 
 

@@ -44,11 +44,6 @@ def cut_out(channel: Channel, half: float) -> Channel:
     return replace(channel, values=channel.values - np.clip(channel.values, -half, half))
 
 
-def shifted(channel: Channel, by: float) -> Channel:
-    """Return the channel with `by` added."""
-    return replace(channel, values=channel.values + by)
-
-
 def limited(channel: Channel, rate: float, dt: float) -> Channel:
     """Return the channel followed no faster than `rate`, in its units per second.
 

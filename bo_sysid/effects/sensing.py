@@ -5,19 +5,17 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import filter_of, with_own_bias
+from bo_sysid.effects.actuators import with_own_bias
 from bo_sysid.effects.contract import (
     CHANNEL_UNIT,
     Component,
     Extent,
-    Filter,
     Magnitudes,
     Part,
     Reading,
     Site,
 )
-from bo_sysid.effects.filters import shifted
-from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
@@ -40,7 +38,7 @@ def _encoder_extent(site: Site, machine: Machine) -> Extent:
     extent=_encoder_extent,
     noun="an encoder offset",
     sentence="The encoder of {site} reads {value} too much.",
-    form="reading; a servo's control shifts along, behind an integrator its bias",
+    form="reading; a servo's bias shifts along",
     evidence="gravity, or the other links, act as at another posture",
     separation="several postures; a known posture at rest",
     family="sensing",
@@ -49,27 +47,16 @@ def _encoder_extent(site: Site, machine: Machine) -> Extent:
 def encoder_offset(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> tuple[Part, ...]:
-    """The encoder reads x[0] more than the joint's position; a servo's goal shifts along.
+    """The encoder reads x[0] more than the joint's position, and so does a servo.
 
-    A servo's force is g u + b r (q + x[0]) with gain g, bias b per length and gear r, so that its
-    control shifts by b r x[0] / g. One that integrates its control, a rate, has b r x[0] in its
-    bias instead: its activation is in what the encoder reads, where it begins.
+    A servo's force is g u + b r (q + x[0]) with gain g, bias b per length and gear r: its constant
+    bias grows by b r x[0]. Its control is clipped as before.
     """
-    filters = []
     for servo in machine.actuators.values():
-        if servo.joint != site.name or not servo.servo or not servo.gain:
-            continue
-        if spec.actuator(servo.name).dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        if servo.joint == site.name and servo.servo:
             a = with_own_bias(spec, servo.name, machine)
             a.biasprm[0] += a.biasprm[1] * servo.gear * float(x[0])
-        else:
-            shift = servo.bias[1] * servo.gear * float(x[0]) / servo.gain
-            filters.append(_goal(servo, shift))
-    return (Reading(f"qpos.{site.name}", offset=float(x[0])), *filters)
-
-
-def _goal(servo: ActuatorScale, shift: float) -> Filter:
-    return filter_of(servo, lambda channel, dt: shifted(channel, shift))
+    return (Reading(f"qpos.{site.name}", offset=float(x[0])),)
 
 
 def _scaled_extent(site: Site, machine: Machine) -> Extent:
