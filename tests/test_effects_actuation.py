@@ -87,6 +87,20 @@ def test_what_a_servo_takes_from_an_encoder_that_scales(way, torque) -> None:
     assert data.actuator_force[0] == pytest.approx(expected)
 
 
+def test_an_encoder_that_scales_the_goal_scales_what_normalised_controls_ask_for() -> None:
+    """Controls of -1 to 1 ask for -.3 to .7 rad: the constant bias is of the goal."""
+    servo = (
+        '<actuator><general name="servo" joint="hinge" gainprm="10" biastype="affine" '
+        'biasprm="4 -20 -1"/></actuator>'
+    )
+    model, _ = pendulum(servo).edited("encoder_scale", "joint", "hinge", [0.1, 0, 1])
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = 0.2, -0.7, 0.3
+    mujoco.mj_forward(model, data)
+    goal = (10 * 0.3 + 4) / 20
+    assert data.actuator_force[0] == pytest.approx(20 * (goal / 1.1 - 0.2) + 0.7)
+
+
 @pytest.mark.parametrize("share", [-0.5, 0.4])
 def test_kp_of_normalised_controls_keeps_what_they_ask_for(share) -> None:
     """Controls of -1 to 1 ask for -.4 to .6 rad: the gain is no kp, which is 100 N m/rad."""

@@ -94,7 +94,7 @@ def encoder_scale(
 
     A servo compares its goal u with what it reads, kp (u - (1 + s) q) - kd (1 + s) q'. Not all take
     the rate from the encoder: with x[1] = 0 its factor stays 1. With x[2] = 1 the goal is brought
-    to the joint's own scale instead, kp (u / (1 + s) - q) - kd q'.
+    to the joint's own scale instead, kp (u / (1 + s) - q) - kd q'; a constant bias is of the goal.
     """
     scale, rate, goal = 1.0 + float(x[0]), 1.0 + float(x[0] * x[1]), float(x[2])
     for actuator in machine.actuators.values():
@@ -102,6 +102,7 @@ def encoder_scale(
             a = with_own_bias(spec, actuator.name, machine)
             if goal:
                 a.gainprm[0] /= scale
+                a.biasprm[0] /= scale
             else:
                 a.biasprm[1:3] = np.asarray(a.biasprm[1:3]) * (scale, rate)
     return tuple(Reading(f"{kind}.{site.name}", scale=float(x[0])) for kind in ("qpos", "qvel"))
