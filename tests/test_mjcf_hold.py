@@ -45,6 +45,17 @@ def test_a_held_joint_is_a_weld(tmp_path: Path) -> None:
     np.testing.assert_allclose(accelerations[0], accelerations[1], rtol=1e-12)
 
 
+def test_a_held_joint_takes_the_sensors_of_its_motor_along(tmp_path: Path) -> None:
+    sensors = '<actuatorfrc actuator="f"/><actuatorfrc name="torque" actuator="e"/></sensor>'
+    (tmp_path / "arm.xml").write_text(ARM.replace("</sensor>", sensors))
+    held = Model.from_file(tmp_path / "arm.xml", hold=["finger"])
+    assert (held.actuators, held.sensors) == (("e",), ("at", "torque"))
+    data = mujoco.MjData(compiled := held.compile())
+    data.ctrl[0] = 1.5
+    mujoco.mj_forward(compiled, data)
+    assert data.sensor("torque").data[0] == 1.5
+
+
 def test_an_unknown_joint_is_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     with pytest.raises(ModelError, match=r"hold: no joint 'fingr'; did you mean 'finger'"):

@@ -158,6 +158,8 @@ def hold_base(spec: mujoco.MjSpec, source: str) -> None:
 def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     """Remove joints, so that their bodies stay where the file puts them, with what drives them.
 
+    Sensors of the joints and of what drives them are removed, too.
+
     Raises:
         ModelError: the model has no such joint, or ties it to others.
     """
@@ -175,13 +177,12 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
                 f"{source}: hold: {tie} moves {name} with other joints, so that it cannot be held; "
                 f"unrecorded: {{{name}: null}} lets it move unmeasured"
             )
-        for actuator in list(spec.actuators):
-            if int(actuator.trntype) in ALONG_JOINT and actuator.target == name:
-                spec.delete(actuator)
-        for sensor in list(spec.sensors):
-            if sensor.objtype == mujoco.mjtObj.mjOBJ_JOINT and sensor.objname == name:
-                spec.delete(sensor)
-        spec.delete(joints[name])
+        drives = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == name]
+        gone = {(mujoco.mjtObj.mjOBJ_ACTUATOR, a.name) for a in drives}
+        gone.add((mujoco.mjtObj.mjOBJ_JOINT, name))
+        sensors = [s for s in spec.sensors if (s.objtype, s.objname) in gone]
+        for element in (*sensors, *drives, joints[name]):
+            spec.delete(element)
     if spec.keys:
         refit_keyframes(spec, before, source)
 
