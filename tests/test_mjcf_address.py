@@ -383,6 +383,10 @@ def test_messages_for_values(machine):
         address_edit(machine, ["joint[x].damping"], float("nan"))
     with pytest.raises(ModelError, match=r"after the edits body\[rod\]\.mass set -1: mass"):
         machine.compile([address_edit(machine, ["body[rod].mass"], -1.0)])
+    frame = Model.from_xml("""<mujoco><worldbody><body name="frame"><geom size=".1" mass="0"/>
+      <body><joint/><geom size=".1"/></body></body></worldbody></mujoco>""")
+    with pytest.raises(ModelError, match=r"'body\[frame\]\.mass': it has no mass; give it one"):
+        frame.compile([address_edit(frame, ["body[frame].mass"], 0.5)])
     with pytest.raises(ModelError, match="matches 2 elements; name one"):
         Address.parse("joint[*].damping").read(machine)
     overlapping = [Quantity(("joint[*].damping",)), Quantity(("joint[x].damping[0]",))]

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.errors import ModelError
 from bo_sysid.mjcf.attributes import Attribute
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.inertia import inertial, make_explicit, mass_key, scale_mass
@@ -133,6 +134,9 @@ def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, va
             `fromto`, a spring's rest length) is taken from it before one component is changed.
         target: the number.
         value: in the compiled model's units.
+
+    Raises:
+        ModelError: it is the mass of a body that has none, so that nothing says how it is spread.
     """
     kind, name, attribute = target.kind, target.name, target.attribute
     untouched = made_of(spec, kind, target.element, name) in target.made_of
@@ -140,7 +144,10 @@ def write_value(spec: mujoco.MjSpec, nominal: mujoco.MjModel, target: Target, va
         return
     if (kind, name) == ("body", "mass"):
         source = nominal.body(target.element) if untouched else inertial(spec, target.element)
-        scale_mass(spec, target.element, value / float(np.squeeze(source.mass)))
+        mass = float(np.squeeze(source.mass))
+        if not mass:
+            raise ModelError(f"'{target.address}': it has no mass; give it one in the model")
+        scale_mass(spec, target.element, value / mass)
         return
     if kind == "option":
         element = spec.option
