@@ -327,6 +327,44 @@ def test_export_of_a_model_that_strips_the_paths_of_its_assets(tmp_path):
     np.testing.assert_allclose(roll_out(loaded), roll_out(model.compile()), atol=1e-10)
 
 
+def attaching(folder) -> str:
+    """Write two models with a mesh each; return a model that attaches both, one by the other."""
+    hand, arm = folder / "arms" / "hands", folder / "arms"
+    (hand / "parts").mkdir(parents=True)
+    (hand / "parts" / "shell.obj").write_text(TETRAHEDRON)
+    (arm / "bone.obj").write_text(TETRAHEDRON.replace("1", "2", 1))
+    body = '<body name="{0}"><joint name="{0}" axis="0 1 0"/><geom type="mesh" mesh="m"/>{1}</body>'
+    (hand / "hand.xml").write_text(
+        '<mujoco><compiler meshdir="parts"/><asset><mesh name="m" file="shell.obj"/></asset>'
+        f"<worldbody>{body.format('palm', '')}</worldbody></mujoco>"
+    )
+    frame = '<frame pos="1 0 0"><attach model="hand" body="palm" prefix="h_"/></frame>'
+    (arm / "arm.xml").write_text(
+        '<mujoco><asset><model name="hand" file="hands/hand.xml"/><mesh name="m" file="bone.obj"/>'
+        f"</asset><worldbody>{body.format('arm', frame)}</worldbody></mujoco>"
+    )
+    (folder / "assets.xml").write_text(
+        '<mujoco><asset><model name="arm" file="arms/arm.xml"/></asset></mujoco>'
+    )
+    return """<mujoco><include file="assets.xml"/>
+      <worldbody><frame><attach model="arm" body="arm" prefix="a_"/></frame></worldbody></mujoco>"""
+
+
+def test_export_of_a_model_that_attaches_others_with_meshes_of_their_own(tmp_path):
+    (tmp_path / "robot.xml").write_text(attaching(tmp_path))
+    model = Model.from_file(tmp_path / "robot.xml")
+    plain = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    model.export(tmp_path / "out" / "out.xml")
+    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "out.xml"))
+    assert loaded.nmesh == 2
+    np.testing.assert_allclose(loaded.body_mass, plain.body_mass)
+    np.testing.assert_allclose(roll_out(loaded), roll_out(plain), atol=1e-10)
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "shell.obj").write_text("another")
+    with pytest.raises(ModelError, match=r"'parts/shell.obj' differs between .*hands"):
+        model.export(tmp_path / "out" / "out.xml")
+
+
 def test_export_that_fails_leaves_the_old_file(tmp_path):
     path = tmp_path / "model.xml"
     path.write_text("old")

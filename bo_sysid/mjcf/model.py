@@ -22,7 +22,7 @@ from bo_sysid.mjcf.compiling import (
     spec_xml,
 )
 from bo_sysid.mjcf.derived import settle
-from bo_sysid.mjcf.export import write_mjcf
+from bo_sysid.mjcf.export import attached_folders, write_mjcf
 from bo_sysid.mjcf.inertia import drop_overruled_inertials, release_total_mass, same_inertia
 from bo_sysid.mjcf.loops import Loops
 from bo_sysid.mjcf.strip import stripped
@@ -91,12 +91,14 @@ class Model:
         source: where it comes from, for messages: a path, or "dm_control cheetah run".
         unrecorded: hinge and slide joints that nothing measures, each with the joint whose
             encoder shows it as well, or None.
+        attached: folders of the models that the file attaches, for an export of their assets.
     """
 
     name: str
     source: str
     _spec: InitVar[mujoco.MjSpec]
     unrecorded: Mapping[str, str | None] = field(default_factory=dict)
+    attached: Sequence[Path] = ()
     _forms: "Forms" = field(init=False, repr=False)
 
     def __post_init__(self, _spec: mujoco.MjSpec) -> None:
@@ -135,7 +137,8 @@ class Model:
         if base == "fixed":
             sources.hold_base(spec, str(path))
         sources.hold_joints(spec, hold, str(path))
-        return cls(name or Path(path).stem, str(path), spec, unrecorded)
+        attached = attached_folders(Path(path))
+        return cls(name or Path(path).stem, str(path), spec, unrecorded, attached)
 
     @classmethod
     def from_xml(
@@ -204,7 +207,7 @@ class Model:
         """Return the model in which nothing touches anything."""
         spec = self.spec()
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-        return Model(self.name, self.source, spec, self.unrecorded)
+        return Model(self.name, self.source, spec, self.unrecorded, self.attached)
 
     def spec(self) -> mujoco.MjSpec:
         """Return a fresh copy of the spec, visuals kept."""
@@ -245,10 +248,11 @@ class Model:
         file, so that both can be moved together. The file replaces `path` in one step.
 
         Raises:
-            ModelError: the edited model does not compile, or an asset's file has gone.
+            ModelError: the edited model does not compile, or an asset's file has gone, or attached
+                models have others of its name.
         """
         spec, _ = self._edited(edits, None, visuals=True)
-        write_mjcf(spec, Path(path), self.source)
+        write_mjcf(spec, Path(path), self.source, self.attached)
 
     @property
     def joints(self) -> tuple[str, ...]:
