@@ -120,6 +120,56 @@ def test_less_friction_changes_nothing_else_of_a_contact() -> None:
         np.testing.assert_allclose(after[what], before[what], err_msg=what)
 
 
+FEET = """<mujoco><worldbody><geom name="floor" type="plane" size="3 3 .1" {floor}/>
+  <body name="a" pos="0 0 .099"><joint type="slide" axis="0 0 1"/>
+  <geom name="foot" size=".1" {foot}/></body>
+  <body name="b" pos="1 0 .099"><joint type="slide" axis="0 0 1"/>
+  <geom name="leg" size=".1" {leg}/></body>
+  </worldbody><contact><exclude body1="a" body2="b"/>{pair}</contact></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("attributes", "offered"),
+    [
+        ({}, {"floor", "foot", "leg"}),
+        ({"foot": 'condim="6"'}, {"foot", "leg"}),
+        ({"foot": 'solref=".005 1"'}, {"foot", "leg"}),
+        ({"foot": 'friction="1 .02 .001"'}, {"foot", "leg"}),
+        ({"foot": 'priority="-1"'}, {"floor", "leg"}),
+        ({"foot": 'priority="-1"', "leg": 'condim="4"'}, {"leg"}),
+        ({"pair": '<pair geom1="floor" geom2="foot" friction="1 1 .01 .001 .001"/>'}, {"leg"}),
+    ],
+)
+def test_friction_is_offered_where_it_changes_in_all_contacts_and_nothing_else(
+    attributes, offered
+) -> None:
+    text = FEET.format(**{**dict.fromkeys(("floor", "foot", "leg", "pair"), ""), **attributes})
+    feet = Bench(text)
+    sites = {s.name for s in applicable(CATALOGUE["contact_friction"], feet.machine)}
+    assert sites == offered
+    before = contacts(feet.machine.model)
+    for geom in sites:
+        for change in (-0.4, 0.3):
+            model, _ = feet.edited("contact_friction", "geom", geom, [change])
+            for pair, after in contacts(model).items():
+                assert after[1] == pytest.approx(before[pair][1] + change * (geom in pair))
+                np.testing.assert_allclose(
+                    np.delete(after, [1, 2]), np.delete(before[pair], [1, 2])
+                )
+
+
+def contacts(model: mujoco.MjModel) -> dict[tuple[str, ...], np.ndarray]:
+    """Return dim, friction, solref and solimp of each contact, by the names of its geoms."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return {
+        tuple(model.geom(g).name for g in c.geom): np.array(
+            [c.dim, *c.friction, *c.solref, *c.solimp]
+        )
+        for c in data.contact
+    }
+
+
 def touched(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     """Return what MuJoCo makes of the attributes of two geoms in their first contact."""
     data = mujoco.MjData(model)
@@ -147,7 +197,7 @@ def test_a_softer_contact_sinks_in_by_the_square_of_its_time_constant() -> None:
 
 BALL = """<mujoco><option timestep="0.0002" gravity="0 0 0"/><worldbody>
   <geom name="floor" type="plane" size="1 1 1"/>
-  <body pos="0 0 0.12"><joint name="z" type="slide" axis="0 0 1"/>
+  <body name="a" pos="0 0 0.12"><joint name="z" type="slide" axis="0 0 1"/>
     <geom name="ball" size="0.1" mass="1"/></body></worldbody></mujoco>"""
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf.touching import partners, take_priority
+from bo_sysid.mjcf.touching import mixed, partners, take_priority
 
 _MOST_FRICTION = 5.0
 _SLIPS = (0.5, 0.8)  # shares of the friction without which a grip may slip
@@ -22,16 +22,23 @@ def _rival(site: Site, machine: Machine) -> int | None:
 
     -1 where there are none of equal priority; None where this geom does not decide on the friction
     of each of its contacts: MuJoCo takes the coefficient of the higher priority, among equals the
-    larger one.
+    larger one, and that of a pair which the model lists. None, too, where it cannot come to decide
+    without changing more than friction, since its contacts differ in the rest.
     """
     model = machine.model
     geom = model.geom(site.name).id
     others = np.flatnonzero(partners(model)[geom])
     if not others.size or (model.geom_priority[others] > model.geom_priority[geom]).any():
         return None
+    if geom in model.pair_geom1 or geom in model.pair_geom2:
+        return None
     equal = others[model.geom_priority[others] == model.geom_priority[geom]]
     if not equal.size:
         return -1
+    ruled = [geom] if equal.size < others.size else []  # contacts that are as this geom alone says
+    rest = mixed(model, geom, np.append(equal, ruled).astype(int))
+    if not np.allclose(rest, rest[0], rtol=1e-9, atol=0.0):
+        return None
     rival = int(equal[np.argmax(model.geom_friction[equal, 0])])
     return rival if model.geom_friction[rival, 0] <= model.geom_friction[geom, 0] else None
 

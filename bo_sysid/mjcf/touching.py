@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 
 def can_touch(model: mujoco.MjModel) -> bool:
@@ -65,13 +65,43 @@ def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
     return np.asarray(touch)
 
 
+def mixed(
+    model: mujoco.MjModel, geom: int, others: Int[np.ndarray, " k"]
+) -> Float[np.ndarray, "k 10"]:
+    """Return what MuJoCo makes of a geom and others of equal priority, sliding friction left aside.
+
+    The larger condim and frictions, and solref and solimp weighted by solmix (the smaller solref
+    where one is given directly, as a negative number).
+    Source: MuJoCo documentation, Computation, Contact, Parameters.
+
+    Args:
+        model: the model.
+        geom: number of the geom; what it makes with itself are its own attributes.
+        others: numbers of the others.
+
+    Returns:
+        Columns condim, two of friction, two of solref, five of solimp.
+    """
+    own, theirs = model.geom_solmix[geom], model.geom_solmix[others]
+    total = own + theirs
+    weight = np.where(total > 0, own / np.where(total > 0, total, 1.0), 0.5)[:, None]
+
+    def mean(values: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "k c"]:
+        return np.asarray(weight * values[geom] + (1.0 - weight) * values[others])
+
+    condim = np.maximum(model.geom_condim[geom], model.geom_condim[others])[:, None]
+    friction = np.maximum(model.geom_friction[geom, 1:], model.geom_friction[others, 1:])
+    refs = model.geom_solref
+    timed = ((refs[geom, 0] > 0) & (refs[others, 0] > 0))[:, None]
+    solref = np.where(timed, mean(refs), np.minimum(refs[geom], refs[others]))
+    return np.hstack([condim, friction, solref, mean(model.geom_solimp)])
+
+
 def take_priority(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, partner: int) -> None:
     """Let a geom decide on the friction of its contacts; with a partner, nothing else changes.
 
     The geom of higher priority decides on all attributes of a contact; those but sliding friction
-    become what MuJoCo makes of two equals: the larger condim and frictions, and solref and solimp
-    weighted by solmix (the smaller solref where one is given directly, as a negative number).
-    Source: MuJoCo documentation, Computation, Contact, Parameters.
+    become what MuJoCo makes of the two as equals (`mixed`).
 
     Args:
         spec: the spec to change.
@@ -79,11 +109,8 @@ def take_priority(spec: mujoco.MjSpec, model: mujoco.MjModel, name: str, partner
         name: of the geom.
         partner: number of a geom of equal priority.
     """
-    both = [model.geom(name).id, partner]
-    geom, refs, weights = spec.geom(name), model.geom_solref[both], model.geom_solmix[both]
-    weights = weights / weights.sum() if weights.sum() > 0 else np.array([0.5, 0.5])
+    geom = spec.geom(name)
+    (attributes,) = mixed(model, model.geom(name).id, np.array([partner]))
     geom.priority = int(model.geom_priority.max()) + 1
-    geom.condim = int(model.geom_condim[both].max())
-    geom.friction[1:] = model.geom_friction[both, 1:].max(axis=0)
-    geom.solref = weights @ refs if (refs[:, 0] > 0).all() else refs.min(axis=0)
-    geom.solimp = weights @ model.geom_solimp[both]
+    geom.condim = int(attributes[0])
+    geom.friction[1:], geom.solref, geom.solimp = np.split(attributes[1:], [2, 4])
