@@ -29,6 +29,7 @@ from bo_sysid.belief.joint import Contest
 NODES = 7
 SAMPLES = 1024  # over all members
 MOST = 64  # candidates looked ahead to: those with the largest P
+_LESS = 1e-6  # [nat] than the least of these, for all others
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,11 @@ class _Sampled:
 
 
 def table(context: SelectionContext) -> Values:
-    """Return the expected fall of the entropy in nats; 0 for candidates not looked ahead to."""
+    """Return the expected fall of the entropy in nats.
+
+    Candidates that are not looked ahead to have 0, or less where sampling puts any other at or
+    below 0: they are never preferred.
+    """
     members = _sampled(context)
     weights = np.array([m.weight for m in members])
     now = float(entr(weights @ np.array([m.before for m in members])).sum())
@@ -69,9 +74,12 @@ def table(context: SelectionContext) -> Values:
     means, deviations = surrogate.standardise(means), deviations / surrogate.scale
     open_rows = np.setdiff1d(np.flatnonzero(context.belief.probabilities), context.evaluated)
     likely = open_rows[np.argsort(-context.belief.probabilities[open_rows], kind="stable")[:MOST]]
-    values = np.zeros(len(context.candidates))
-    for row in likely:
-        values[row] = now - _expected_entropy(members, int(row), means[:, row], deviations[:, row])
+    falls = [
+        now - _expected_entropy(members, int(row), means[:, row], deviations[:, row])
+        for row in likely
+    ]
+    values = np.full(len(context.candidates), min([0.0, *(fall - _LESS for fall in falls)]))
+    values[likely] = falls
     return values
 
 
