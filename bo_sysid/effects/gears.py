@@ -17,7 +17,6 @@ from bo_sysid.effects.contract import (
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
-from bo_sysid.mjcf.joints import settle_springdamper
 from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.mjcf.strip import stripped
 
@@ -117,7 +116,6 @@ def _second_joint(
     )
     if joint.frame is not None:
         play.set_frame(joint.frame)
-    settle_springdamper(joint, machine.model)
     if np.any(joint.damping):
         link = add_plain(spec, "tendon", name=f"{site.name}_{name}_link")
         for turned in (joint, play):
