@@ -43,7 +43,7 @@ def _gain_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def actuator_gain(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Scale the actuator's force; of a position servo gain and bias together."""
-    a = with_own_bias(spec, site.name, machine)
+    a = with_own_bias(spec, site.name)
     a.gainprm[0] = a.gainprm[0] * (1.0 + x[0])
     a.biasprm[:3] = np.asarray(a.biasprm[:3]) * (1.0 + x[0])
 
@@ -79,7 +79,7 @@ def servo_kp(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     another gain g than kp, and a constant b. All are the actuator's own, per its length: behind a
     gear, the joint has gear² times as much.
     """
-    a = with_own_bias(spec, site.name, machine)
+    a = with_own_bias(spec, site.name)
     per_control, constant = _goal(a, actuator_at(site, machine))
     a.gainprm[0] = a.gainprm[0] + x[0] * per_control
     a.biasprm[0] = a.biasprm[0] + x[0] * constant
@@ -122,7 +122,7 @@ def _kd_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Change the velocity bias of a servo, the actuator's own as in `servo_kp`."""
-    a = with_own_bias(spec, site.name, machine)
+    a = with_own_bias(spec, site.name)
     a.biasprm[2] = a.biasprm[2] - x[0]
 
 
@@ -199,7 +199,7 @@ def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Torque -x[0]·v at the joint, inside the actuator's limits."""
-    a = with_own_bias(spec, site.name, machine)
+    a = with_own_bias(spec, site.name)
     a.biasprm[2] = a.biasprm[2] - float(x[0]) / actuator_at(site, machine).gear ** 2
 
 

@@ -84,14 +84,9 @@ def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActua
     return motor
 
 
-def with_own_bias(spec: mujoco.MjSpec, name: str, machine: Machine) -> mujoco.MjsActuator:
-    """Return an actuator whose bias can be edited: affine, its damping given directly.
-
-    A position servo may give a damping ratio, which MuJoCo turns into damping when it compiles.
-    """
+def with_own_bias(spec: mujoco.MjSpec, name: str) -> mujoco.MjsActuator:
+    """Return an actuator whose bias can be edited: affine."""
     a = spec.actuator(name)
     if a.biastype == mujoco.mjtBias.mjBIAS_NONE:
         a.biastype, a.biasprm = mujoco.mjtBias.mjBIAS_AFFINE, np.zeros(10)
-    elif a.biasprm[2] > 0 and machine.actuators[name].bias[2] < 0:
-        a.biasprm[2] = machine.actuators[name].bias[2]
     return a

@@ -66,10 +66,8 @@ def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, flo
     kp = kd = 0.0
     for name in _servos(site, machine):
         nominal, now = machine.actuators[name], spec.actuator(name)
-        # a positive number is a damping ratio, which compiling made the nominal damping from
-        damping = now.biasprm[2] if now.biasprm[2] <= 0 else nominal.bias[2]
         kp -= float(now.biasprm[1]) * nominal.gear**2
-        kd -= float(damping) * nominal.gear**2
+        kd -= float(now.biasprm[2]) * nominal.gear**2
     return kp, kd
 
 

@@ -54,7 +54,7 @@ def encoder_offset(
     """
     for servo in machine.actuators.values():
         if servo.joint == site.name and servo.servo:
-            a = with_own_bias(spec, servo.name, machine)
+            a = with_own_bias(spec, servo.name)
             a.biasprm[0] += a.biasprm[1] * servo.gear * float(x[0])
     return (Reading(f"qpos.{site.name}", offset=float(x[0])),)
 
@@ -99,7 +99,7 @@ def encoder_scale(
     scale, rate, goal = 1.0 + float(x[0]), 1.0 + float(x[0] * x[1]), float(x[2])
     for actuator in machine.actuators.values():
         if actuator.joint == site.name and actuator.servo:
-            a = with_own_bias(spec, actuator.name, machine)
+            a = with_own_bias(spec, actuator.name)
             if goal:
                 a.gainprm[0] /= scale
                 a.biasprm[0] /= scale
