@@ -62,11 +62,16 @@ def test_an_unknown_joint_is_refused(tmp_path: Path) -> None:
         Model.from_file(tmp_path / "arm.xml", hold=["fingr"])
 
 
-def test_a_log_without_a_joint_says_how_to_hold_it(tmp_path: Path) -> None:
-    (tmp_path / "arm.xml").write_text(ARM)
+def elbow_alone(folder: Path, model: str) -> Study:
+    """A study whose log has no finger."""
+    (folder / "arm.xml").write_text(model)
     rows = "".join(f"{0.01 * k:.2f},{np.sin(k):.4f},0\n" for k in range(80))
-    (tmp_path / "log.csv").write_text("time,qpos.elbow,ctrl.e\n" + rows)
-    study = Study.from_dict({"model": "arm.xml", "recordings": {"train": "log.csv"}}, tmp_path)
+    (folder / "log.csv").write_text("time,qpos.elbow,ctrl.e\n" + rows)
+    return Study.from_dict({"model": "arm.xml", "recordings": {"train": "log.csv"}}, folder)
+
+
+def test_a_log_without_a_joint_says_how_to_hold_it(tmp_path: Path) -> None:
+    study = elbow_alone(tmp_path, ARM)
     with pytest.raises(RecordingError, match=r"no channel 'qpos.finger'.*hold: \[finger\]"):
         overview(study)
     source = {"file": "arm.xml", "hold": ["finger"]}
@@ -80,10 +85,7 @@ def test_a_log_without_a_ball_joint_says_how_to_hold_it(tmp_path: Path) -> None:
     text = ARM.replace('axis="0 1 0" type="slide"', 'type="ball"').replace(".3 .01", ".3 1 0 0 0")
     text = text.replace('<motor name="f" joint="finger"/>', "")
     text = text.replace(' ctrl="1 2"', "").replace('<jointpos joint="finger"/>', "")
-    (tmp_path / "arm.xml").write_text(text)
-    rows = "".join(f"{0.01 * k:.2f},{np.sin(k):.4f},0\n" for k in range(80))
-    (tmp_path / "log.csv").write_text("time,qpos.elbow,ctrl.e\n" + rows)
-    study = Study.from_dict({"model": "arm.xml", "recordings": {"train": "log.csv"}}, tmp_path)
+    study = elbow_alone(tmp_path, text)
     with pytest.raises(RecordingError, match=r"no channel 'qpos.finger.0'.*hold: \[finger\]\}$"):
         overview(study)
 
