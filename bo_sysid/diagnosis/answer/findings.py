@@ -17,8 +17,8 @@ _SHORT = 3  # letters of a name that needs its kind beside it
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
-_ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
 _TIME = 0.3e-3  # [s] the same for times
+_ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
     "larger forwards than backwards": "larger backwards than forwards",

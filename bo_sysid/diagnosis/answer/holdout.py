@@ -47,7 +47,7 @@ class Holdout:
         table: columns measure, horizon_s, model, error, unit; one row each.
         free_runs: free-run error by channel for each model.
         traces: what was recorded and what the models forecast, over the longest horizon.
-        note: why there is none, where there is none.
+        note: why some of it is not there, where that is so.
         parameters: whether the study has parameters, which `refitted` differs by.
         beyond: by joint, the share of the instants in which it is where no training recording was.
         short: names of recordings that are shorter than a forecast and what it begins from.
