@@ -1,5 +1,7 @@
 """Elements as MuJoCo has them, whatever the defaults of a model say."""
 
+from copy import copy
+from functools import cache
 from typing import Any, SupportsInt
 
 import mujoco
@@ -21,13 +23,17 @@ def add_plain(owner: mujoco.MjSpec | mujoco.MjsBody, kind: str, **values: Any) -
     Returns:
         The element.
     """
-    empty = mujoco.MjSpec()
-    other = empty if isinstance(owner, mujoco.MjSpec) else empty.worldbody
-    element, plain = (getattr(place, f"add_{kind}")() for place in (owner, other))
-    for name in dir(plain):
-        value = getattr(plain, name)
-        if name not in _NUMBERED and isinstance(value, SupportsInt):  # arrays, too
-            setattr(element, name, value)
-    for name, value in values.items():
+    element = getattr(owner, f"add_{kind}")()
+    for name, value in (*_plain(kind), *values.items()):
         setattr(element, name, value)
     return element
+
+
+@cache
+def _plain(kind: str) -> tuple[tuple[str, Any], ...]:
+    """Return the numbers that MuJoCo gives an element, by name; asked for in every fit."""
+    empty = mujoco.MjSpec()
+    place = empty.worldbody if kind == "joint" else empty
+    element = getattr(place, f"add_{kind}")()
+    found = ((name, getattr(element, name)) for name in dir(element) if name not in _NUMBERED)
+    return tuple((n, copy(value)) for n, value in found if isinstance(value, SupportsInt))
