@@ -33,7 +33,7 @@ from bo_sysid.proof.marks import MOST_IN_CLASS, class_size, named, offers
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
-ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 13, 25, 2
+ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 16, 37, 2
 _GEARED_ROUNDS = 5
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
