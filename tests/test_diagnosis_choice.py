@@ -411,6 +411,20 @@ def test_intervals_of_details_end_where_nothing_was_searched_for(friction) -> No
         assert finding.details[name].interval == (c.low[i], c.high[i])
 
 
+def test_a_speed_beyond_its_grid_lies_in_its_interval(friction) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    grid = candidate(machine, "stribeck_friction", "elbow", 1)
+    speed = 2.0 * grid.extent.high[grid.size]
+    c = grid.with_shapes(np.array([speed, 0.0]))
+    hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+    J, covariance = np.zeros((*best.residual.shape, c.size)), np.eye(c.size)
+    fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=covariance)
+    fit = replace(fit, spread=(np.array([0.3 * speed, 0.0]),))
+    low, high = findings(fit, machine, 1.0)[0].details["speed"].interval
+    half = 1.96 * np.hypot(0.3, 0.15)  # what is unsure of the fit, and of the time step
+    assert (low, high) == pytest.approx(((1 - half) * speed, (1 + half) * speed))
+
+
 def test_details_have_the_units_of_a_slide_but_a_phase_is_an_angle_there(friction) -> None:
     text = """<mujoco><worldbody><body><joint name="rail" type="slide" axis="1 0 0"/>
     <geom size=".1" mass="1"/></body></worldbody></mujoco>"""

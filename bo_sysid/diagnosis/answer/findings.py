@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.answer.exchanges import Entry, Key
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.shapes import ranges
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
 from bo_sysid.effects import Machine, Site, unit_at
 
@@ -284,6 +285,7 @@ def _details(
 ) -> dict[str, Quantity]:
     out: dict[str, Quantity] = {}
     full, variances = c.full(x), np.concatenate([np.diag(covariance), spread**2])
+    low, high = _searched(c, machine)
     shown = 0 if c.effect.vector > 1 else 1
     for i in range(shown, len(full)):
         fitted, last = i < c.size, i == len(full) - 1
@@ -294,13 +296,24 @@ def _details(
         unit = unit_at(component.unit, c.site, machine)
         relative = _RELATIVE_BENT if c.bendable and not fitted else _RELATIVE
         found = _quantity(float(full[i]), float(variances[i]), unit, relative)
-        out[component.name] = _within(found, c.extent.low[i], c.extent.high[i])
+        out[component.name] = _within(found, low[i], high[i])
     if c.effect.details is not None:
         derived = c.effect.details(full, machine, c.site)
         for name, (value, unit) in derived.items():
             variance = _propagated(c, x, covariance, machine, name)
             out[name] = _quantity(value, variance, unit)
     return out
+
+
+def _searched(
+    c: Candidate, machine: Machine
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return where magnitudes and shapes were searched for: shapes also beyond their grid."""
+    low, high = np.array(c.extent.low, float), np.array(c.extent.high, float)
+    for i, (least, most) in ranges(c, machine).items():
+        low[c.size + i] = min(low[c.size + i], least)
+        high[c.size + i] = max(high[c.size + i], most)
+    return low, high
 
 
 def _propagated(
