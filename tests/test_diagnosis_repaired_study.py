@@ -14,7 +14,8 @@ from bo_sysid.diagnosis.answer.findings import Finding, Quantity
 from bo_sysid.diagnosis.answer.repaired import MODEL, Written
 from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.effects import CATALOGUE, Site, survey
-from bo_sysid.mjcf import Address, parameter_edits
+from bo_sysid.mjcf import Address, make_explicit, parameter_edits
+from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -257,3 +258,57 @@ def test_a_parameter_gives_way_to_bristles_that_stand_for_its_friction(tmp_path:
     named = [p.address for p in Study.load(tmp_path / "repaired.yaml").parameters]
     bristles = tuple(f"actuator[elbow_friction].biasprm[{k}]" for k in (3, 4))
     assert named == [("joint[shoulder].frictionloss",), ("joint[elbow].damping",), bristles]
+
+
+def moved(spec: mujoco.MjSpec) -> None:
+    """Write a centre of mass that was found to be elsewhere."""
+    make_explicit(spec, "forearm").ipos[0] += 0.01
+
+
+def moved_study(folder: Path, body: str, parameters: list[dict[str, object]]) -> str:
+    """Return the repaired study of a link with such geoms whose centre of mass was found."""
+    text = f"""<mujoco><worldbody><body name="forearm"><joint name="elbow" axis="0 1 0"/>{body}
+    </body></worldbody></mujoco>"""
+    (folder / "link.xml").write_text(text)
+    log = Recording.from_arrays(t := np.arange(0.0, 1.0, 0.01), qpos={"elbow": np.sin(t)})
+    write_recording(log, folder / "train.parquet")
+    content = {
+        "version": 1, "name": "link", "model": "link.xml",
+        "recordings": {"train": ["train.parquet"]}, "parameters": parameters,
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(content))
+    study = Study.load(folder / "study.yaml")
+    load_model(study).export(folder / MODEL, [moved])
+    com = found("com_shift", "body", "forearm", 0.01, "m")
+    return study_text(study, [com], folder, Written((), {}))
+
+
+MASS = {"name": "mass", "address": "geom[tube].mass", "low": 0.3, "high": 0.5}
+
+
+@pytest.mark.parametrize("address", ["geom[tube].mass", "geom[*].mass"])
+def test_the_mass_of_a_bodys_only_geom_becomes_that_of_the_body(
+    tmp_path: Path, address: str
+) -> None:
+    tube = '<geom name="tube" size=".02" pos="0 0 -.1" mass=".4"/>'
+    text = moved_study(tmp_path, tube, [MASS | {"address": address}])
+    (tmp_path / "repaired.yaml").write_text(text)
+    study = Study.load(tmp_path / "repaired.yaml")
+    model = load_model(study)
+    (held,) = study.parameter_set(model)
+    assert held.addresses == ("body[forearm].mass",)
+    heavy = model.compile(parameter_edits(model, study.parameter_set(model), [0.5]))
+    assert heavy.body("forearm").mass[0] == pytest.approx(0.5)
+    assert heavy.body("forearm").ipos == pytest.approx([0.01, 0, -0.1])
+
+
+def test_a_parameter_that_the_repaired_model_lacks_is_left_out_with_the_reason(
+    tmp_path: Path,
+) -> None:
+    geoms = '<geom name="tube" size=".02" mass=".4"/><geom name="tip" size=".01" mass=".1"/>'
+    damping = {"address": "joint[elbow].damping", "low": 0.0, "high": 1.0}
+    text = moved_study(tmp_path, geoms, [MASS, damping])
+    assert text.startswith("# no parameter: ")
+    assert "'geom[tube].mass': body 'forearm' has an <inertial>" in text.splitlines()[0]
+    (kept,) = yaml.safe_load(text)["parameters"]
+    assert kept["address"] == "joint[elbow].damping"

@@ -15,6 +15,7 @@ from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Address, Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.study import Study
+from bo_sysid.study.inputs import load_model
 
 _ADDRESSES = {
     "dry_friction": {"": "joint[{site}].frictionloss"},
@@ -58,7 +59,8 @@ def study_text(
     What was written beside the model is named, after what stood beside the model before, and the
     joints that were added, which nothing measures. Where the study has a parameter at a finding's
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
-    finding's leaves it. One that was the friction of a joint goes, where bristles stand for that.
+    finding's leaves it. One that was the friction of a joint goes, where bristles stand for that,
+    and one that the repaired model has no more, with the reason.
     """
     data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
@@ -69,7 +71,7 @@ def study_text(
     if written.unrecorded or study.model.unrecorded:
         data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
     model = Model.from_file(folder / MODEL)
-    absent = []
+    absent = _readdressed(model, load_model(study), data)
     _release(model, data, [f"joint[{f.site}].frictionloss" for f in found if _bristles(f)])
     for f in found:
         for made in (parameters := _parameters(model, f)):
@@ -85,6 +87,53 @@ def _bristles(finding: Finding) -> bool:
     return bent or finding.effect == "stribeck_friction"
 
 
+def _readdressed(model: Model, nominal: Model, data: dict[str, Any]) -> list[str]:
+    """Let a study's parameters name what the repaired model has; return comments on what it lacks.
+
+    A body whose inertia was repaired has an `<inertial>`, and masses of its geoms play no role.
+    """
+    absent = []
+    for p in data.get("parameters", ()):
+        named = []
+        for address in _list(p["address"]):
+            try:
+                named.append(_standing(model, nominal, address))
+            except ModelError as error:
+                absent.append(f"# no parameter: {' '.join(str(error).split())}\n")
+        p["address"] = named[0] if len(named) == 1 else named
+    _keep(data, [p for p in data.get("parameters", ()) if p["address"]])
+    return absent
+
+
+def _standing(model: Model, nominal: Model, address: str) -> str:
+    """Return an address of the nominal model as the repaired one has it.
+
+    Raises:
+        ModelError: it has not.
+    """
+    try:
+        resolve(model, address)
+    except ModelError:
+        instead = _of_body(nominal, address)
+        if instead is None:
+            raise
+        resolve(model, instead)
+        return instead
+    return address
+
+
+def _of_body(nominal: Model, address: str) -> str | None:
+    """Return the mass of the body in the place of its only geom's, None where it is not that."""
+    target, *others = resolve(nominal, address)
+    told = Address.parse(target.address)
+    if others or (told.kind, told.attribute) != ("geom", "mass"):
+        return None
+    compiled = nominal.compile()
+    body = compiled.body(int(compiled.geom(target.element).bodyid[0]))
+    alone = np.isclose(target.nominal, body.mass[0], rtol=1e-9)
+    return f"body[{body.name}].mass" if alone else None
+
+
 def _release(model: Model, data: dict[str, Any], addresses: Sequence[str]) -> None:
     """Take addresses out of a study's parameters, and parameters that are of no others."""
     kept, out = [], set(_named(model, addresses))
@@ -94,10 +143,14 @@ def _release(model: Model, data: dict[str, Any], addresses: Sequence[str]) -> No
         if others and len(others) < len(named):
             p["address"] = others[0] if len(others) == 1 else others
         kept += [p] if others else []
-    if kept:
-        data["parameters"] = kept
-    else:
-        data.pop("parameters", None)
+    _keep(data, kept)
+
+
+def _keep(data: dict[str, Any], parameters: list[Any]) -> None:
+    """Leave a study these parameters; the key goes where there are none."""
+    data["parameters"] = parameters
+    if not parameters:
+        del data["parameters"]
 
 
 def _absent(finding: Finding) -> str:
