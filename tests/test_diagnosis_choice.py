@@ -122,6 +122,14 @@ def test_the_search_of_the_argmin_keeps_magnitudes_within_their_bounds(friction,
             assert (x <= c.high).all()
 
 
+def test_the_search_of_the_argmin_bears_sets_that_were_not_fitted_to_their_end(friction) -> None:
+    best = friction.decision.best
+    worse = [replace(f, cost=3 * f.cost) for f in friction.decision.fits if f is not best]
+    decision = replace(friction.decision, fits=(best, *worse))
+    found = argmin_sets(friction.prepared.problem, friction.search.frame.Q, decision)
+    assert found.best is best
+
+
 def test_a_disagreement_is_said(friction) -> None:
     problem, Q = friction.prepared.problem, friction.search.frame.Q
     found = argmin_sets(problem, Q, friction.decision)

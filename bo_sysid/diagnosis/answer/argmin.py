@@ -80,7 +80,7 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
         fit = sets[owner[row]]
         hypothesis = _at(fit, candidates.points[row, 1 : 1 + _width(fit)])
         y = project(Q[keep], part.residual(hypothesis, fit.start.rows(keep)))
-        return _by_block(part, y, float((fit.cv - fit.cost).sum()) / problem.dof)
+        return _by_block(part, y, _optimism(fit) / problem.dof)
 
     rules = Rules(
         _ACQUISITION, StopRule(budget=min(_BUDGET, len(candidates)), entropy=0.02, last=4)
@@ -142,6 +142,14 @@ def _at(fit: Fit, steps: Float[np.ndarray, " k"]) -> Hypothesis:
         variance = np.diag(fit.covariance)[own] + (_RELATIVE * value) ** 2
         x.append(np.clip(value + np.sqrt(variance) * steps[own], c.low, c.high))
     return replace(fit.hypothesis, x=tuple(x))
+
+
+def _optimism(fit: Fit) -> float:
+    """Return by how much more a set leaves of blocks that it is not fitted to.
+
+    Not less than 0: a set that leaves less of those was not fitted to its end.
+    """
+    return max(float((fit.cv - fit.cost).sum()), 0.0)
 
 
 def _by_block(problem: Problem, y: Float[np.ndarray, "W R"], optimism: float) -> Evaluation:
