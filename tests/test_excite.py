@@ -125,6 +125,29 @@ def test_the_effort_of_each_machine_is_that_of_its_own_actuators() -> None:
     assert coarse[0] == pytest.approx(peaks.max() / 9.0, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("drive", "joint"),
+    [
+        ('<position name="m" joint="hinge" kp="40" kv="2" forcerange="-2 1"/>', ""),
+        ('<motor name="m" joint="hinge" gear="3"/>', ' actuatorfrcrange="-1 2"'),
+        ('<position name="m" joint="hinge" kp="40" kv=".2" timeconst=".1"/>', ""),
+        (
+            '<general name="m" joint="hinge" dyntype="filter" dynprm=".1" gainprm="10" '
+            'biastype="affine" biasprm="0 -10 -.1" actearly="true"/>',
+            "",
+        ),
+    ],
+)
+def test_efforts_are_those_of_drives_that_saturate_or_lag(drive: str, joint: str) -> None:
+    xml = ROD.replace(MOTOR, drive).replace('name="hinge"', f'name="hinge"{joint}', 1)
+    limits = Limits.of(Model.from_xml(xml), {"hinge": Limit(effort=20.0)})
+    mass = PARAMETERS[:1]
+    d = Trial(Model.from_xml(xml), mass, limits, {"qpos.hinge": 1e-3}, seconds=2.0, interval=0.02)
+    run = d.run(0.8 * np.sin(np.outer(d.series.time, [9.0])), d.machines[:3])
+    expected = np.array([felt(m, u) for m, u in zip(run.models, run.ctrl, strict=True)])
+    np.testing.assert_allclose(limits.torque(*run), expected, atol=1e-9)
+
+
 def test_no_machine_within_the_bounds_of_its_gear_is_told_to_exceed_an_effort(
     tmp_path: Path,
 ) -> None:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.effects.memory import follows
+from bo_sysid.effects.memory import LAGS, follows
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
@@ -165,7 +165,8 @@ class Limits:
         """Return what actuators that drive one joint each do along it, in [N m] or [N].
 
         Along its joint an actuator acts with r (g u + b₀ + b₁ r q + b₂ r v), gear r, gain g, those
-        of the machine that is simulated.
+        of the machine that is simulated, u the activation where it lags behind its control. Forces
+        are clipped where MuJoCo clips them, of an actuator and of all that drive a joint.
 
         Args:
             models: the compiled model of each simulation.
@@ -180,8 +181,16 @@ class Limits:
             gain = np.array([m.actuator_gainprm[a, :1] for m in models])
             bias = np.array([m.actuator_biasprm[a, :3, None] for m in models]).swapaxes(0, 1)
             q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
-            force = gain * ctrl[..., k] + bias[0] + gear * (bias[1] * q + bias[2] * v)
+            u = _acting(first, trajectory, a, ctrl[..., k])
+            force = gain * u + bias[0] + gear * (bias[1] * q + bias[2] * v)
+            if first.actuator_forcelimited[a]:
+                low, high = np.array([m.actuator_forcerange[a] for m in models]).T[..., None]
+                force = np.clip(force, low, high)
             torque[..., dof] += gear * force
+        for j in np.flatnonzero(first.jnt_actfrclimited):
+            low, high = np.array([m.jnt_actfrcrange[j] for m in models]).T[..., None]
+            dof = int(first.jnt_dofadr[j])
+            torque[..., dof] = np.clip(torque[..., dof], low, high)
         return torque
 
     def _touched(
@@ -200,6 +209,17 @@ class Limits:
                     touched[w] = True
                     break
         return touched
+
+
+def _acting(
+    model: mujoco.MjModel, trajectory: Trajectory, actuator: int, ctrl: Float[np.ndarray, "W S"]
+) -> Float[np.ndarray, "W S"]:
+    """Return what an actuator's force follows from: its control, or what lags behind that."""
+    if int(model.actuator_dyntype[actuator]) not in LAGS:
+        return ctrl
+    column = int(model.actuator_actadr[actuator] + model.actuator_actnum[actuator]) - 1
+    act = trajectory.act[..., column]
+    return np.asarray(act[:, 1:] if model.actuator_actearly[actuator] else act[:, :-1])
 
 
 def _require_effort_follows(model: mujoco.MjModel) -> None:
