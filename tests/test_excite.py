@@ -198,6 +198,22 @@ def test_many_are_judged_as_one_by_one() -> None:
         assert over == pytest.approx(d.violation(u, d.machines[list(rows)], 0.9), abs=0.03)
 
 
+@pytest.mark.parametrize("gains", ['kp="60" kv="10"', 'kp="3000" kv="6"'])
+def test_stiff_servos_are_judged_by_steps_that_they_bear(gains: str) -> None:
+    """MuJoCo's own integrator, and a step of 1 ms: coarse ones of 10 ms would diverge."""
+    servo = f'<position name="m" joint="hinge" {gains} ctrlrange="-2 2"/>'
+    xml = ROD.replace(MOTOR, servo).replace(
+        'timestep="0.005" integrator="implicitfast"', 'timestep="0.001"'
+    )
+    model, noise = Model.from_xml(xml), {"qpos.hinge": 1e-3}
+    limits = Limits.of(model, {"hinge": Limit(position=(-0.8, 0.8), velocity=4.0)})
+    d = Trial(model, PARAMETERS, limits, noise, seconds=3.0, interval=0.02)
+    controls = 0.3 * d.series.fade[:, None] * np.sin(np.outer(d.series.time, [5.0]))
+    found = d.judge((0, 1, 2))(controls[None], 0.0).over[0]
+    exact = d.violations(controls, d.machines[:3], 0.0).max()
+    assert found == pytest.approx(exact, rel=0.35)
+
+
 def test_random_tones_are_flat_in_their_band_and_as_large_as_the_limits_allow() -> None:
     d = trial()
     tones = multisines(d, 16, 7, (1.0, 4.0))

@@ -1,7 +1,8 @@
 r"""Many trajectories of controls judged at once: what they tell, and which limits they exceed.
 
-For the search only: the simulation's step is as coarse as the controls', differences are one-sided,
-all candidates share two roll-outs. `checks.sensitivity` says the same for the plan that is chosen.
+For the search only: the simulation's step is as coarse as the controls', unless the machine is too
+stiff for that, differences are one-sided, all candidates share two roll-outs. `checks.sensitivity`
+says the same for the plan that is chosen.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,9 +21,23 @@ from bo_sysid.simulation import Engine, ForceLaw, State
 
 _STEP = 1e-3  # of a parameter's range
 _MOVE = (1e-6, 1e-4)  # of positions in [rad] or [m], of velocities
-_COARSE = 0.01  # [s], the longest simulation step
+COARSEST = 0.01
+"""Longest simulation step, in s."""
 _PRIOR = 12.0  # information of a uniform prior over a range
 _MEMORY = 2**26  # bytes of trajectories at once
+
+
+def coarse(
+    model: Model, parameters: Sequence[Parameter], point: Float[np.ndarray, " d"], step: float
+) -> mujoco.MjModel:
+    """Return a machine that is simulated by coarse steps, in [s].
+
+    Damping of servos is then implicit, too: by Euler's steps they would diverge.
+    """
+    made = model.compile(parameter_edits(model, parameters, point), timestep=step)
+    if made.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER:
+        made.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return made
 
 
 @dataclass(frozen=True)
@@ -49,6 +64,7 @@ class Judge:
         limits: what the machines bear.
         noise: standard deviation of each position, in its unit.
         interval: between two controls, and between two samples, in [s].
+        steps: of the simulation in an interval.
         window: instants of a window, whose start is a nuisance.
         start: how all machines start, one row.
         laws: forces that are stepped with the model.
@@ -64,17 +80,17 @@ class Judge:
         noise: dict[str, float],
         *,
         interval: float,
+        steps: int,
         window: int,
         start: State,
         laws: Sequence[ForceLaw] = (),
     ) -> None:
-        self._hold = int(np.ceil(interval / _COARSE - 1e-9))
-        step = interval / self._hold
+        self._hold = steps
         self._window, self._limits, self._laws = window, limits, tuple(laws)
         self._start = start
 
         def compiled(point: np.ndarray) -> mujoco.MjModel:
-            return model.compile(parameter_edits(model, parameters, point), timestep=step)
+            return coarse(model, parameters, point, interval / steps)
 
         low = np.array([p.low for p in parameters])
         width = np.array([p.high for p in parameters]) - low

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import mujoco
@@ -15,7 +15,7 @@ from bo_sysid.errors import StudyError
 from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.exceeded import first_exceeded, why_not_held, why_not_moved, why_unstable
 from bo_sysid.excite.fourier import Series, ranges
-from bo_sysid.excite.judge import Judge
+from bo_sysid.excite.judge import COARSEST, Judge, coarse
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.rest import Hold, corners, held, holding
 from bo_sysid.execution import threads
@@ -159,18 +159,43 @@ class Trial:
 
     def _require_stable(self) -> None:
         """Refuse a machine that leaves its limits when it starts a hair beside its reference."""
-        inwards = np.where(self.start.qpos < self.limits.middle, _NUDGE, -_NUDGE)
-        start = self.start.repeat(2)
-        start.qpos[1] += inwards[0]
-        ctrl = np.repeat(np.repeat(self._still, self._hold, axis=0)[None], 2, axis=0)
-        models = self._models([self.point])
-        trajectory = self._engine.rollout(2 * models, start, ctrl, laws=self.laws)
-        grown = np.abs(trajectory.qpos[1] - trajectory.qpos[0]).max() / _NUDGE
-        beside = Run(models, trajectory.rows(slice(1, 2)), ctrl[1:])
+        run = self._nudged(self._models([self.point]), self._hold)
+        beside = Run(run.models[:1], run.trajectory.rows(slice(1, 2)), run.ctrl[1:])
         over = self.limits.violation(*beside, 1.0)[0]
-        if over > 0 and grown > _UNSTABLE:
+        if over > 0 and _growth(run.trajectory) > _UNSTABLE:
             worst = first_exceeded(self.limits, *beside)
             raise StudyError(why_unstable(worst, _NUDGE))
+
+    def _nudged(self, models: Sequence[mujoco.MjModel], steps: int) -> Run:
+        """Return what machines do at rest, and then what each does from a hair beside it.
+
+        Args:
+            models: the compiled models.
+            steps: of the simulation in an interval.
+        """
+        both = [*models, *models]
+        inwards = np.where(self.start.qpos < self.limits.middle, _NUDGE, -_NUDGE)
+        start = self.start.repeat(len(both))
+        start.qpos[len(models) :] += inwards[0]
+        ctrl = np.repeat(np.repeat(self._still, steps, axis=0)[None], len(both), axis=0)
+        return Run(both, self._engine.rollout(both, start, ctrl, laws=self.laws), ctrl)
+
+    @cached_property
+    def _judged_steps(self) -> int:
+        """Steps of the simulation in an interval that are enough to judge by.
+
+        By coarser ones a stiff machine shakes itself to pieces that stands still by its own.
+        """
+        own = _growth(self._nudged(self._models([self.point]), self._hold).trajectory)
+        interval = self.series.interval
+        steps = int(np.ceil(interval / COARSEST - 1e-9))
+        while steps < self._hold:
+            step = interval / steps
+            models = [coarse(self.model, self.parameters, p, step) for p in self.machines]
+            if _growth(self._nudged(models, steps).trajectory) < _UNSTABLE * max(own, 1.0):
+                break
+            steps = min(2 * steps, self._hold)
+        return steps
 
     def _models(self, points: Iterable[np.ndarray]) -> list[mujoco.MjModel]:
         edits = [parameter_edits(self.model, self.parameters, p) for p in points]
@@ -228,8 +253,8 @@ class Trial:
         if rows not in self._judges:
             self._judges[rows] = Judge(
                 self.model, self.parameters, self.point, self.machines[list(rows)], self.limits,
-                self.noise, interval=self.series.interval, window=self._horizon, laws=self.laws,
-                start=self.start,
+                self.noise, interval=self.series.interval, steps=self._judged_steps,
+                window=self._horizon, laws=self.laws, start=self.start,
             )  # fmt: skip
         return self._judges[rows]
 
@@ -262,3 +287,11 @@ class Trial:
             size *= _SHRINK
         exceeded = first_exceeded(self.limits, *self.run(scaled(size), self.machines))
         raise StudyError(why_not_moved(exceeded))
+
+
+def _growth(trajectory: Trajectory) -> float:
+    """Return by how much what began a hair beside the first half of some machines grew."""
+    half = len(trajectory.qpos) // 2
+    if trajectory.diverged.any():
+        return np.inf
+    return float(np.abs(trajectory.qpos[half:] - trajectory.qpos[:half]).max()) / _NUDGE
