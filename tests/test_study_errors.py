@@ -205,6 +205,26 @@ class TestOverrides:
         assert result.search.candidates.sobol == 64
         assert Study.load(study).search.budget == 60
 
+    def test_a_text_that_stands_for_a_mapping_is_kept(self, study: Path) -> None:
+        columns = "  columns: {qpos.elbow: theta2}\n  clocks: {qpos: t}\n"
+        arms = "compare: {arms: [random, sobol]}\n"
+        study.write_text(BASE + columns + arms)
+        changes = {
+            "model.base": "fixed",
+            "recordings.columns.qpos.elbow.sign": -1,
+            "recordings.clocks.qpos.shift": 0.1,
+            "compare.arms.1.seeds": 3,
+        }
+        result = Study.load(study, changes)
+        assert (result.model.file, result.model.base) == ("arm.xml", "fixed")
+        column, clock = result.recordings.columns["qpos.elbow"], result.recordings.clocks["qpos"]
+        assert (column.source, column.sign) == ("theta2", -1)
+        assert (clock.source, clock.shift) == ("t", 0.1)
+        assert [(a.acquisition, a.seeds) for a in result.compare.arms] == [
+            ("random", None),
+            ("sobol", 3),
+        ]
+
     def test_errors_name_the_option(self, study: Path) -> None:
         with pytest.raises(
             StudyError, match=r"arm.yaml, --set search.budgett: search.budgett: unk"

@@ -11,6 +11,14 @@ from bo_sysid.errors import StudyError, nearest
 
 KeyPath = tuple[str | int, ...]
 
+_SHORT: Mapping[tuple[str, ...], str] = {
+    ("model",): "file",
+    ("recordings", "columns", "*"): "from",
+    ("recordings", "clocks", "*"): "from",
+    ("compare", "arms", "*"): "acquisition",
+}
+"""Where a text may stand for a mapping, and which of its keys the text is."""
+
 
 @dataclass(frozen=True)
 class Source:
@@ -201,14 +209,31 @@ def _resolve(data: Any, key: str) -> KeyPath:
     return tuple(path)
 
 
-def _replaced(data: Any, path: KeyPath, value: Any, key: str) -> Any:
-    """Return a copy of `data` with `value` at `path`; mappings on the way are made."""
+def _replaced(data: Any, path: KeyPath, value: Any, key: str, at: KeyPath = ()) -> Any:
+    """Return a copy of `data`, which stands `at` a key, with `value` at `path` in it.
+
+    Mappings on the way are made.
+    """
     if not path:
         return value
     first, rest = path[0], path[1:]
+    inside = (*at, first)
     if isinstance(first, int) and isinstance(data, Sequence) and not isinstance(data, str):
         if first >= len(data):
             raise StudyError(f"--set {key}: there is no entry {first}; there are {len(data)}")
-        return [_replaced(d, rest, value, key) if i == first else d for i, d in enumerate(data)]
-    old = dict(data) if isinstance(data, Mapping) else {}
-    return {**old, first: _replaced(old.get(first), rest, value, key)}
+        changed = _replaced(data[first], rest, value, key, inside)
+        return [changed if i == first else d for i, d in enumerate(data)]
+    old = _opened(data, at)
+    return {**old, first: _replaced(old.get(first), rest, value, key, inside)}
+
+
+def _opened(data: Any, at: KeyPath) -> dict[Any, Any]:
+    """Return a mapping, or that for which a text stands; empty where there is none."""
+    if isinstance(data, Mapping):
+        return dict(data)
+    meant = [
+        name
+        for short, name in _SHORT.items()
+        if len(short) == len(at) and all(s in ("*", a) for s, a in zip(short, at, strict=True))
+    ]
+    return {meant[0]: data} if isinstance(data, str) and meant else {}
