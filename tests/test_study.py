@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
+from bo_sysid.diagnosis.diagnose import gather
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.excite.excite import excite
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.plants.build import study_task
 from bo_sysid.recording import Recording
@@ -26,7 +28,7 @@ from bo_sysid.study.inputs import (
     load_train,
     require_holdout,
 )
-from bo_sysid.study.overview import overview, require_scales
+from bo_sysid.study.overview import overview, require_limits, require_scales
 from bo_sysid.study.sections import Clock, Column
 
 STUDIES = [
@@ -412,6 +414,20 @@ def test_scales_of_what_is_not_measured_are_refused(
         overview(study)
     with pytest.raises(StudyError, match=expected):
         make_problem(study)
+
+
+def test_limits_of_a_joint_that_is_not_there_are_refused(folder: Path) -> None:
+    mass = {"address": "geom[forearm].mass", "low": 0.4, "high": 0.8}
+    study = minimal(folder, limits={"elbw": {"velocity": 3}}, parameters=[mass])
+    for look in (excite, lambda study: gather(study, ())):
+        with pytest.raises(StudyError, match=r"limits\.elbw: .*did you mean 'elbow'"):
+            look(study)
+    study = load(folder, limits={"elbw": {"velocity": 3}})
+    with pytest.raises(StudyError, match=r"arm\.yaml, --set limits: limits\.elbw: "):
+        overview(study)
+    study = load(folder, model__hold=["elbow"], limits={"elbow": {"velocity": 3}})
+    with pytest.raises(StudyError, match=r"limits\.elbow: .*since it is held"):
+        require_limits(study, load_model(study))
 
 
 @pytest.mark.parametrize(

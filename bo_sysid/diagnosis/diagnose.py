@@ -48,7 +48,7 @@ from bo_sysid.study.inputs import (
     require_holdout,
     study_effects,
 )
-from bo_sysid.study.overview import require_known, require_scales
+from bo_sysid.study.overview import require_known, require_limits, require_scales
 
 _STAGES = 6
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
@@ -274,6 +274,7 @@ def gather(study: Study, recordings: tuple[Recording, ...], kept: Kept = NOTHING
     """Return what a diagnosis is made from: scales, noise, candidates."""
     model = load_model(study)
     require_scales(study, model)
+    require_limits(study, model)
     for recording in recordings:
         require_known(model, recording)
     return make_evidence(

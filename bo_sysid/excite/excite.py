@@ -19,6 +19,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
+from bo_sysid.study.overview import require_limits
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
 _SHORTEST = 1.0  # [s], half of which fades in and half out
@@ -88,6 +89,7 @@ def excite(
     if not parameters:
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
     noise = _noise(study, model)
+    require_limits(study, model)
     limits = Limits.of(model, study.limits)
     trial = Trial(
         model, parameters, limits, noise,

@@ -65,6 +65,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
         require_known(model, recording)
     require_scales(study, model)
     require_actuators(study, model)
+    require_limits(study, model)
     parameters = study.parameter_set(model)
     _require_numbers(study, model)
     unrecorded = dict.fromkeys(_deaf(model), "without effect")
@@ -140,6 +141,19 @@ def require_actuators(study: Study, model: Model) -> None:
         if name not in model.actuators:
             near = nearest(name, model.actuators)
             raise study.error(("actuators", name), f"the model has no such actuator; {near}")
+
+
+def require_limits(study: Study, model: Model) -> None:
+    """Refuse limits of a joint that the model does not have, or not any more.
+
+    Raises:
+        StudyError: there is one.
+    """
+    for name in study.limits:
+        if name not in model.joints:
+            gone = ", since it is held" if name in study.model.hold else ""
+            near = nearest(name, model.joints)
+            raise study.error(("limits", name), f"the model has no such joint{gone}; {near}")
 
 
 def require_scales(study: Study, model: Model) -> None:
