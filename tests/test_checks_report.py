@@ -140,14 +140,16 @@ def test_bounds_that_leave_out_the_model_as_it_is() -> None:
     assert bounds_flags([mass, gain], np.array([1.0, 3.0])) == []
 
 
-@pytest.mark.parametrize("period", [2 * pi, 360.0, 4096.0])
-def test_an_angle_that_wraps(period: float) -> None:
-    true = period * (0.3 * TIME + 0.1 * np.sin(TIME))
-    log = Recording.from_arrays(TIME, qpos={"x": true % period})
+@pytest.mark.parametrize(
+    ("period", "joint"), [(2 * pi, "x"), (360.0, "x"), (4096.0, "x"), (2 * pi, "1")]
+)
+def test_an_angle_that_wraps(period: float, joint: str) -> None:
+    true, name = period * (0.3 * TIME + 0.1 * np.sin(TIME)), f"qpos.{joint}"
+    log = Recording.from_arrays(TIME, qpos={joint: true % period})
     wraps = find_wraps([log])
-    assert wraps["qpos.x"].period == pytest.approx(period)
+    assert wraps[name].period == pytest.approx(period)
     (right,) = unwrapped([log], wraps)
-    assert np.ptp(right.channels["qpos.x"].values - true) == pytest.approx(0.0, abs=1e-9 * period)
+    assert np.ptp(right.channels[name].values - true) == pytest.approx(0.0, abs=1e-9 * period)
     assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
 
 

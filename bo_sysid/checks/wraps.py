@@ -61,8 +61,13 @@ def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:
 
 
 def _turns(name: str) -> bool:
-    """Whether a channel is a position of one number: signs of a quaternion flip without a turn."""
-    return name.startswith("qpos.") and not name.rsplit(".", 1)[-1].isdigit()
+    """Whether a channel is a position of one number: signs of a quaternion flip without a turn.
+
+    A joint may be called 1, so that ``qpos.1`` is one and ``qpos.root.1`` is not.
+    """
+    kind, _, rest = name.partition(".")
+    joint, _, index = rest.rpartition(".")
+    return kind == "qpos" and not (joint and index.isdigit())
 
 
 def _steps(channel: Channel) -> np.ndarray:
