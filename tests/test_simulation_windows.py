@@ -325,6 +325,19 @@ def test_an_orientation_may_be_told_with_either_sign() -> None:
     assert np.abs(windows.residual(prediction.values)).max() < 1e-9
 
 
+def test_joints_that_are_called_by_numbers_are_no_orientation() -> None:
+    joints = "".join(
+        f'<body><joint name="{k}" axis="1 0 0"/><geom size=".1" pos="0 0 -.3"/></body>'
+        for k in range(1, 7)
+    )
+    model = Model.from_xml(f"<mujoco><worldbody>{joints}</worldbody></mujoco>")
+    time = np.arange(20) * 0.01
+    log = Recording.from_arrays(time, qpos={str(k): 0.1 * k + time for k in range(1, 7)})
+    windows = cut(model, [log], horizon=3)
+    expected = 2 * windows.observed
+    np.testing.assert_array_equal(windows.residual(-windows.observed), expected)
+
+
 def test_activations_are_those_of_the_actuators_that_are_told_something() -> None:
     """Friction with bristles has an activation and no control; here it stands before the motor."""
     stuck = (

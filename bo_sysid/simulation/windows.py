@@ -122,6 +122,7 @@ def quaternions(channels: Sequence[str]) -> list[list[int]]:
     """
     where = {name: k for k, name in enumerate(channels)}
     stems = dict.fromkeys(n.rpartition(".")[0] for n in channels if n.startswith("qpos."))
+    stems.pop("qpos", None)  # of joints that are called 3, 4, 5 and 6
     found = []
     for stem in stems:
         first = 3 if f"{stem}.4" in where else 0
