@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.checks.balance import Dynamics, unexplained
+from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
 from bo_sysid.checks.hypothesis import FREE, Evidence, Wire
 from bo_sysid.checks.motion import channel_flags, turned_inside
 from bo_sysid.checks.motors import scaled
@@ -472,3 +472,11 @@ def test_what_is_hit_hides_neither_forces_nor_a_sign(text: str, sign: int) -> No
     found = find_wiring(model, [log])
     assert found.wires == ({} if sign > 0 else {"qpos.elbow": Wire("qpos.elbow", sign=-1)})
     assert not [f for f in found.flags if f.kind == "balance"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_motion_that_needs_no_force_has_no_constant() -> None:
+    """As of a command that is 0 throughout and is tried as a position."""
+    none, phase = np.zeros((50, 1)), np.linspace(0.0, 6.0, 50)
+    terms = Terms(none, none, none, none, none, none + 1.0, none[..., None] + 1.0)
+    assert free_gain(terms, 0, np.sin(phase)[None], none.T)[0] == 0.0

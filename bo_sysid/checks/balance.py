@@ -227,7 +227,7 @@ def free_gain(
     none = _left(square[k], gram[k], right[k], _bounded(gram[k], right[k], (0.0, 0.0)))
     gain, all_of_it = float(found[k, 0]), float(gram[k, 0, 0])
     without = min(
-        float(none / square[k]),
+        float(none / max(square[k], 1e-300)),
         _with_rotor(np.column_stack([*columns[k], -terms.acceleration[:, j]]), needed[k]),
     )
     return gain, float(left[k]) / max(gain**2 * all_of_it * without, 1e-300)
