@@ -141,6 +141,19 @@ def test_degrees_that_were_stated_and_are_radians(names: tuple[str, ...]) -> Non
     assert proposed_columns(written, found.wires, {}) == {n: {"unit": "rad"} for n in names}
 
 
+@pytest.mark.parametrize("rests", [True, False])
+def test_the_speed_of_a_joint_that_rests_is_no_rate_of_another(rests: bool) -> None:
+    def change(values: dict[str, np.ndarray]) -> None:
+        rng = np.random.default_rng(5)
+        values["qpos.elbow"] = 3e-4 * rng.standard_normal(len(values["qpos.elbow"]))
+        values["ctrl.b"][:] = 0.0
+        if rests:
+            values["qvel.elbow"] = 3e-3 * rng.standard_normal(len(values["qpos.elbow"]))
+
+    told = [f for f in spoilt(change).flags if f.channels == ("qvel.elbow",)]
+    assert [f.kind for f in told] == ([] if rests else ["order"])
+
+
 def test_the_unit_of_a_speed_that_was_stated_and_is_wrong() -> None:
     channels = dict(recorded().channels)
     c = channels["qvel.elbow"]

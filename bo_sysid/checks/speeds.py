@@ -7,6 +7,7 @@ import numpy as np
 
 from bo_sysid.checks.hypothesis import Hypothesis, Units, Wire
 from bo_sysid.checks.traces import Traces
+from bo_sysid.recording.noise import MOVES, noise_sigma
 
 TURNING: Units = (("deg/s", pi / 180), ("rpm", 2 * pi / 60), ("mrad/s", 1e-3), ("turn/s", 2 * pi))
 SLIDING: Units = (("mm/s", 1e-3), ("cm/s", 1e-2))
@@ -26,7 +27,8 @@ def speed_wires(
 ) -> tuple[Mapping[str, Wire], Mapping[str, float]]:
     """Return what each recorded speed is, and its correlation with the position's rate.
 
-    A speed that resembles no rate keeps its place, with the best correlation that was found.
+    A speed that resembles no rate keeps its place, with the best correlation that was found; none
+    is told of a joint that rests.
     """
     names = [n for n in traces.recordings[0].channels if n.startswith("qvel.")]
     names = [n for n in names if all(n in r.channels for r in traces.recordings)]
@@ -45,6 +47,8 @@ def speed_wires(
         found[v] = correlation[source]
         if abs(correlation[source]) < ALIKE:
             wires[v] = Wire(v)
+            if not _moves(traces, v) and not _moves(traces, wire.source):
+                del found[v]
             continue
         sign = 1 if correlation[source] > 0 else -1
         factor = float(np.std(rate) / max(np.std(speeds[source]), 1e-300))
@@ -53,6 +57,12 @@ def speed_wires(
         unit, scale = _unit(factor, (*units, *UNDONE.get(stated, ())))
         wires[v] = Wire(source, sign, scale, 0.0, unit)
     return wires, found
+
+
+def _moves(traces: Traces, name: str) -> bool:
+    """Whether a channel does more than its noise in any recording."""
+    channels = [r.channels[name] for r in traces.recordings]
+    return any(np.ptp(c.values) > MOVES * noise_sigma(c.time, c.values) for c in channels)
 
 
 def _unit(factor: float, units: Units) -> tuple[str, float]:
