@@ -68,6 +68,17 @@ def test_how_a_joint_moved() -> None:
     assert "mm: nothing can be said about it" in flag.sentence
 
 
+def test_a_joint_may_turn_back_in_another_recording() -> None:
+    model = Model.from_xml(SLIDE).compile()
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(TIME))
+    out, back = (Recording.from_arrays(TIME, qpos={"x": s * TIME + noise}) for s in (1, -1))
+    still = Recording.from_arrays(TIME, qpos={"x": noise})
+    assert excitation_flags(excitation([out, back], model)) == []
+    for logs in ([out], [out, out], [out, still]):
+        (flag,) = excitation_flags(excitation(logs, model))
+        assert "never turns back" in flag.sentence
+
+
 def test_a_short_log_is_looked_at_or_refused() -> None:
     model, fast = Model.from_xml(SLIDE).compile(), 0.001 * np.arange(8)  # less than the filter
     (speed,) = excitation([Recording.from_arrays(fast, qpos={"x": 3 * fast})], model)["speed"]

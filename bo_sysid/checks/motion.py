@@ -26,16 +26,17 @@ _JITTER = 0.2  # of the interval
 _SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 _BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MOTION = [
-    "recording", "joint", "range", "speed", "fastest", "reversals", "low_hz", "high_hz", "noise",
-    "unit",
+    "recording", "joint", "range", "net", "speed", "fastest", "reversals", "low_hz", "high_hz",
+    "noise", "unit",
 ]  # fmt: skip
 
 
 def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.DataFrame:
     """Return one row a recording and joint: how it moved.
 
-    Columns: recording, joint, range, speed (root mean square), fastest, reversals, low_hz and
-    high_hz (between them lie 90 % of the power of the speed), noise, unit.
+    Columns: recording, joint, range, net (the last position less the first), speed (root mean
+    square), fastest, reversals, low_hz and high_hz (between them lie 90 % of the power of the
+    speed), noise, unit.
 
     Raises:
         RecordingError: a recording is too short to tell.
@@ -73,6 +74,7 @@ def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
     low, high = (float(frequency[np.searchsorted(share, b).clip(0, len(share) - 1)]) for b in _BAND)
     return {
         "range": float(np.ptp(channel.values)),
+        "net": float(smooth[-1] - smooth[0]),
         "speed": float(np.sqrt(np.mean(speed**2))),
         "fastest": float(np.abs(speed).max()),
         "reversals": _reversals(smooth, max(5 * noise, 0.01 * float(np.ptp(smooth)))),
@@ -115,7 +117,7 @@ def excitation_flags(table: pd.DataFrame) -> list[Flag]:
                     {"range": moved, "noise": noise},
                 )
             )
-        elif int(part["reversals"].sum()) == 0:
+        elif not _turns_back(part):
             flags.append(
                 Flag(
                     "look",
@@ -126,6 +128,12 @@ def excitation_flags(table: pd.DataFrame) -> list[Flag]:
                 )
             )
     return flags
+
+
+def _turns_back(part: pd.DataFrame) -> bool:
+    """Whether a joint moves in both directions, in one recording or in several."""
+    net = part["net"].to_numpy()[part["range"] >= MOVES * part["noise"]]
+    return int(part["reversals"].sum()) > 0 or bool((net > 0).any() and (net < 0).any())
 
 
 def beyond_range(

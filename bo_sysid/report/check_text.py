@@ -56,7 +56,7 @@ def _tested(found: Checked) -> bool:
 
 def _motion(found: Checked) -> pd.DataFrame:
     columns = {"low_hz": "from [Hz]", "high_hz": "to [Hz]"}
-    return found.motion.rename(columns=columns)
+    return found.motion.drop(columns="net").rename(columns=columns)
 
 
 def _listed(flags: list[Flag]) -> list[str]:
