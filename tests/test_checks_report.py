@@ -139,7 +139,9 @@ def test_motions_that_are_sampled_rarely_may_have_another_unit_of_time() -> None
     assert "unit: us" in flag.sentence
     warm = {n.replace("qpos", "sensor"): c for n, c in slow.channels.items()}
     assert slow_flags([Recording("c", warm)]) == []
-    assert slow_flags([Recording.from_arrays(10 * TIME, qpos={"x": TIME})]) == []
+    fast = Recording.from_arrays(10 * TIME, name="b", qpos={"x": TIME})
+    assert slow_flags([fast]) == []
+    assert [f.channels for f in slow_flags([slow, fast])] == [("b",)]  # of one name
 
 
 def test_bounds_that_leave_out_the_model_as_it_is() -> None:

@@ -270,14 +270,14 @@ def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:
 
 def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:
     """Return positions and speeds so far apart that their time stamps may be in another unit."""
-    apart: dict[str, float] = {}
+    apart = []  # two logs may have one name
     for r in recordings:
         moving = [*r.of_kind("qpos").values(), *r.of_kind("qvel").values()]
-        apart[r.name] = max((Sampling.of(c.time).median_dt for c in moving), default=0.0)
-    slow = [name for name, interval in apart.items() if interval > _SLOW]
+        apart.append(max((Sampling.of(c.time).median_dt for c in moving), default=0.0))
+    slow = [r.name for r, dt in zip(recordings, apart, strict=True) if dt > _SLOW]
     if not slow:
         return []
-    interval = max(apart.values())
+    interval = max(apart)
     more = f" and {len(slow) - 3} more" if len(slow) > 3 else ""
     sentence = (
         f"Motions are sampled every {interval:.3g} s in {', '.join(slow[:3])}{more}, which is too "
