@@ -266,6 +266,14 @@ def test_a_proposal_has_no_keys_at_their_defaults() -> None:
     assert proposed_clocks(written["clocks"], "ctrl", 0.004) == {"ctrl": {"shift": 0.005}}
 
 
+def test_a_delay_is_proposed_for_controls_with_a_clock_of_their_own_too() -> None:
+    written = {"ctrl.a": {"from": "t_a", "shift": 0.01}, "qpos": {"shift": 0.1}}
+    assert proposed_clocks(written, "ctrl", 0.02) == {
+        "ctrl": {"shift": 0.02},
+        "ctrl.a": {"from": "t_a", "shift": 0.03},
+    }
+
+
 def test_a_proposal_states_a_unit_in_place_of_the_wrong_one() -> None:
     """A wire's scale is beside the unit of the rule, which the proposal may replace."""
     data = {

@@ -79,13 +79,21 @@ def _unwrap(period: float) -> bool | float:
 def proposed_clocks(
     written: Mapping[str, Mapping[str, Any]], kind: str, delay: float
 ) -> dict[str, Rule]:
-    """Return the clock of the controls with `delay` [s] more in its shift, which may end."""
+    """Return the clocks of the controls with `delay` [s] more in their shifts, which may end.
+
+    A control with a rule of its own does not follow that of its kind.
+    """
     if not delay:
         return {}
-    rule = {k: v for k, v in written.get(kind, {}).items() if v != _DEFAULTS.get(k)}
+    own = [name for name in written if name.startswith(f"{kind}.")]
+    return {name: _later(written.get(name, {}), delay) for name in (kind, *own)}
+
+
+def _later(written: Mapping[str, Any], delay: float) -> Rule:
+    rule = {k: v for k, v in written.items() if v != _DEFAULTS.get(k)}
     shift = rule.get("shift", 0.0) + delay
     rule["shift"] = _rounded(shift, 3) if abs(shift) > _NO_SHIFT else 0.0
-    return {kind: rule}
+    return rule
 
 
 def as_yaml(columns: Mapping[str, Rule], clocks: Mapping[str, Rule]) -> str:
