@@ -383,6 +383,14 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
         Limits.of(Model.from_xml(ROD), {"hing": LIMIT["hinge"]})
 
 
+def test_a_model_without_actuators_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rod.xml").write_text(ROD.replace(MOTOR, ""))
+    mass = {"address": "geom[rod].mass", "low": 0.4, "high": 0.6}
+    data = {"model": "rod.xml", "recordings": {"train": "later.csv"}, "parameters": [mass]}
+    with pytest.raises(StudyError, match=r"model: excite plans controls, and .* has no actuator"):
+        excite(Study.from_dict(data, tmp_path), seconds=2.0, budget=LEAST)
+
+
 def test_a_limit_outside_the_range_of_its_joint_is_refused() -> None:
     ranged = Model.from_xml(ROD.replace('damping=".05"', 'damping=".05" range="0 1.5"').replace(
         "<mujoco>", '<mujoco><compiler angle="radian"/>'))  # fmt: skip

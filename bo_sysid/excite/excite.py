@@ -78,6 +78,12 @@ def excite(
     if report is not None:
         report(0, np.inf)
     model = load_model(study)
+    if not model.controlled:
+        raise study.error(
+            ("model",),
+            f"excite plans controls, and {model.source} has no actuator; add its motors (a URDF "
+            "has none: save it as MJCF, with <motor joint=…/> under <actuator>)",
+        )
     if study.actuators:
         raise study.error(
             ("actuators",), "excite cannot plan through a law in Python; leave it out"
