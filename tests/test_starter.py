@@ -828,6 +828,19 @@ def test_a_joint_that_never_moves_gets_no_parameters(tmp_path: Path) -> None:
     assert addresses == {f"joint[shoulder].{n}" for n in ("frictionloss", "damping", "armature")}
 
 
+def test_a_joint_that_never_turns_back_gets_parameters(tmp_path: Path) -> None:
+    rng, time = np.random.default_rng(0), np.arange(1000) * 0.01
+    noise = lambda: 1e-4 * rng.normal(size=1000)  # noqa: E731
+    frame = pd.DataFrame({"time": time, "qpos.shoulder": np.sin(2 * time) + noise()})
+    frame["qpos.elbow"] = 0.1 * time + noise()
+    frame["ctrl.shoulder"], frame["ctrl.elbow"] = np.cos(2 * time), np.sin(time)
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    init(TWO, [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    assert "never moves" not in (tmp_path / "study.yaml").read_text()
+    addresses = {p.address[0] for p in Study.load(tmp_path / "study.yaml").parameters}
+    assert "joint[elbow].damping" in addresses
+
+
 def test_joints_by_which_a_base_floats_get_no_parameters(tmp_path: Path) -> None:
     """Of a cart on wheels, friction of the joints x, z and pitch would be the wheels'."""
     (tmp_path / "balancer.xml").write_text(

@@ -99,13 +99,20 @@ def _reversals(q: np.ndarray, least: float) -> int:
     return count
 
 
+def resting(table: pd.DataFrame) -> frozenset[str]:
+    """Return the joints that moved by no more than their noise in any recording."""
+    most = table.loc[table.groupby("joint")["range"].idxmax()]
+    still = most["range"] < np.maximum(MOVES * most["noise"], 1e-9)
+    return frozenset(most["joint"][still])
+
+
 def excitation_flags(table: pd.DataFrame) -> list[Flag]:
-    """Return the joints that hardly moved in any recording."""
-    flags = []
+    """Return the joints that hardly moved in any recording, or never turned back."""
+    flags, at_rest = [], resting(table)
     for joint, part in table.groupby("joint", sort=False):
         k = int(np.argmax(part["range"].to_numpy()))
         moved, noise = (float(part[c].to_numpy()[k]) for c in ("range", "noise"))
-        if moved < max(MOVES * noise, 1e-9):
+        if str(joint) in at_rest:
             unit = "mm" if part["unit"].to_numpy()[k] == "m" else "mrad"
             flags.append(
                 Flag(

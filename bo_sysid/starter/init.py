@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from bo_sysid.checks.motion import excitation, excitation_flags
+from bo_sysid.checks.motion import excitation, resting
 from bo_sysid.effects.surveying import survey
 from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Loops, Model
@@ -235,7 +235,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     machine = survey(compiled, recordings)
     motion = excitation(recordings, compiled)
     fastest = motion.groupby("joint")["fastest"].max()
-    still = {joint for flag in excitation_flags(motion) for joint in flag.channels}
+    still = resting(motion)
     floating = _floating_by_joints(compiled)
     rows = []
     for name, joint in machine.joints.items():
