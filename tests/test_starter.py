@@ -17,10 +17,11 @@ from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.simulation import Engine, State
-from bo_sysid.starter.columns import derivatives, describe, words
+from bo_sysid.starter.columns import derivatives, describe
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
 from bo_sysid.starter.matching import match
+from bo_sysid.starter.naming import words
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule
 from bo_sysid.study import Study

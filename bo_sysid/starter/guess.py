@@ -14,8 +14,9 @@ from bo_sysid.mjcf.joints import BALL, SCALAR
 from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
-from bo_sysid.starter.columns import WORDS, Column, describe, spoilt
+from bo_sysid.starter.columns import describe, spoilt
 from bo_sysid.starter.matching import Guess, match, named_after, rates_of
+from bo_sysid.starter.naming import WORDS, Column
 from bo_sysid.starter.numbers import numbered
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bo_sysid.recording import RawTable
-from bo_sysid.starter.columns import WORDS, Column, derivatives, words
+from bo_sysid.starter.columns import derivatives
+from bo_sysid.starter.naming import WORDS, Column, words
 from bo_sysid.starter.numbers import UNKNOWN, as_counted, by_number, numbered
 
 _SURE, _LIKELY, _ORDER = 0.9, 0.6, 0.3

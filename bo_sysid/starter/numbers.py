@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 
-from bo_sysid.starter.columns import Column, words
+from bo_sysid.starter.naming import Column, words
 
 UNKNOWN = "?"
 """Stands for a number that says nothing of the log, in which no column has such a word."""

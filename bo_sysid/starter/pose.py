@@ -9,8 +9,8 @@ import numpy as np
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.joints import FREE
 from bo_sysid.recording import RawTable
-from bo_sysid.starter.columns import WORDS, words
 from bo_sysid.starter.matching import Guess
+from bo_sysid.starter.naming import WORDS, words
 
 _LETTER = re.compile(r"(?P<stem>.*?)[\s_.\-]?(?P<letter>[wxyz])", re.IGNORECASE)
 _UNIT = 0.02  # by which the length of a quaternion may differ from 1

@@ -12,8 +12,8 @@ from bo_sysid.mjcf.commands import driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import RawTable
 from bo_sysid.recording.units import Unit, is_unit, unit
-from bo_sysid.starter.columns import Column
 from bo_sysid.starter.matching import Guess
+from bo_sysid.starter.naming import Column
 
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
 _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}

@@ -1,0 +1,132 @@
+"""What the name of a column says: its kind, its unit and its words."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from bo_sysid.recording.units import is_unit
+from bo_sysid.recording.units import unit as unit_called
+
+Kind = Literal["time", "position", "velocity", "command", "effort", "other"]
+
+WORDS: dict[str, frozenset[str]] = {
+    "time": frozenset({"time", "t", "timestamp", "stamp", "timestamps", "clock"}),
+    "position": frozenset(
+        {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
+         "state", "states", "joint", "x"}
+    ),
+    "velocity": frozenset(
+        {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "omega", "rate"}
+    ),
+    "command": frozenset(
+        {"ctrl", "cmd", "command", "commands", "action", "goal", "target", "desired", "des", "ref",
+         "reference", "setpoint", "input", "inputs", "u", "con", "control"}
+    ),
+    "effort": frozenset(
+        {"torque", "tau", "tq", "trq", "effort", "efforts", "current", "cur", "curr", "amps", "pwm",
+         "duty", "load", "force", "volts", "voltage", "thrust", "throttle"}
+    ),
+    "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
+}  # fmt: skip
+"""Words in the names of columns, by what they say."""
+UNITS = {
+    "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
+    "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "percent": "%",
+}  # fmt: skip
+"""Units that names of columns carry as a word of theirs, in any letters."""
+_ENDINGS = ("mA", "mNm", "Nm")
+"""Units at the end of a name, in these letters."""
+_ELECTRIC = {
+    "A": frozenset({"i", "current", "cur", "curr", "amps"}),
+    "V": frozenset({"u", "voltage", "volts"}),
+}
+"""Words beside which A and V at the end are units; alone they may be the name of a motor."""
+_CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
+_BRACKETS = re.compile(r"\[([^\[\]]+)\]|\(([^()]+)\)")
+_BY_QUANTITY: dict[str, Kind] = {
+    "angle": "position", "length": "position", "angular velocity": "velocity",
+    "velocity": "velocity",
+}  # fmt: skip
+_PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
+"""Units of positions: a column that carries one and says nothing else is a position."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a log.
+
+    Attributes:
+        name: as in the file.
+        kind: what it may be.
+        words: the parts of its name, in small letters.
+        unit: the unit that its name or the file says, empty where neither does.
+        reason: why it is thought to be of its kind.
+    """
+
+    name: str
+    kind: Kind
+    words: tuple[str, ...]
+    unit: str
+    reason: str
+
+    @property
+    def commands(self) -> bool:
+        """Whether it may be what an actuator was told."""
+        return self.kind in ("command", "effort")
+
+
+def words(name: str) -> tuple[str, ...]:
+    """Return the parts of a name, split at marks, before capitals and before digits."""
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    return tuple(w.lower() for w in re.findall(r"[A-Za-z]+|\d+", spaced))
+
+
+def named_unit(name: str) -> tuple[str, str]:
+    """Return a name without the unit that it carries in brackets or at its end, and that unit."""
+    for found in _BRACKETS.finditer(name):
+        inside = (found[1] or found[2]).strip()
+        if is_unit(inside) and not inside.isdigit():
+            return f"{name[: found.start()]} {name[found.end() :]}".strip(), inside
+    for ending in _ENDINGS:
+        if re.search(rf"[^A-Za-z]{ending}$", name):
+            return name[: -len(ending)], ending
+    if re.search(r"[^A-Za-z][AV]$", name) and _ELECTRIC[name[-1]] & set(words(name[:-1])):
+        return name[:-1], name[-1]
+    return name, ""
+
+
+def named(name: str, unit: str) -> Column:
+    """Return a column as its name and the unit that the file states describe it."""
+    by_channel = _CONVENTION.get(name.split(".", 1)[0]) if "." in name else None
+    if by_channel is not None:  # the rest is the name of an element, and says nothing
+        return Column(name, by_channel, words(name), unit, "its name")
+    plain, told = named_unit(name)
+    parts = words(plain)
+    said = _said(parts)
+    unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    bare = tuple(w for w in parts if w not in UNITS)
+    kind: Kind = "other"
+    if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
+        kind = "time"
+    elif "command" in said:
+        kind = "command"
+    elif "effort" in said:
+        kind = "other" if "measured" in said else "effort"
+    elif "velocity" in said:
+        kind = "velocity"
+    elif unit and parts[-1:] == ("s",) and unit in _PLACES:
+        kind, unit = "velocity", f"{unit}/s"
+    elif told:
+        kind = _BY_QUANTITY.get(unit_called(told, name).quantity, "other")
+        kind = "position" if kind == "other" and "position" in said else kind
+    elif "position" in said or unit in _PLACES:
+        kind = "position"
+    return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
+
+
+def _said(parts: Sequence[str]) -> set[str]:
+    """Return what the words of a name say; of the letters x and i, only where they come first."""
+    plain = {w for k, w in enumerate(parts) if w != "x" or k == 0}
+    said = {kind for kind, known in WORDS.items() if known & plain}
+    return said | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else said
