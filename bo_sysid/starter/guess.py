@@ -193,7 +193,8 @@ def _left_over(
     """
     used, told = {g.column for g in known}, {g.channel for g in known}
     without = [a for a in model.controlled if f"ctrl.{a}" not in told]
-    left = [c for c in columns if c.name not in used and c.kind not in ("time", "velocity")]
+    never = ("time", "velocity", "foreign")
+    left = [c for c in columns if c.name not in used and c.kind not in never]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     compiled = model.compile()
     left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]

@@ -40,7 +40,7 @@ def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules
     A servo's goal goes with the position of its joint, a motor's control with the force that the
     motion needs beside friction.
     """
-    left = [c for c in describe(tables[0]) if c.name in rules.unused]
+    left = [c for c in describe(tables[0]) if c.name in rules.unused and c.kind != "foreign"]
     columns = {c.name: c for c in left if c.name.split(".", 1)[0] not in KINDS}
     channels = {n: f"aux.{k}" for k, n in enumerate(columns) if _moves(tables, n)}
     if not rules.unmatched or not channels:

@@ -8,7 +8,8 @@ from typing import Literal
 from bo_sysid.recording.units import is_unit
 from bo_sysid.recording.units import unit as unit_called
 
-Kind = Literal["time", "position", "velocity", "command", "effort", "other"]
+Kind = Literal["time", "position", "velocity", "command", "effort", "foreign", "other"]
+"""What a column may be: a foreign one is no channel at all, of another nothing is said."""
 
 WORDS: dict[str, frozenset[str]] = {
     "time": frozenset({"time", "t", "timestamp", "stamp", "timestamps", "clock"}),
@@ -17,15 +18,22 @@ WORDS: dict[str, frozenset[str]] = {
          "state", "states", "joint", "x"}
     ),
     "velocity": frozenset(
-        {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "omega", "rate"}
+        {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "speeds", "omega",
+         "rate"}
     ),
     "command": frozenset(
-        {"ctrl", "cmd", "command", "commands", "action", "goal", "target", "desired", "des", "ref",
-         "reference", "setpoint", "input", "inputs", "u", "con", "control"}
+        {"ctrl", "cmd", "command", "commands", "action", "actions", "goal", "goals", "target",
+         "targets", "desired", "des", "ref", "reference", "setpoint", "setpoints", "input",
+         "inputs", "u", "con", "control"}
     ),
     "effort": frozenset(
-        {"torque", "tau", "tq", "trq", "effort", "efforts", "current", "cur", "curr", "amps", "pwm",
-         "duty", "load", "force", "volts", "voltage", "thrust", "throttle"}
+        {"torque", "torques", "tau", "tq", "trq", "moment", "moments", "effort", "efforts",
+         "current", "currents", "cur", "curr", "amps", "pwm", "duty", "load", "force", "forces",
+         "volts", "voltage", "voltages", "thrust", "throttle"}
+    ),
+    "foreign": frozenset(
+        {"error", "errors", "acceleration", "accelerations", "accel", "acc", "ddq", "qdd",
+         "temperature", "temperatures", "temp"}
     ),
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
 }  # fmt: skip
@@ -109,6 +117,8 @@ def named(name: str, unit: str) -> Column:
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"
+    elif "foreign" in said:
+        kind = "foreign"
     elif "command" in said:
         kind = "command"
     elif "effort" in said:

@@ -1,0 +1,68 @@
+"""`init`: what the names of columns say, as common loggers write them."""
+
+import numpy as np
+import pytest
+
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import RawTable
+from bo_sysid.starter.guess import Rules, guess_rules
+from bo_sysid.starter.movers import with_movers
+
+TIME = 0.01 * np.arange(600)
+ANGLES = {"shoulder": np.sin(2 * TIME) + np.sin(3.1 * TIME), "elbow": np.sin(4.3 * TIME + 1)}
+RATES = {n: np.gradient(q, TIME) for n, q in ANGLES.items()}
+FORCES = {"shoulder": np.cos(5 * TIME), "elbow": np.cos(7.7 * TIME + 2)}
+ARM = """
+<mujoco><worldbody><body><joint name="shoulder"/><geom size=".1"/><body><joint name="elbow"/>
+  <geom size=".1"/></body></body></worldbody>
+  <actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator>
+</mujoco>"""
+
+
+def guessed(model: str, **columns: dict[str, np.ndarray]) -> Rules:
+    """Return what is guessed of a log whose columns are called after joints, as {}_pos."""
+    named = {n.format(j): v for n, of in columns.items() for j, v in of.items()}
+    return guess_rules(Model.from_xml(model), RawTable("log", {"time": TIME, **named}))
+
+
+def sources(rules: Rules) -> dict[str, str]:
+    """Return the column of each channel of the elbow."""
+    return {n: str(r["from"]) for n, r in rules.columns.items() if n.endswith(".elbow")}
+
+
+@pytest.mark.parametrize(
+    ("other", "values"),
+    [
+        ("joint_acceleration_{}", {n: np.gradient(v, TIME) for n, v in RATES.items()}),
+        ("joint_error_{}", {n: 0.01 * v for n, v in ANGLES.items()}),
+        ("/error/positions/{}", {n: 0.01 * v for n, v in ANGLES.items()}),
+        ("joint_temperatures_{}", {n: 30 + 0.1 * v for n, v in ANGLES.items()}),
+    ],
+)
+def test_errors_accelerations_and_temperatures_are_no_positions(
+    other: str, values: dict[str, np.ndarray]
+) -> None:
+    """They stand before the positions, as in the order of the alphabet."""
+    joint = "joint_{}_{{}}".format
+    rules = guessed(
+        ARM, **{other: values, joint("positions"): ANGLES, joint("torques"): FORCES,
+                joint("velocities"): RATES}
+    )  # fmt: skip
+    assert sources(rules) == {
+        "qpos.elbow": "joint_positions_elbow", "qvel.elbow": "joint_velocities_elbow",
+        "ctrl.elbow": "joint_torques_elbow",
+    }  # fmt: skip
+    assert set(rules.unused) == {other.format(j) for j in ANGLES}
+
+
+def test_what_is_told_to_be_another_quantity_is_no_control_that_is_left() -> None:
+    """A wheel's acceleration goes with its torque, whatever made that."""
+    body = '<body><joint name="wheel"/><geom size=".1"/></body>'
+    motor = '<actuator><motor name="motor" joint="wheel"/></actuator>'
+    wheel = f"<mujoco><worldbody>{body}</worldbody>{motor}</mujoco>"
+    angle = ANGLES["shoulder"]
+    table = {"time": TIME, "wheel_pos": angle, "wheel_acc": np.gradient(RATES["shoulder"], TIME)}
+    rules = guess_rules(Model.from_xml(wheel), RawTable("log", table))
+    assert rules.unmatched == ("motor",)
+    log = [RawTable("log", table)]
+    assert with_movers(Model.from_xml(wheel), log, rules).unmatched == ("motor",)
