@@ -66,3 +66,21 @@ def test_what_is_told_to_be_another_quantity_is_no_control_that_is_left() -> Non
     assert rules.unmatched == ("motor",)
     log = [RawTable("log", table)]
     assert with_movers(Model.from_xml(wheel), log, rules).unmatched == ("motor",)
+
+
+@pytest.mark.parametrize("name", ["{}_pos", "{}_deg", "theta_{}", "{}"])
+def test_joints_that_go_round_a_circle_are_no_rates_of_each_other(name: str) -> None:
+    """A joint that follows a cosine moves as the rate of one that follows a sine."""
+    circle = {"shoulder": np.sin(2 * TIME), "elbow": np.cos(2 * TIME)}
+    rules = guessed(ARM, **{name: circle, "{}_torque": FORCES})
+    assert not rules.held
+    assert sources(rules) == {"qpos.elbow": name.format("elbow"), "ctrl.elbow": "elbow_torque"}
+
+
+@pytest.mark.parametrize("name", ["theta_{}_dot", "theta{}dot", "{}_d", "state.{}.1"])
+def test_a_rate_is_told_from_a_column_that_is_called_a_position(name: str) -> None:
+    rules = guessed(ARM, **{"theta_{}": ANGLES, name: RATES, "{}_torque": FORCES})
+    assert sources(rules) == {
+        "qpos.elbow": "theta_elbow", "qvel.elbow": name.format("elbow"),
+        "ctrl.elbow": "elbow_torque",
+    }  # fmt: skip

@@ -1,6 +1,6 @@
 """What the columns of a log may be, by their names and by how they behave."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,15 +8,20 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
-from bo_sysid.starter.naming import Column, named
+from bo_sysid.starter.naming import PLACES, WORDS, Column, named, named_after
 
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
 _LATE = 8  # samples that a speed may come late
 _MOST = 20_000
+_VAGUE = frozenset({"state", "states", "joint", "x"})  # a velocity may be called so, too
 
 
-def describe(table: RawTable) -> tuple[Column, ...]:
+def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
     """Return the numeric columns of a table, with what they may be.
+
+    Args:
+        table: any.
+        joints: names of joints; a column that is called like one, and nothing more, is no rate.
 
     Raises:
         RecordingError: no column is a clock.
@@ -31,7 +36,7 @@ def describe(table: RawTable) -> tuple[Column, ...]:
             found.append(named(name, table.units.get(name, "")))
     if not any(c.kind == "time" for c in found):
         found = _timed(table, found)
-    return tuple(_behaved(table, found))
+    return tuple(_behaved(table, found, joints))
 
 
 def spoilt(table: RawTable) -> tuple[str, ...]:
@@ -84,12 +89,11 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
     ]
 
 
-def _behaved(table: RawTable, found: Sequence[Column]) -> list[Column]:
-    """Tell velocities that are called positions (or nothing) by the positions they derive from."""
-    doubtful = [
-        c for c in found if c.kind in ("position", "other") and not c.name.startswith("qpos.")
-    ]
-    rates = derivatives(table, [c.name for c in doubtful])
+def _behaved(table: RawTable, found: Sequence[Column], joints: Sequence[str]) -> list[Column]:
+    """Tell velocities that are called states (or nothing) by the positions they derive from."""
+    doubtful = [c for c in found if _doubtful(c) and not named_after(joints, c)]
+    places = [c.name for c in found if c.kind in ("position", "other")]
+    rates = derivatives(table, places, [c.name for c in doubtful])
     out = []
     for c in found:
         if c.name in rates:
@@ -100,15 +104,31 @@ def _behaved(table: RawTable, found: Sequence[Column]) -> list[Column]:
     return out
 
 
-def derivatives(table: RawTable, names: Sequence[str]) -> Mapping[str, str]:
-    """Return, for columns that are the rate of another, that other; the best pairs first."""
+def _doubtful(column: Column) -> bool:
+    """Whether a name leaves open if a column is a position or a velocity."""
+    if column.kind == "position":
+        return column.unit not in PLACES and not (WORDS["position"] - _VAGUE) & set(column.words)
+    return column.kind == "other"
+
+
+def derivatives(
+    table: RawTable, names: Sequence[str], among: Collection[str] | None = None
+) -> Mapping[str, str]:
+    """Return, for columns that are the rate of another, that other; the best pairs first.
+
+    Args:
+        table: any.
+        names: columns that may be the rate of another, or have another as their rate.
+        among: those of them that may be a rate; all where left out.
+    """
     values = {n: table.column(n)[:_MOST] for n in names}
     values = {n: v for n, v in values.items() if np.isfinite(v).all() and np.ptp(v) > 0}
     pairs = []
     for source, q in values.items():
         rate = _smooth(np.gradient(_smooth(q)))
         for name, v in values.items():
-            if name == source or len(v) != len(q) or _axes_of_one(name, source):
+            never = among is not None and name not in among
+            if never or name == source or len(v) != len(q) or _axes_of_one(name, source):
                 continue
             faster = _rough(v) / max(_rough(q), 1e-300)
             later = list(values).index(name) > list(values).index(source)

@@ -15,8 +15,8 @@ from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import describe, spoilt
-from bo_sysid.starter.matching import Guess, match, named_after, rates_of
-from bo_sysid.starter.naming import WORDS, Column
+from bo_sysid.starter.matching import Guess, match, rates_of
+from bo_sysid.starter.naming import WORDS, Column, named_after
 from bo_sysid.starter.numbers import numbered
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
@@ -79,9 +79,9 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
         RecordingError: there is no hinge, slide or pose of a base to match, the log has no clock,
             or cells that are no numbers hide its positions.
     """
-    columns = describe(table)
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
+    columns = describe(table, joints)
     pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
     if not joints and not pose and not set(model.qpos_channels) <= set(table.columns):
         raise RecordingError(

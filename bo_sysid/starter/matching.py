@@ -154,15 +154,11 @@ def _in_order(
     return found
 
 
-def named_after(elements: Sequence[str], column: Column) -> bool:
-    """Whether a column of no other kind is called like an element, and nothing more."""
-    return column.kind == "other" and set(column.words) in [set(words(e)) for e in elements]
-
-
 def rates_of(table: RawTable, positions: Sequence[Guess], columns: Sequence[Column]) -> list[Guess]:
     """Match velocities with the positions that they are the rates of, and are no surer than."""
     velocities = [c for c in columns if c.kind == "velocity"]
-    found = derivatives(table, [*(g.column for g in positions), *(c.name for c in velocities)])
+    names = [c.name for c in velocities]
+    found = derivatives(table, [*(g.column for g in positions), *names], names)
     out = []
     for g in positions:
         for c in velocities:

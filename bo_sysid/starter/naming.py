@@ -19,7 +19,7 @@ WORDS: dict[str, frozenset[str]] = {
     ),
     "velocity": frozenset(
         {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "speeds", "omega",
-         "rate"}
+         "rate", "dot"}
     ),
     "command": frozenset(
         {"ctrl", "cmd", "command", "commands", "action", "actions", "goal", "goals", "target",
@@ -56,7 +56,7 @@ _BY_QUANTITY: dict[str, Kind] = {
     "angle": "position", "length": "position", "angular velocity": "velocity",
     "velocity": "velocity",
 }  # fmt: skip
-_PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
+PLACES = frozenset({"deg", "rad", "mrad", "ticks", "mm"})
 """Units of positions: a column that carries one and says nothing else is a position."""
 
 
@@ -125,12 +125,12 @@ def named(name: str, unit: str) -> Column:
         kind = "other" if "measured" in said else "effort"
     elif "velocity" in said:
         kind = "velocity"
-    elif unit and parts[-1:] == ("s",) and unit in _PLACES:
+    elif unit and parts[-1:] == ("s",) and unit in PLACES:
         kind, unit = "velocity", f"{unit}/s"
     elif told:
         kind = _BY_QUANTITY.get(unit_called(told, name).quantity, "other")
         kind = "position" if kind == "other" and "position" in said else kind
-    elif "position" in said or unit in _PLACES:
+    elif "position" in said or unit in PLACES:
         kind = "position"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
 
@@ -140,3 +140,8 @@ def _said(parts: Sequence[str]) -> set[str]:
     plain = {w for k, w in enumerate(parts) if w != "x" or k == 0}
     said = {kind for kind, known in WORDS.items() if known & plain}
     return said | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else said
+
+
+def named_after(elements: Sequence[str], column: Column) -> bool:
+    """Whether a column of no other kind is called like an element, and nothing more."""
+    return column.kind == "other" and set(column.words) in [set(words(e)) for e in elements]
