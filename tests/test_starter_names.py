@@ -84,3 +84,39 @@ def test_a_rate_is_told_from_a_column_that_is_called_a_position(name: str) -> No
         "qpos.elbow": "theta_elbow", "qvel.elbow": name.format("elbow"),
         "ctrl.elbow": "elbow_torque",
     }  # fmt: skip
+
+
+GOALS = {n: q + 0.1 * FORCES[n] for n, q in ANGLES.items()}
+POSITION, VELOCITY, INTEGRAL = (
+    ARM.replace("<motor", f"<{servo}").replace("/></act", f' {gain}="9"/></act')
+    for servo, gain in (("position", "kp"), ("velocity", "kv"), ("intvelocity", "kp"))
+)
+
+
+@pytest.mark.parametrize("model", [POSITION, VELOCITY])
+def test_an_effort_is_no_goal_of_a_servo(model: str) -> None:
+    """The joint states of ROS hold efforts, and no goals."""
+    states = {"{}_position": ANGLES, "{}_velocity": RATES, "{}_effort": FORCES}
+    rules = guessed(model, **states)
+    assert rules.unmatched == ("shoulder", "elbow")
+    assert set(rules.unused) == {"shoulder_effort", "elbow_effort"}
+
+
+@pytest.mark.parametrize(
+    ("model", "control"),
+    [
+        (POSITION, "{}_pos_cmd"),
+        (VELOCITY, "{}_cmd_rpm"),
+        (INTEGRAL, "{}_cmd_rpm"),
+        (ARM, "{}_torque"),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_control_is_what_its_actuator_takes(model: str, control: str, turned: bool) -> None:
+    """Whichever comes first in the log."""
+    states = {"{}_pos": ANGLES, "{}_vel": RATES}
+    told = {"{}_torque": FORCES, "{}_cmd_rpm": RATES, "{}_pos_cmd": GOALS, "{}_current": FORCES,
+            "{}_voltage": FORCES}  # fmt: skip
+    rules = guessed(model, **states, **dict(reversed(told.items()) if turned else told))
+    assert sources(rules)["ctrl.elbow"] == control.format("elbow")
+    assert rules.columns["ctrl.elbow"].get("unit") == ("rpm" if "rpm" in control else None)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import mujoco
-import numpy as np
 
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.errors import RecordingError
@@ -15,11 +14,11 @@ from bo_sysid.mjcf.loops import tied_by
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.mapping import to_recording
 from bo_sysid.starter.columns import describe, spoilt
+from bo_sysid.starter.controls import left_over, matched_controls
 from bo_sysid.starter.matching import Guess, match, rates_of
-from bo_sysid.starter.naming import WORDS, Column, named_after
-from bo_sysid.starter.numbers import numbered
+from bo_sysid.starter.naming import Column, named_after
 from bo_sysid.starter.pose import pose_guesses
-from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_control, fits_joint
+from bo_sysid.starter.reading import clock_rule, column_rule, fits_joint
 
 _BODY = 0.85  # what the name of a joint's body counts, of its own
 
@@ -144,8 +143,8 @@ def _matched(
     velocities = rates_of(table, positions, columns) or match(
         "qvel", [g.channel[5:] for g in positions], [c for c in columns if c.kind == "velocity"]
     )
-    commands = _commands(model, compiled, columns)
-    commands += _left_over(model, table, columns, (*positions, *velocities, *commands))
+    commands = matched_controls(model, compiled, columns)
+    commands += left_over(model, table, columns, (*positions, *velocities, *commands))
     return [*positions, *velocities, *commands]
 
 
@@ -163,56 +162,3 @@ def _body(compiled: mujoco.MjModel, joint: str) -> str:
 def read(table: RawTable, rules: Rules) -> Recording:
     """Return the table as the rules read it."""
     return to_recording(table, rules.columns, rules.clocks, name=table.name or "log")
-
-
-def _commands(model: Model, compiled: mujoco.MjModel, columns: Sequence[Column]) -> list[Guess]:
-    """Match controls: goals for position servos, efforts for motors."""
-    servos: list[str] = []
-    motors: list[str] = []
-    for name in model.controlled:
-        (servos if compiled.actuator(name).biasprm[1] else motors).append(name)
-    found: list[Guess] = []
-    for names, wanted in ((servos, _is_goal), (motors, _is_effort)):
-        also = [driven(compiled, f"ctrl.{n}") or n for n in names]
-        for told in (True, False):
-            used = {g.column for g in found}
-            left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
-            some = [c for c in columns if c.commands and c.name not in used]
-            some = [c for c in some if wanted(c) is told or (not told)]
-            beside = [also[names.index(n)] for n in left]
-            found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
-    return found
-
-
-def _left_over(
-    model: Model, table: RawTable, columns: Sequence[Column], known: Sequence[Guess]
-) -> list[Guess]:
-    """Match actuators without a column with the only columns that are left and change.
-
-    One with one; several with as many whose names differ by a number alone, in its order.
-    """
-    used, told = {g.column for g in known}, {g.channel for g in known}
-    without = [a for a in model.controlled if f"ctrl.{a}" not in told]
-    never = ("time", "velocity", "foreign")
-    left = [c for c in columns if c.name not in used and c.kind not in never]
-    left = [c for c in left if np.ptp(table.column(c.name)) > 0]
-    compiled = model.compile()
-    left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
-    if len(without) == 1:
-        reason, chosen = "nothing else is left", left if len(left) == 1 else []
-    else:
-        reason, chosen = "the order alone", numbered(left, len(without))
-    return [
-        Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
-        for a, c in zip(without, chosen, strict=False)  # or there are none
-    ]
-
-
-def _is_goal(column: Column) -> bool:
-    return column.kind == "command" and not _is_effort(column)
-
-
-def _is_effort(column: Column) -> bool:
-    if column.kind == "effort":
-        return True
-    return bool(WORDS["effort"] & set(column.words)) or column.words[-1:] == ("u",)

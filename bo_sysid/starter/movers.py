@@ -16,10 +16,11 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
 from bo_sysid.recording.value import KINDS
 from bo_sysid.starter.columns import describe
+from bo_sysid.starter.controls import fits_control
 from bo_sysid.starter.guess import Rules, read
 from bo_sysid.starter.matching import Fits, Guess
 from bo_sysid.starter.naming import Column
-from bo_sysid.starter.reading import column_rule, fits_control
+from bo_sysid.starter.reading import column_rule
 
 _MOST = 800  # instants
 _TELLS = 0.8  # share of what moves a joint, that a column must tell

@@ -20,10 +20,12 @@ _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _FITS = {
     "qpos": ("angle", "length"),
     "qvel": ("angular velocity", "velocity"),
-    "ctrl": ("current", "voltage", "torque", "force", "ratio", "angle", "length"),
-}
+    "ctrl": (
+        "current", "voltage", "torque", "force", "ratio", "angle", "length", "angular velocity",
+        "velocity",
+    ),
+}  # fmt: skip
 _ELECTRIC = ("current", "voltage")  # no torque, which is worth saying of an A, too
-_FORCES = ("current", "voltage", "torque", "force")
 _UNTOLD = 0.5  # the most that a unit which only the reach speaks for can be sure
 _CLOCKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _USUAL = 5e-3  # [s] between samples: of units, that in which a step comes nearest
@@ -40,13 +42,6 @@ def fits_joint(compiled: mujoco.MjModel, joint: str, column: Column) -> bool:
     """Whether a column's unit lets it be a joint's position: no length is that of a hinge."""
     hinge = int(compiled.joint(joint).type[0]) == HINGE
     return told_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
-
-
-def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
-    """Whether a column's unit lets it be a control: no current is a servo's goal."""
-    servo = bool(compiled.actuator(actuator).biasprm[1])
-    quantity = told_unit(column.unit, column.name).quantity
-    return quantity not in (_FORCES if servo else ("angle", "length"))
 
 
 def driven(compiled: mujoco.MjModel, channel: str) -> str:

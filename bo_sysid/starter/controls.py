@@ -1,0 +1,108 @@
+"""Which columns are controls: goals of servos, and of motors what makes their force."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from bo_sysid.mjcf import Model
+from bo_sysid.mjcf.commands import is_position_servo
+from bo_sysid.recording import RawTable
+from bo_sysid.starter.matching import Guess, match
+from bo_sysid.starter.naming import WORDS, Column
+from bo_sysid.starter.numbers import numbered
+from bo_sysid.starter.reading import driven, told_unit
+
+Asked = Literal["position", "velocity", "force"]
+"""What an actuator is told: where to go, how fast, or what to exert."""
+_FEEDING, _PLACES, _SPEEDS = (
+    ("current", "voltage"), ("angle", "length"), ("angular velocity", "velocity")
+)  # fmt: skip
+_NEVER: dict[Asked, tuple[str, ...]] = {
+    "position": (*_FEEDING, "torque", "force", *_SPEEDS),
+    "velocity": (*_FEEDING, "torque", "force", *_PLACES),
+    "force": _PLACES,
+}
+"""What a control is not measured in."""
+_FEEDS = frozenset(
+    {"current", "currents", "cur", "curr", "amps", "i", "pwm", "duty", "load", "volts", "voltage",
+     "voltages", "throttle"}
+)  # fmt: skip
+"""Words of what feeds a motor: its control where the log has no force."""
+
+
+def asked(compiled: mujoco.MjModel, actuator: str) -> Asked:
+    """Return what an actuator is told; a servo of speed brakes as much as its gain drives."""
+    found = compiled.actuator(actuator)
+    if is_position_servo(compiled, found.id):
+        integrates = int(found.dyntype[0]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+        return "velocity" if integrates else "position"
+    return "velocity" if 0 != found.gainprm[0] == -found.biasprm[2] else "force"
+
+
+def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
+    """Whether a column can be a control: no effort is a servo's goal, no angle a force."""
+    what = asked(compiled, actuator)
+    if column.kind == "effort" and what != "force":
+        return False
+    return told_unit(column.unit, column.name).quantity not in _NEVER[what]
+
+
+def matched_controls(
+    model: Model, compiled: mujoco.MjModel, columns: Sequence[Column]
+) -> list[Guess]:
+    """Match controls: goals for servos, efforts for motors; what is closest comes first."""
+    found: list[Guess] = []
+    wanted: tuple[Asked, ...] = ("position", "velocity", "force")
+    for what in wanted:
+        names = [n for n in model.controlled if asked(compiled, n) == what]
+        also = [driven(compiled, f"ctrl.{n}") or n for n in names]
+        ranked = sorted(columns, key=partial(_aside, what))
+        for told in (True, False):
+            used = {g.column for g in found}
+            left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
+            some = [c for c in ranked if c.commands and c.name not in used]
+            some = [c for c in some if not told or _is_effort(c) is (what == "force")]
+            beside = [also[names.index(n)] for n in left]
+            found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
+    return found
+
+
+def left_over(
+    model: Model, table: RawTable, columns: Sequence[Column], known: Sequence[Guess]
+) -> list[Guess]:
+    """Match actuators without a column with the only columns that are left and change.
+
+    One with one; several with as many whose names differ by a number alone, in its order.
+    """
+    used, told = {g.column for g in known}, {g.channel for g in known}
+    without = [a for a in model.controlled if f"ctrl.{a}" not in told]
+    never = ("time", "velocity", "foreign")
+    left = [c for c in columns if c.name not in used and c.kind not in never]
+    left = [c for c in left if np.ptp(table.column(c.name)) > 0]
+    compiled = model.compile()
+    left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
+    if len(without) == 1:
+        reason, chosen = "nothing else is left", left if len(left) == 1 else []
+    else:
+        reason, chosen = "the order alone", numbered(left, len(without))
+    return [
+        Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
+        for a, c in zip(without, chosen, strict=False)  # or there are none
+    ]
+
+
+def _aside(what: Asked, column: Column) -> bool:
+    """Whether a column says something else than what is asked, but may serve."""
+    said = set(column.words)
+    if what == "force":
+        return bool(_FEEDS & said) or told_unit(column.unit, column.name).quantity in _FEEDING
+    return bool(WORDS["velocity" if what == "position" else "position"] & said)
+
+
+def _is_effort(column: Column) -> bool:
+    if column.kind == "effort":
+        return True
+    return bool(WORDS["effort"] & set(column.words)) or column.words[-1:] == ("u",)
