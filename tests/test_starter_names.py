@@ -5,7 +5,8 @@ import pytest
 
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
-from bo_sysid.starter.guess import Rules, guess_rules
+from bo_sysid.starter.columns import describe
+from bo_sysid.starter.guess import Rules, guess_rules, read
 from bo_sysid.starter.movers import with_movers
 
 TIME = 0.01 * np.arange(600)
@@ -120,3 +121,44 @@ def test_a_control_is_what_its_actuator_takes(model: str, control: str, turned: 
     rules = guessed(model, **states, **dict(reversed(told.items()) if turned else told))
     assert sources(rules)["ctrl.elbow"] == control.format("elbow")
     assert rules.columns["ctrl.elbow"].get("unit") == ("rpm" if "rpm" in control else None)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "kind"),
+    [
+        ("elbow_pos_turns", "turns", "position"),
+        ("elbow_pos_rev", "rev", "position"),
+        ("rev_pos", "", "position"),
+        ("cart_cm", "cm", "position"),
+        ("elbow_velocity_deg_s", "deg/s", "velocity"),
+        ("elbow_vel_deg_per_sec", "deg/s", "velocity"),
+        ("elbow_vel_turns_s", "turn/s", "velocity"),
+        ("elbow_vel_dps", "deg/s", "velocity"),
+        ("elbow_degps_2", "deg/s", "velocity"),
+        ("elbow vel (Deg/Sec)", "deg/s", "velocity"),
+        ("elbow vel [deg/sec]", "deg/sec", "velocity"),
+        ("elbow_vel_deg", "deg/s", "velocity"),
+        ("enc_ticks_s", "", "velocity"),
+        ("elbow_rad_s", "rad/s", "velocity"),
+        ("cart_vel_mm_s", "mm/s", "velocity"),
+        ("elbow_current_ma", "mA", "effort"),
+        ("arm_ma", "", "other"),
+        ("elbow_torque_Ncm", "Ncm", "effort"),
+        ("elbow torque (N-m)", "N-m", "effort"),
+    ],
+)
+def test_names_carry_the_units_of_common_logs(name: str, unit: str, kind: str) -> None:
+    (column,) = (c for c in describe(RawTable("log", {"time": TIME, name: TIME})) if c.name == name)
+    assert (column.unit, column.kind) == (unit, kind)
+
+
+def test_speeds_in_degrees_and_positions_in_turns_are_read_so() -> None:
+    turns = {n: q / (2 * np.pi) for n, q in ANGLES.items()}
+    degrees = {n: np.rad2deg(v) for n, v in RATES.items()}
+    log = {"{}_pos_turns": turns, "{}_vel_deg_s": degrees, "{}_current_ma": FORCES}
+    named = {n.format(j): v for n, of in log.items() for j, v in of.items()}
+    table = RawTable("log", {"time": TIME, **named})
+    channels = read(table, guess_rules(Model.from_xml(ARM), table)).channels
+    np.testing.assert_allclose(channels["qpos.elbow"].values, ANGLES["elbow"])
+    np.testing.assert_allclose(channels["qvel.elbow"].values, RATES["elbow"])
+    np.testing.assert_allclose(channels["ctrl.elbow"].values, 1e-3 * FORCES["elbow"])

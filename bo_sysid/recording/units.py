@@ -5,6 +5,7 @@ A unit names a quantity, so that a velocity given for a position is refused and 
 whether a rule gives it or the file.
 """
 
+import re
 from dataclasses import dataclass
 from math import pi
 
@@ -77,6 +78,7 @@ _ALIASES = {
     "RPM": "rpm",
     "seconds": "s",
     "Nm": "N m",
+    "N-m": "N m",
     "mNm": "mN m",
     "Nmm": "N mm",
     "Ncm": "N cm",
@@ -153,4 +155,5 @@ def require_scale(found: Unit, name: str, scale: float, where: str) -> None:
 
 def _plain(name: str) -> str:
     plain = " ".join(name.replace("*", " ").replace("·", " ").split())
+    plain = re.sub(r"/sec$", "/s", plain)
     return _ALIASES.get(plain, plain)

@@ -43,13 +43,21 @@ UNITS = {
     "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "percent": "%",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
-_ENDINGS = ("mA", "mNm", "Nm")
+_ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")
 """Units at the end of a name, in these letters."""
-_ELECTRIC = {
-    "A": frozenset({"i", "current", "cur", "curr", "amps"}),
-    "V": frozenset({"u", "voltage", "volts"}),
-}
-"""Words beside which A and V at the end are units; alone they may be the name of a motor."""
+_CURRENT = frozenset({"i", "current", "cur", "curr", "amps"})
+_TURNED = frozenset({"position", "pos", "angle", "encoder", "enc"})
+_BESIDE = {
+    "A": ("A", _CURRENT), "ma": ("mA", _CURRENT), "V": ("V", frozenset({"u", "voltage", "volts"})),
+    "rev": ("rev", _TURNED), "turn": ("turn", _TURNED),
+}  # fmt: skip
+"""Endings and words beside which they are units; alone they may be the name of an element."""
+_PER_SECOND = {
+    "deg": "deg", "degrees": "deg", "rad": "rad", "mrad": "mrad", "mm": "mm", "cm": "cm",
+    "turn": "turn", "turns": "turn", "rev": "rev", "revs": "rev",
+}  # fmt: skip
+_RATES = {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "mmps": "mm/s"}
+"""Units of rates, by the words that stand before a second, and as one word."""
 _CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
 _BRACKETS = re.compile(r"\[([^\[\]]+)\]|\(([^()]+)\)")
 _BY_QUANTITY: dict[str, Kind] = {
@@ -99,9 +107,19 @@ def named_unit(name: str) -> tuple[str, str]:
     for ending in _ENDINGS:
         if re.search(rf"[^A-Za-z]{ending}$", name):
             return name[: -len(ending)], ending
-    if re.search(r"[^A-Za-z][AV]$", name) and _ELECTRIC[name[-1]] & set(words(name[:-1])):
-        return name[:-1], name[-1]
+    for ending, (unit, beside) in _BESIDE.items():
+        if re.search(rf"[^A-Za-z]{ending}$", name) and beside & set(words(name[: -len(ending)])):
+            return name[: -len(ending)], unit
     return name, ""
+
+
+def _rate(parts: Sequence[str]) -> str:
+    """Return the unit of a rate with which a name ends, as in elbow_vel_deg_s; empty if none."""
+    said = [w for w in parts if not w.isdigit() and w != "per"]
+    if said[-1:] and said[-1] in _RATES:
+        return _RATES[said[-1]]
+    place = _PER_SECOND.get(said[-2], "") if len(said) > 1 and said[-1] in ("s", "sec") else ""
+    return f"{place}/s" if place else ""
 
 
 def named(name: str, unit: str) -> Column:
@@ -112,6 +130,7 @@ def named(name: str, unit: str) -> Column:
     plain, told = named_unit(name)
     parts = words(plain)
     said = _said(parts)
+    told = told or _rate(parts)
     unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
     bare = tuple(w for w in parts if w not in UNITS)
     kind: Kind = "other"
@@ -125,13 +144,15 @@ def named(name: str, unit: str) -> Column:
         kind = "other" if "measured" in said else "effort"
     elif "velocity" in said:
         kind = "velocity"
-    elif unit and parts[-1:] == ("s",) and unit in PLACES:
-        kind, unit = "velocity", f"{unit}/s"
+    elif unit == "ticks" and parts[-1:] == ("s",):
+        kind, unit = "velocity", ""
     elif told:
         kind = _BY_QUANTITY.get(unit_called(told, name).quantity, "other")
         kind = "position" if kind == "other" and "position" in said else kind
     elif "position" in said or unit in PLACES:
         kind = "position"
+    if kind == "velocity" and unit in _PER_SECOND:  # vel_deg
+        unit = f"{_PER_SECOND[unit]}/s"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
 
 
