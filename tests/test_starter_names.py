@@ -162,3 +162,19 @@ def test_speeds_in_degrees_and_positions_in_turns_are_read_so() -> None:
     np.testing.assert_allclose(channels["qpos.elbow"].values, ANGLES["elbow"])
     np.testing.assert_allclose(channels["qvel.elbow"].values, RATES["elbow"])
     np.testing.assert_allclose(channels["ctrl.elbow"].values, 1e-3 * FORCES["elbow"])
+
+
+@pytest.mark.parametrize("goal", ["{}_goal_pos", "target_velocity_{}", "q_ref_{}"])
+def test_a_goal_is_no_torque_of_a_motor(goal: str) -> None:
+    """As of servos on a machine whose URDF says nothing of them."""
+    rules = guessed(ARM, **{"{}_pos": ANGLES, goal: GOALS})
+    assert rules.unmatched == ("shoulder", "elbow")
+    assert set(rules.unused) == {goal.format(j) for j in ANGLES}
+
+
+def test_the_name_of_a_joint_says_nothing_of_its_control() -> None:
+    model = ARM.replace("elbow", "q2").replace("shoulder", "theta")
+    log = {"theta_cmd": GOALS["elbow"], "u_q2": GOALS["shoulder"], "theta": TIME, "q2": -TIME}
+    rules = guess_rules(Model.from_xml(model), RawTable("log", {"time": TIME, **log}))
+    assert rules.columns["ctrl.theta"] == {"from": "theta_cmd"}
+    assert rules.columns["ctrl.q2"] == {"from": "u_q2"}

@@ -8,12 +8,11 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
-from bo_sysid.starter.naming import PLACES, WORDS, Column, named, named_after
+from bo_sysid.starter.naming import PLACED, PLACES, Column, named, named_after
 
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
 _LATE = 8  # samples that a speed may come late
 _MOST = 20_000
-_VAGUE = frozenset({"state", "states", "joint", "x"})  # a velocity may be called so, too
 
 
 def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
@@ -107,7 +106,7 @@ def _behaved(table: RawTable, found: Sequence[Column], joints: Sequence[str]) ->
 def _doubtful(column: Column) -> bool:
     """Whether a name leaves open if a column is a position or a velocity."""
     if column.kind == "position":
-        return column.unit not in PLACES and not (WORDS["position"] - _VAGUE) & set(column.words)
+        return column.unit not in PLACES and not PLACED & set(column.words)
     return column.kind == "other"
 
 

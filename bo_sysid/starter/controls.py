@@ -11,12 +11,18 @@ from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import is_position_servo
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.matching import Guess, match
-from bo_sysid.starter.naming import WORDS, Column
+from bo_sysid.starter.naming import PLACED, WORDS, Column, words
 from bo_sysid.starter.numbers import numbered
 from bo_sysid.starter.reading import driven, told_unit
 
 Asked = Literal["position", "velocity", "force"]
 """What an actuator is told: where to go, how fast, or what to exert."""
+_SAYING: dict[Asked, frozenset[str]] = {
+    "position": PLACED,
+    "velocity": WORDS["velocity"],
+    "force": WORDS["effort"] | {"u"},
+}
+"""Words of what is told, unless they are the name of an element."""
 _FEEDING, _PLACES, _SPEEDS = (
     ("current", "voltage"), ("angle", "length"), ("angular velocity", "velocity")
 )  # fmt: skip
@@ -43,9 +49,12 @@ def asked(compiled: mujoco.MjModel, actuator: str) -> Asked:
 
 
 def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
-    """Whether a column can be a control: no effort is a servo's goal, no angle a force."""
+    """Whether a column can be a control: no effort is a servo's goal, no goal a motor's force."""
     what = asked(compiled, actuator)
-    if column.kind == "effort" and what != "force":
+    own = {*words(actuator), *words(driven(compiled, f"ctrl.{actuator}"))}
+    said = {k for k, known in _SAYING.items() if known & (set(column.words) - own)}
+    said |= {"force"} if column.kind == "effort" else set()
+    if said and what not in said:
         return False
     return told_unit(column.unit, column.name).quantity not in _NEVER[what]
 
@@ -59,11 +68,10 @@ def matched_controls(
     for what in wanted:
         names = [n for n in model.controlled if asked(compiled, n) == what]
         also = [driven(compiled, f"ctrl.{n}") or n for n in names]
-        ranked = sorted(columns, key=partial(_aside, what))
         for told in (True, False):
             used = {g.column for g in found}
             left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
-            some = [c for c in ranked if c.commands and c.name not in used]
+            some = [c for c in sorted(columns, key=_feeds) if c.commands and c.name not in used]
             some = [c for c in some if not told or _is_effort(c) is (what == "force")]
             beside = [also[names.index(n)] for n in left]
             found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
@@ -94,12 +102,10 @@ def left_over(
     ]
 
 
-def _aside(what: Asked, column: Column) -> bool:
-    """Whether a column says something else than what is asked, but may serve."""
-    said = set(column.words)
-    if what == "force":
-        return bool(_FEEDS & said) or told_unit(column.unit, column.name).quantity in _FEEDING
-    return bool(WORDS["velocity" if what == "position" else "position"] & said)
+def _feeds(column: Column) -> bool:
+    """Whether a column is a current, a voltage or the like: a force beside it goes first."""
+    quantity = told_unit(column.unit, column.name).quantity
+    return bool(_FEEDS & set(column.words)) or quantity in _FEEDING
 
 
 def _is_effort(column: Column) -> bool:

@@ -38,6 +38,8 @@ WORDS: dict[str, frozenset[str]] = {
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
 }  # fmt: skip
 """Words in the names of columns, by what they say."""
+PLACED = WORDS["position"] - {"state", "states", "joint", "x"}
+"""Words of positions alone; a velocity may be a state as well."""
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "percent": "%",
