@@ -164,6 +164,28 @@ def test_speeds_in_degrees_and_positions_in_turns_are_read_so() -> None:
     np.testing.assert_allclose(channels["ctrl.elbow"].values, 1e-3 * FORCES["elbow"])
 
 
+def test_a_current_position_is_a_position_and_no_current() -> None:
+    log = {"current_position_{}": ANGLES, "{}_current_speed": RATES, "joint_current_{}": FORCES}
+    rules = guessed(ARM, **log)
+    assert sources(rules) == {
+        "qpos.elbow": "current_position_elbow", "qvel.elbow": "elbow_current_speed",
+        "ctrl.elbow": "joint_current_elbow",
+    }  # fmt: skip
+
+
+def test_what_is_called_like_another_column_with_a_d_is_what_that_was_to_be() -> None:
+    """As the states of a Franka; commanded speeds are smoother than the measured ones."""
+    rng = np.random.default_rng(0)
+    measured = {n: v + 0.02 * rng.standard_normal(len(TIME)) for n, v in RATES.items()}
+    wished = {n: q + 0.01 * np.sin(9 * TIME) for n, q in ANGLES.items()}
+    states = {"q_d_{}": wished, "q_{}": ANGLES, "dq_d_{}": RATES, "dq_{}": measured}
+    expected = {"qpos.elbow": "q_elbow", "qvel.elbow": "dq_elbow"}
+    assert sources(guessed(ARM, **states)) == expected
+    assert sources(guessed(POSITION, **states)) == expected | {"ctrl.elbow": "q_d_elbow"}
+    rate = guessed(ARM, **{"theta_{}": ANGLES, "theta_{}_d": RATES})  # no wish goes so far from it
+    assert sources(rate)["qpos.elbow"] == "theta_elbow"
+
+
 @pytest.mark.parametrize("goal", ["{}_goal_pos", "target_velocity_{}", "q_ref_{}"])
 def test_a_goal_is_no_torque_of_a_motor(goal: str) -> None:
     """As of servos on a machine whose URDF says nothing of them."""

@@ -35,7 +35,7 @@ def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
             found.append(named(name, table.units.get(name, "")))
     if not any(c.kind == "time" for c in found):
         found = _timed(table, found)
-    return tuple(_behaved(table, found, joints))
+    return tuple(_behaved(table, _wished(table, found), joints))
 
 
 def spoilt(table: RawTable) -> tuple[str, ...]:
@@ -86,6 +86,29 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
         replace(c, kind="time", reason="it alone rises in equal steps") if c.name == best else c
         for c in found
     ]
+
+
+def _wished(table: RawTable, found: Sequence[Column]) -> list[Column]:
+    """Tell what was commanded where a column is called like another with a d (q_d beside q)."""
+    known = {c.words: c for c in found}
+    out = []
+    for c in found:
+        other = known.get(tuple(w for w in c.words if w != "d"))
+        if "d" in c.words and other and c.kind == other.kind and _go_together(table, c, other):
+            reason = f"it is what {other.name} was to be"
+            c = replace(c, kind="command", reason=reason)
+        out.append(c)
+    return out
+
+
+def _go_together(table: RawTable, one: Column, other: Column) -> bool:
+    """Whether two columns are as alike as what was to be and what was."""
+    a, b = table.column(one.name), table.column(other.name)
+    told = np.isfinite(a[: len(b)]) & np.isfinite(b[: len(a)])
+    a, b = a[: len(told)][told], b[: len(told)][told]
+    if len(a) <= 10 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return False
+    return float(np.corrcoef(a, b)[0, 1]) > _ALIKE
 
 
 def _behaved(table: RawTable, found: Sequence[Column], joints: Sequence[str]) -> list[Column]:

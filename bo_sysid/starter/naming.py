@@ -162,6 +162,8 @@ def _said(parts: Sequence[str]) -> set[str]:
     """Return what the words of a name say; of the letters x and i, only where they come first."""
     plain = {w for k, w in enumerate(parts) if w != "x" or k == 0}
     said = {kind for kind, known in WORDS.items() if known & plain}
+    if WORDS["effort"] & plain == {"current"} and (PLACED | WORDS["velocity"]) & plain:
+        said = said - {"effort"}  # the present one
     return said | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else said
 
 
