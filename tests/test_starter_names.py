@@ -200,3 +200,36 @@ def test_the_name_of_a_joint_says_nothing_of_its_control() -> None:
     rules = guess_rules(Model.from_xml(model), RawTable("log", {"time": TIME, **log}))
     assert rules.columns["ctrl.theta"] == {"from": "theta_cmd"}
     assert rules.columns["ctrl.q2"] == {"from": "u_q2"}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("t_s", "s"), ("timestamp_s", "s"), ("timestamp_sec", "s"), ("elapsed", "s"),
+        ("seconds", "s"), ("ts", "s"), ("millis", "ms"), ("t_millis", "ms"), ("epoch_ms", "ms"),
+        ("micros", "us"), ("timestamp_usec", "us"), ("stamp_nsec", "ns"), ("Zeit [s]", "s"),
+    ],
+)  # fmt: skip
+def test_clocks_are_found_by_their_names_in_logs_with_a_pause(name: str, unit: str) -> None:
+    """The pause keeps the clock from being found by its equal steps."""
+    per = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    time = np.where(TIME > 2, TIME + 5, TIME)
+    table = RawTable("log", {name: time / per, "elbow_pos": ANGLES["elbow"]})
+    rules = guess_rules(Model.from_xml(ARM), table)
+    assert rules.columns["time"].get("from") == name
+    np.testing.assert_allclose(read(table, rules).channels["qpos.elbow"].time, time)
+
+
+def test_a_count_of_rows_is_a_clock_that_is_looked_at() -> None:
+    """It may count ms, but most likely it does not."""
+    table = RawTable("log", {"frame": np.arange(600), "elbow_pos": ANGLES["elbow"]})
+    guess = guess_rules(Model.from_xml(ARM), table).guesses["time"]
+    assert guess.confidence < 0.55
+    assert "it counts the rows" in guess.reason
+
+
+def test_whole_seconds_are_no_clock() -> None:
+    """ROS stamps have their seconds and nanoseconds apart."""
+    stamps = {"stamp_sec": np.floor(TIME), "stamp_nanosec": 1e9 * (TIME % 1.0)}
+    table = RawTable("log", {**stamps, "elbow_pos": ANGLES["elbow"], "log_time": TIME})
+    assert guess_rules(Model.from_xml(ARM), table).columns["time"] == {"from": "log_time"}

@@ -13,6 +13,8 @@ from bo_sysid.starter.naming import PLACED, PLACES, Column, named, named_after
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
 _LATE = 8  # samples that a speed may come late
 _MOST = 20_000
+BY_STEPS = "it alone rises in equal steps"
+"""Why a column that is not called so is the clock."""
 
 
 def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
@@ -32,10 +34,18 @@ def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
         except RecordingError:
             continue  # text
         if np.isfinite(values).any():
-            found.append(named(name, table.units.get(name, "")))
+            column = named(name, table.units.get(name, ""))
+            still = column.kind == "time" and _stands_still(values)
+            found.append(replace(column, kind="other", reason="") if still else column)
     if not any(c.kind == "time" for c in found):
         found = _timed(table, found)
     return tuple(_behaved(table, _wished(table, found), joints))
+
+
+def _stands_still(values: np.ndarray) -> bool:
+    """Whether a column repeats itself most of the time, as whole seconds beside nanoseconds do."""
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 1 and float(np.median(steps)) == 0
 
 
 def spoilt(table: RawTable) -> tuple[str, ...]:
@@ -82,10 +92,7 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
             "one that rises in equal steps"
             + "".join(f"; {s}" for s in (*spoilt(table), *_unread_clocks(table)))
         )
-    return [
-        replace(c, kind="time", reason="it alone rises in equal steps") if c.name == best else c
-        for c in found
-    ]
+    return [replace(c, kind="time", reason=BY_STEPS) if c.name == best else c for c in found]
 
 
 def _wished(table: RawTable, found: Sequence[Column]) -> list[Column]:

@@ -12,7 +12,10 @@ Kind = Literal["time", "position", "velocity", "command", "effort", "foreign", "
 """What a column may be: a foreign one is no channel at all, of another nothing is said."""
 
 WORDS: dict[str, frozenset[str]] = {
-    "time": frozenset({"time", "t", "timestamp", "stamp", "timestamps", "clock"}),
+    "time": frozenset(
+        {"time", "t", "ts", "timestamp", "stamp", "timestamps", "clock", "elapsed", "epoch",
+         "seconds", "millis", "micros"}
+    ),
     "position": frozenset(
         {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
          "state", "states", "joint", "x"}
@@ -42,7 +45,8 @@ PLACED = WORDS["position"] - {"state", "states", "joint", "x"}
 """Words of positions alone; a velocity may be a state as well."""
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
-    "us": "us", "ns": "ns", "rpm": "rpm", "mm": "mm", "percent": "%",
+    "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
+    "percent": "%",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
 _ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")
@@ -58,11 +62,13 @@ _PER_SECOND = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "mrad": "mrad", "mm": "mm", "cm": "cm",
     "turn": "turn", "turns": "turn", "rev": "rev", "revs": "rev",
 }  # fmt: skip
+_SECONDS = frozenset({"s", "sec", "secs", "seconds", "millis", "micros"})
 _RATES = {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "mmps": "mm/s"}
 """Units of rates, by the words that stand before a second, and as one word."""
 _CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
 _BRACKETS = re.compile(r"\[([^\[\]]+)\]|\(([^()]+)\)")
 _BY_QUANTITY: dict[str, Kind] = {
+    "time": "time",
     "angle": "position", "length": "position", "angular velocity": "velocity",
     "velocity": "velocity",
 }  # fmt: skip
@@ -134,7 +140,7 @@ def named(name: str, unit: str) -> Column:
     said = _said(parts)
     told = told or _rate(parts)
     unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
-    bare = tuple(w for w in parts if w not in UNITS)
+    bare = tuple(w for k, w in enumerate(parts) if w not in UNITS and (k == 0 or w not in _SECONDS))
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"

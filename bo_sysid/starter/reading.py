@@ -12,6 +12,7 @@ from bo_sysid.mjcf.commands import driven_joint
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import RawTable
 from bo_sysid.recording.units import Unit, is_unit, unit
+from bo_sysid.starter.columns import BY_STEPS
 from bo_sysid.starter.matching import Guess
 from bo_sysid.starter.naming import Column
 
@@ -135,6 +136,9 @@ def clock_rule(table: RawTable, columns: Sequence[Column]) -> tuple[Rule, Guess 
     values = table.column(clock.name)
     steps = np.diff(values[np.isfinite(values)])
     guess = _by_steps(float(np.median(steps)), clock.name) if steps.size else None
+    if guess and clock.reason == BY_STEPS and (steps == 1).all():
+        reason = f"{guess.reason}; it counts the rows, and may be no clock"
+        guess = replace(guess, reason=reason, confidence=_UNTOLD)
     return (rule if guess is None else rule | {"unit": guess.unit}), guess
 
 
