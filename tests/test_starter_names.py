@@ -233,3 +233,15 @@ def test_whole_seconds_are_no_clock() -> None:
     stamps = {"stamp_sec": np.floor(TIME), "stamp_nanosec": 1e9 * (TIME % 1.0)}
     table = RawTable("log", {**stamps, "elbow_pos": ANGLES["elbow"], "log_time": TIME})
     assert guess_rules(Model.from_xml(ARM), table).columns["time"] == {"from": "log_time"}
+
+
+def test_a_name_that_two_columns_carry_is_a_guess() -> None:
+    log = {f"{side}_elbow_{what}": v for side, of in (("left", ANGLES), ("right", FORCES))
+           for what, v in zip(("pos", "torque"), of.values(), strict=True)}  # fmt: skip
+    rules = guess_rules(Model.from_xml(ARM), RawTable("log", {"time": TIME, **log}))
+    for channel, other in (("qpos.elbow", "pos"), ("ctrl.elbow", "torque")):
+        guess = rules.guesses[channel]
+        assert guess.confidence < 0.55
+        assert f"_elbow_{other} has as well" in guess.reason
+    sure = guessed(ARM, **{"{}_pos": ANGLES, "{}_torque": FORCES, "{}_current": FORCES})
+    assert sure.guesses["ctrl.elbow"].confidence > 0.9  # a torque goes before a current

@@ -12,7 +12,7 @@ from bo_sysid.starter.columns import derivatives
 from bo_sysid.starter.naming import WORDS, Column, words
 from bo_sysid.starter.numbers import UNKNOWN, as_counted, by_number, numbered
 
-_SURE, _LIKELY, _ORDER = 0.9, 0.6, 0.3
+_SURE, _LIKELY, _OPEN, _ORDER = 0.9, 0.6, 0.5, 0.3
 _PARTS = frozenset(
     {"joint", "motor", "link", "actuator", "servo", "axis", "drive", "hinge", "slide"}
 )
@@ -102,11 +102,21 @@ def _named(
         ]
     )
     rows, picked = linear_sum_assignment(-score)
-    return [
-        _guess(kind, elements[r], columns[p], likeness[r][p][1], likeness[r][p][0])
-        for r, p in zip(rows.tolist(), picked.tolist(), strict=True)
-        if score[r, p] >= _LIKELY
-    ]
+    pairs = zip(rows.tolist(), picked.tolist(), strict=True)
+    chosen = {p: r for r, p in pairs if score[r, p] >= _LIKELY}
+    found = []
+    for p, r in chosen.items():
+        like, reason = likeness[r][p]
+        spare = [k for k in range(len(columns)) if k not in chosen and score[r, k] >= score[r, p]]
+        if alike := [columns[k].name for k in spare if _alike(columns[k], columns[p])]:
+            like, reason = min(like, _OPEN), f"{reason}, which {alike[0]} has as well"
+        found.append(_guess(kind, elements[r], columns[p], reason, like))
+    return found
+
+
+def _alike(one: Column, other: Column) -> bool:
+    """Whether two columns say the same beside the names of elements, as left_pos and right_pos."""
+    return _GENERIC & set(one.words) == _GENERIC & set(other.words)
 
 
 def _alone(
