@@ -130,3 +130,14 @@ def test_a_study_holds_a_ball_joint_and_says_what_it_would_be_read_from(tmp_path
     assert "not recorded, so held where the model puts them: caster_ball" in text
     assert "# qpos.caster_ball.3: {from: FILL IN}  # or held; one of: spare" in text
     assert load_model(study).qpos_channels == ("qpos.wheel",)
+
+
+def test_a_study_of_a_joint_with_quotes_in_its_name_can_be_read(tmp_path: Path) -> None:
+    (tmp_path / "wheel.xml").write_text(
+        "<mujoco><worldbody><body><joint name='\"front\"<b>'/><geom size='.1'/></body></worldbody>"
+        "<actuator><motor name='m' joint='\"front\"<b>'/></actuator></mujoco>"
+    )
+    log = written(tmp_path / "log.csv", {"q": np.sin(5 * TIME), "torque": np.cos(5 * TIME)})
+    path = init(tmp_path / "wheel.xml", [log], tmp_path / "wheel.yaml").path
+    bounds = Study.load(path).parameter_set(Model.from_file(tmp_path / "wheel.xml"))
+    assert 'joint["front"<b>].damping' in {p.addresses[0] for p in bounds}

@@ -1,5 +1,6 @@
 """A study as text, with a comment behind everything that was guessed."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -133,7 +134,7 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
         for what, high in (
             ("frictionloss", row.friction), ("damping", row.damping), ("armature", row.armature),
         ):  # fmt: skip
-            address = f'"joint[{row.joint}].{what}"'
+            address = json.dumps(f"joint[{row.joint}].{what}", ensure_ascii=False)
             lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}}}")
     return lines
 
