@@ -14,7 +14,7 @@ import pytest
 import scipy.io
 
 from bo_sysid.errors import RecordingError
-from bo_sysid.recording import READERS, read_recording, write_recording
+from bo_sysid.recording import READERS, read_recording, read_tables, write_recording
 from bo_sysid.recording.value import Recording
 
 RNG = np.random.default_rng(0)
@@ -462,3 +462,12 @@ def test_a_recording_without_a_name_takes_that_of_its_file(tmp_path):
         assert read_recording(tmp_path / f"{name}.parquet").name == name
     named = Recording.from_arrays(time, qpos={"x": time}, name="swing")
     assert read_recording(write_recording(named, tmp_path / "a.parquet")).name == "swing"
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_name_in_quotes_may_hold_a_separator_and_quotes(separator, tmp_path):
+    """As pandas and spreadsheets write a column that is called "torque, elbow"."""
+    frame = pd.DataFrame({"time": [0.0, 0.1], f'the "left"{separator} torque': [1.0, 2.0]})
+    frame.to_csv(tmp_path / "log.csv", index=False, sep=separator)
+    (table,) = read_tables(tmp_path / "log.csv")
+    assert list(table.columns) == list(frame)

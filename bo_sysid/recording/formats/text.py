@@ -1,5 +1,6 @@
 """Tables in text: CSV and its relatives, plain or gzipped."""
 
+import csv
 import gzip
 import re
 import zlib
@@ -135,7 +136,8 @@ def _names(header: str) -> tuple[str, list[str]]:
     separator = max(",;\t", key=header.count)
     if separator not in header:
         return " ", header.split()
-    return separator, [name.strip().strip('"').strip() for name in header.split(separator)]
+    names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
+    return separator, [name.strip() for name in names]
 
 
 def _is_number(text: str) -> bool:
