@@ -1,5 +1,7 @@
 """Matplotlib's figures: what is drawn against what was stored."""
 
+from itertools import pairwise
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -187,3 +189,23 @@ def test_many_marked_sites_are_labelled_by_name(joints: int, label: str) -> None
     words = [t.text[0] for t in interactive.robot(posed, sites).data if t.type == "scatter3d"]
     assert len(words) == joints
     assert words[0] == label
+
+
+def test_long_names_beside_panels_do_not_reach_into_each_other() -> None:
+    joints = [f"left_front_leg_upper_hip_joint_{k}" for k in range(9)]
+    table = pd.concat([traces().assign(channel=f"qpos.{n}", identified=0.0) for n in joints])
+    time = np.arange(0.0, 4.0, 0.01)
+    recording = Recording.from_arrays(time, qpos={n: np.sin(time) for n in joints})
+    forecast = table.drop(columns="identified")
+    for figure in (predictions(table), recording_figure(recording), held_out(forecast)):
+        figure.draw_without_rendering()
+        labels = [a.yaxis.label.get_window_extent() for a in figure.axes if a.get_ylabel()]
+        assert not any(a.overlaps(b) for a, b in pairwise(labels))
+
+
+def test_of_many_predictions_the_worst_are_drawn_and_the_others_counted() -> None:
+    good = traces().assign(nominal=traces()["recorded"])
+    table = pd.concat([*(good.assign(channel=f"qpos.{k}") for k in range(8)), traces()])
+    drawn = predictions(table.assign(identified=0.0))
+    assert "qpos.boom" in [a.get_ylabel() for a in drawn.axes]
+    assert "3 channels not shown" in drawn.axes[0].get_title()

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED
+from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, in_lines
 
 _WIDTH = 7.2  # inches
 _MOST = 10  # panels
@@ -42,7 +42,7 @@ def recording_figure(
         colour = _COLOURS.get(name.split(".", 1)[0], RECORDED)
         where = {"drawstyle": "steps-post"} if channel.hold == "zero" else {}
         axis.plot(time, values, color=colour, linewidth=0.8, **where)
-        label = f"{name}\n[{channel.unit}]" if channel.unit else name
+        label = in_lines(name) + (f"\n[{channel.unit}]" if channel.unit else "")
         axis.set_ylabel(label, fontsize="x-small")
         axis.tick_params(labelsize="x-small")
         if name in flagged:

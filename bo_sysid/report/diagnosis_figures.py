@@ -17,6 +17,7 @@ from bo_sysid.report.look import (
     RECORDED,
     first_part,
     in_a_row,
+    in_lines,
     left_words,
     rms,
     set_colour,
@@ -88,7 +89,7 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     view = top.get_ylim()
     top.set_ylim(max(view[0], low - margin), min(view[1], high + margin))
     said = f"[{unit}]" if unit else ""
-    top.set_ylabel(f"{name}\n{said}")
+    top.set_ylabel(f"{in_lines(name)}\n{said}")
     below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
     below.legend(fontsize="x-small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
@@ -128,7 +129,7 @@ def forces(pieces: pd.DataFrame) -> Figure:
             axis.axhline(0, color=RECORDED, linewidth=0.5)
             axis.set_xlabel(label, fontsize="small")
             axis.tick_params(labelsize="small")
-        axes[0].set_ylabel(f"{name}:\nmissing {what} [{unit}]")
+        axes[0].set_ylabel(f"{in_lines(name)}:\nmissing {what} [{unit}]")
     figure.suptitle(
         "The force that would have to be added for the model to follow the recording",
         fontsize="medium",

@@ -8,7 +8,17 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, SECOND, since_start, with_gaps
+from bo_sysid.report.look import (
+    GREY,
+    IDENTIFIED,
+    NOMINAL,
+    RECORDED,
+    SECOND,
+    in_lines,
+    since_start,
+    with_gaps,
+    worst_channels,
+)
 
 __all__ = [
     "IDENTIFIED",
@@ -83,11 +93,14 @@ def progress(evaluations: pd.DataFrame) -> Figure:
 def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Figure:
     """Return recorded, nominal and identified over time, and the residuals below.
 
+    Of many channels those are drawn that the nominal model predicts worst.
+
     Args:
         traces: time, begin, window, channel, recorded, nominal, identified.
         title: of the figure.
     """
-    names = list(dict.fromkeys(traces["channel"]))[:_CHANNELS]
+    channels = list(dict.fromkeys(traces["channel"]))
+    names = [n for n in channels if n in worst_channels(traces)[:_CHANNELS]]
     shown = since_start(traces)
     figure = Figure(figsize=(_WIDTH, 2.8 * len(names)), layout="constrained")
     axes = figure.subplots(2 * len(names), 1, squeeze=False, sharex=True)[:, 0]
@@ -99,10 +112,11 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
         for column, style in _LINES.items():
             axis.plot(time, part[column], label=column, **style)
             below.plot(time, part["recorded"] - part[column], **style)
-        axis.set_ylabel(name)
+        axis.set_ylabel(in_lines(name))
         below.set_ylabel("recorded -\npredicted", fontsize="small")
         below.axhline(0, color=RECORDED, linewidth=0.5)
-    axes[0].set_title(title)
+    hidden = len(channels) - len(names)
+    axes[0].set_title(f"{title}\n{hidden} channels not shown" if hidden else title)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize="small", ncols=3, loc="outside upper center")
     axes[-1].set_xlabel("time [s]")

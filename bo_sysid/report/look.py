@@ -1,5 +1,6 @@
 """What every figure shares: colours, words, and which part of a table is shown."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +20,7 @@ _SECONDS = 12.0
 _BETWEEN = 0.03  # of their length: gap between recordings in a row
 _UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
 _SETS = 8
+_LINE = 18  # letters of a name in a line beside a panel
 
 
 def worst_channels(traces: pd.DataFrame) -> list[str]:
@@ -35,6 +37,16 @@ def worst_channels(traces: pd.DataFrame) -> list[str]:
     names = list(dict.fromkeys(traces["channel"]))
     size = {n: badness(traces[traces["channel"] == n]) for n in names}
     return sorted(names, key=lambda n: -size[n])
+
+
+def in_lines(name: str) -> str:
+    """Return a name in lines that fit beside a panel, broken behind its marks."""
+    lines = [""]
+    for part in re.findall(r"[^_./-]*[_./-]|[^_./-]+", name):
+        if lines[-1] and len(lines[-1]) + len(part) > _LINE:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def rms(error: pd.Series) -> float:
