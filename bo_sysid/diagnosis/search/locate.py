@@ -3,12 +3,20 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from bo_sysid.diagnosis.search.bare import from_bare_joints
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
-from bo_sysid.diagnosis.search.window_lengths import LEAST, stable, telling, tractable, windows_of
+from bo_sysid.diagnosis.search.window_lengths import (
+    LEAST,
+    lengthened,
+    stable,
+    telling,
+    tractable,
+    windows_of,
+)
 from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import clean, follows, lost
@@ -17,7 +25,6 @@ from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared, in_contact, prepare
 from bo_sysid.mjcf.touching import can_touch
 
-_GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
 _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
@@ -105,6 +112,10 @@ def _searched(
         prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
+    begun = from_bare_joints(evidence, search, length, horizon, step)
+    if begun is not None:
+        search, length = begun, horizon
+        tell(f"windows of {length} instants at once: {_said(search.best)}")
     search, step = _explored(evidence, search, length, step)
     while True:
         if length >= horizon:
@@ -196,7 +207,7 @@ def _lengthened(
 ) -> tuple[Search, int]:
     """Carry the best sets to longer windows: at once to full ones where the leader holds there."""
     leader = search.best
-    longer = horizon if length * _ALMOST > horizon else int(length * _GROWTH)
+    longer = lengthened(length, horizon)
     for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
         prepared = prepare(windows_of(evidence, tried, step), leader.hypothesis)
         made = carried(search, prepared, _CARRIED)

@@ -13,8 +13,11 @@ from bo_sysid.mjcf.touching import can_touch
 LEAST = 6
 """Instants in the shortest window."""
 
-_TRACTABLE = 12.0  # [sigma] of the nominal residual for which linear screening serves
+TRACTABLE = 12.0
+"""What the nominal model may leave in [sigma], for linear screening to serve."""
+
 _SHORTEST = 1 / 6  # of the full horizon
+_GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full ones at once
 _UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
 _LESS = 3  # times shorter at most: what acts slowly is not seen in less
 _OFTEN = 0.9  # quantile of λ over the recordings
@@ -85,10 +88,15 @@ def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, 
         problem = prepared.problem
         r = problem.residual(nothing(problem), prepared.start)
         rms = float(np.sqrt((project(prepared.linear.Q, r) ** 2).sum() / problem.dof))
-        if rms < _TRACTABLE or length <= least:
+        if rms < TRACTABLE or length <= least:
             return prepared, length
-        factor = max(min((_TRACTABLE / rms) ** 0.4, 0.75), 0.4)
+        factor = max(min((TRACTABLE / rms) ** 0.4, 0.75), 0.4)
         length = max(int(length * factor), least)
+
+
+def lengthened(length: int, horizon: int) -> int:
+    """Return how long windows are to be next, on the way to full ones."""
+    return horizon if length * _ALMOST > horizon else int(length * _GROWTH)
 
 
 def telling(prepared: Prepared, fit: Fit) -> Prepared:

@@ -1,0 +1,55 @@
+"""What a model of bare joints lacks: friction, damping and rotors, all three at every joint.
+
+Robots' descriptions are often written without any of them, and leave thousands of sigma. A search
+that adds one effect or group after the other goes astray there: in windows short enough for slopes,
+a motor of a tenth of its strength does what a missing rotor does, and no exchange leads back.
+"""
+
+import numpy as np
+
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, lengthened, windows_of
+from bo_sysid.diagnosis.sets.subsets import groups
+from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.windowing import prepare
+
+_LACKED = ("dry_friction", "viscous_damping", "armature")
+_JOINTS = 3  # from which pairs and triples of single effects do not reach such a set
+_EXPLAINED = 0.05  # of what the nominal model leaves, that the set may leave
+
+
+def from_bare_joints(
+    evidence: Evidence, search: Search, length: int, horizon: int, step: float
+) -> Search | None:
+    """Return a search on full windows in which what bare joints lack is fitted.
+
+    The set is carried from the shortest windows to the full ones, its magnitudes and starts with
+    it. None where not even the shortest are too long for slopes, or where it leaves too much.
+
+    Args:
+        evidence: what is searched.
+        search: on the shortest windows.
+        length: of those in instants.
+        horizon: of full ones.
+        step: of the simulation in [s].
+    """
+    members = bare_joints(search)
+    if not members or search.nominal.rms < TRACTABLE:
+        return None
+    fit = search.fit(members, [np.array(c.probe, float) for c in members])
+    while length < horizon:
+        length = lengthened(length, horizon)
+        prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
+        search = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
+        fit = search.fit(members, fit.x, guess=fit.hypothesis)
+    return search if fit.rms < _EXPLAINED * search.nominal.rms else None
+
+
+def bare_joints(search: Search) -> tuple[Candidate, ...]:
+    """Return what bare joints lack; nothing where joints are few or sets may not be as large."""
+    units = {u.group: u.members for u in groups(search.candidates) if u.group in _LACKED}
+    few = any(len(members) < _JOINTS for members in units.values())
+    if few or len(units) < len(_LACKED) or len(units) > search.most:
+        return ()
+    return tuple(search.candidates[i] for effect in _LACKED for i in units[effect])
