@@ -5,7 +5,8 @@ stepped eight times finer, seen through noisy joint positions. Each figure is a 
 the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
 hopper) from 3 sigma up, "geared" a six-joint arm that lacks friction, damping and rotors at all
-joints, as a URDF does, "unknown" what the training recordings show at all. Cases are computed in
+joints, as a URDF does, "masses" the same where the masses of all links are off by up to a fifth, and parameters
+of the study, "unknown" what the training recordings show at all. Cases are computed in
 parallel, one thread each. BO_SYSID_SUITES=unknown,pair computes no other suites; figures are made
 of all cases that are there.
 """
@@ -50,6 +51,8 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "groups_within_10": share(of("group"), _near),
         "geared": share(of("geared"), lambda r: r["right"] and not r["flagged"]),
         "geared_within_10": share(of("geared"), _near),
+        "masses": share(of("masses"), lambda r: r["right"] and not r["flagged"]),
+        "masses_within_10": share(of("masses"), _near),
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),

@@ -157,8 +157,11 @@ _GEARED = {
 """What the joints of a geared arm have, within a factor of two, and its URDF has not."""
 
 
-def draw_geared(rng: np.random.Generator, rig: str) -> Case:
-    """Draw a case in which friction, damping and rotors are missing at every joint of an arm."""
+def draw_geared(rng: np.random.Generator, rig: str, *, masses: bool) -> Case:
+    """Draw a case in which friction, damping and rotors are missing at every joint of an arm.
+
+    With `masses` those of all links are off as well, and parameters of the study.
+    """
     model, setting, sigma = load(rig), RIGS[rig], 1e-4
     seed, time = int(rng.integers(2**31)), np.arange(0.0, 2.0, 0.01)
     swing = {n: np.sin(time + k) for k, n in enumerate(model.joints)}
@@ -171,7 +174,11 @@ def draw_geared(rng: np.random.Generator, rig: str) -> Case:
         simulate(model, setting, machine, truth, seed=seed + k, duration=d, sigma=sigma)
         for k, d in ((1, 30.0), (2, 8.0))
     )
-    return Case(rig, tuple(truth), (train,), (holdout,), sigma)
+    notes: dict[str, object] = {}
+    if masses:
+        own = {g.name: g.mass for g in model.spec().geoms if g.mass > 0}
+        notes["masses"] = {g: m * float(np.exp(rng.uniform(-0.2, 0.2))) for g, m in own.items()}
+    return Case(rig, tuple(truth), (train,), (holdout,), sigma, notes)
 
 
 def _runs_away(recording: Recording, nominal: Recording) -> bool:

@@ -27,14 +27,14 @@ from bo_sysid.diagnosis.windows.forecast import (
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.execution import threads
-from bo_sysid.mjcf import Address
+from bo_sysid.mjcf import Address, Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.proof.marks import MOST_IN_CLASS, class_size, named, offers
 
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
 ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 16, 37, 2
-_GEARED_ROUNDS = 5
+_GEARED_ROUNDS, _MASSES_ROUNDS = 10, 4
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
 SKIPPED = (
@@ -74,6 +74,8 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
         yield "lugre", _turned(rigs, seed), seed, "dry_friction"
         if not quick and seed < _GEARED_ROUNDS:
             yield "geared", (BARE,), seed, ""
+        if not quick and seed < _MASSES_ROUNDS:
+            yield "masses", (BARE,), seed, ""
         if not quick and seed < 2:
             for rig in LARGE:
                 for id in ("dry_friction", "armature"):
@@ -111,8 +113,8 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw(rng, rig, ids, 2)
     elif suite == "unknown":
         case = draw_strange(rng, rig, detail)
-    elif suite == "geared":
-        case = draw_geared(rng, rig)
+    elif suite in ("geared", "masses"):
+        case = draw_geared(rng, rig, masses=suite == "masses")
     elif suite == "group":
         case = draw_group(rng, rig, detail)
     else:
@@ -128,7 +130,7 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
 
 def judged(case: Case) -> dict[str, object]:
     """Diagnose a case and compare with what was planted."""
-    model, began, cpu = load(case.rig), time.perf_counter(), time.process_time()
+    model, began, cpu = _given(case), time.perf_counter(), time.process_time()
     evidence = make_evidence(model, case.train, parameters=_parameters(case), threads=threads())
     located = locate(evidence)
     outcome = explain(located)
@@ -160,8 +162,22 @@ def judged(case: Case) -> dict[str, object]:
     }
 
 
+def _given(case: Case) -> Model:
+    """Return the model of the machine that is diagnosed, with the masses that are off."""
+    model, masses = load(case.rig), case.notes.get("masses")
+    if not isinstance(masses, dict):
+        return model
+    spec = model.spec()
+    for name, mass in masses.items():
+        spec.geom(name).mass = mass
+    return Model.from_xml(spec.to_xml())
+
+
 def _parameters(case: Case) -> list[Parameter]:
-    """Return the study's parameters: the damping that is off, where it is."""
+    """Return the study's parameters: the damping that is off, or the masses, where they are."""
+    if isinstance(masses := case.notes.get("masses"), dict):
+        addresses = {name: f"geom[{name}].mass" for name in masses}
+        return [Parameter(n, (a,), 0.5 * masses[n], 2 * masses[n]) for n, a in addresses.items()]
     if "damping" not in case.notes:
         return []
     address = f"joint[{case.notes['damping']}].damping"
