@@ -5,8 +5,8 @@ stepped eight times finer, seen through noisy joint positions. Each figure is a 
 the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (singles in logs of
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
 hopper) from 3 sigma up, "geared" a six-joint arm that lacks friction, damping and rotors at all
-joints, as a URDF does, "masses" the same where the masses of all links are off by up to a fifth, and parameters
-of the study, "unknown" what the training recordings show at all. Cases are computed in
+joints, as a URDF does, "masses" the same where the links' masses are off by up to a fifth and
+parameters of the study, "unknown" what the training recordings show at all. Cases are computed in
 parallel, one thread each. BO_SYSID_SUITES=unknown,pair computes no other suites; figures are made
 of all cases that are there.
 """

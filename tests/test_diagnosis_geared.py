@@ -149,7 +149,8 @@ def test_what_bare_joints_lack_is_fitted_in_full_windows_from_far_away() -> None
     search, length, full, step = begun(evidence)
     assert length < full
     found = from_bare_joints(evidence, search, length, full, step)
-    assert found is not None and found.nominal.rms > 500
+    assert found is not None
+    assert found.nominal.rms > 500
     magnitudes = {c.key: float(x[0]) for c, x in zip(found.best.members, found.best.x, strict=True)}
     expected = truth(("shoulder", *JOINTS))
     assert magnitudes.keys() == expected.keys()
