@@ -167,6 +167,16 @@ def test_a_channel_without_a_sample_in_any_window_is_not_compared() -> None:
     assert deviation == Deviation(simulator, windows, own)(other).deviation > 0
 
 
+@pytest.mark.parametrize("rest", [0.0, 0.1, -1.7])
+def test_a_channel_that_rests_is_not_compared_wherever_it_rests(rest: float) -> None:
+    """The mean of many equal numbers is one of them up to rounding, and so is their spread."""
+    windows = oscillator_windows(count=1000, horizon=1)
+    observed = windows.observed.copy()
+    observed[..., 1] = rest
+    whitening = Whitening.of(replace(windows, observed=observed))
+    np.testing.assert_array_equal(np.isfinite(whitening.scale), [True, False])
+
+
 def test_whitening_takes_known_noise_before_spread() -> None:
     windows = oscillator_windows()
     whitening = Whitening.of(windows, {"qpos": 0.003})

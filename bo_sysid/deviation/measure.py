@@ -217,10 +217,14 @@ class Deviation:
 
 
 def _spread(windows: Windows) -> Float[np.ndarray, " c"]:
-    """Return the standard deviation of each channel, 0 where nothing of it was recorded."""
+    """Return the standard deviation of each channel, 0 where nothing of it was recorded or moved.
+
+    Of equal numbers it is 0 up to rounding alone.
+    """
     observed = windows.observed.reshape(-1, len(windows.channels))
     there = np.isfinite(observed).any(axis=0)
-    return np.asarray(np.nanstd(np.where(there, observed, 0.0), axis=0))
+    deviation = np.nanstd(np.where(there, observed, 0.0), axis=0)
+    return np.asarray(np.where(_extent(windows) > 0, deviation, 0.0))
 
 
 def _extent(windows: Windows) -> Float[np.ndarray, " c"]:
