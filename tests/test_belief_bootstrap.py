@@ -133,6 +133,24 @@ def test_a_faint_minimum_is_where_bootstraps_of_every_candidate_have_it():
     assert (low, high) == pytest.approx(tuple(wanted), abs=0.021)
 
 
+def test_candidates_that_no_recording_tells_apart_share_what_they_win():
+    """A parameter without any effect: every bootstrap has ties, all of B was evaluated."""
+    truth = np.linspace(-1, 1, 5)
+    candidates = np.array([[a, b] for a in truth for b in (-1.0, 0.0, 1.0)])
+    rows = np.random.default_rng(0).permutation(len(candidates))
+    blocks = 0.2 * np.random.default_rng(1).normal(size=20)
+    contributions = 0.1 + np.abs(candidates[rows][:, [0]] - blocks)
+    weights = np.ones(20)
+    bounds = np.array([[-1.0, -1.0], [1.0, 1.0]])
+    deviations = contributions.mean(axis=1)
+    surrogate = fit_surrogate(candidates[rows], deviations, bounds, members=2, seed=0)
+    found = bootstrap_argmin(surrogate, candidates, rows, contributions, weights)
+    shares = found.probabilities.reshape(5, 3).sum(axis=0)
+    np.testing.assert_allclose(shares, 1 / 3, atol=0.04)
+    low, high = credible_interval(candidates, found.probabilities)
+    assert (low[1], high[1]) == (-1.0, 1.0)
+
+
 def test_sessions_that_differ_widen_the_interval():
     rng = np.random.default_rng(5)
     candidates = np.linspace(-1, 1, 161)[:, None]

@@ -142,7 +142,19 @@ def _minima(
     draws += member.mean + residual.T @ V
     everything = np.concatenate([draws, known_values.T], axis=1)
     labels = np.concatenate([open_rows, known_rows])
-    return labels[everything.argmin(axis=1)], lost
+    return labels[_lowest(everything, rng)], lost
+
+
+def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[np.ndarray, " b"]:
+    """Return the column of the least value in each row, one of them at random where several are.
+
+    Candidates that recordings do not tell apart, by a parameter without effect, are equal in all.
+    """
+    columns = values.argmin(axis=1)
+    tied = values == values[np.arange(len(values)), columns][:, None]
+    for row in np.flatnonzero(tied.sum(axis=1) > 1):
+        columns[row] = rng.choice(np.flatnonzero(tied[row]))
+    return columns
 
 
 def _open_rows(
