@@ -133,13 +133,18 @@ def test_a_faint_minimum_is_where_bootstraps_of_every_candidate_have_it():
     assert (low, high) == pytest.approx(tuple(wanted), abs=0.021)
 
 
-def test_candidates_that_no_recording_tells_apart_share_what_they_win():
-    """A parameter without any effect: every bootstrap has ties, all of B was evaluated."""
+@pytest.mark.parametrize("rounding", [0.0, 1e-15])
+def test_candidates_that_no_recording_tells_apart_share_what_they_win(rounding):
+    """A parameter without any effect: every bootstrap has ties, all of B was evaluated.
+
+    Of a gain and an inertia, which tell a ratio alone, they are ties up to rounding.
+    """
     truth = np.linspace(-1, 1, 5)
     candidates = np.array([[a, b] for a in truth for b in (-1.0, 0.0, 1.0)])
     rows = np.random.default_rng(0).permutation(len(candidates))
     blocks = 0.2 * np.random.default_rng(1).normal(size=20)
     contributions = 0.1 + np.abs(candidates[rows][:, [0]] - blocks)
+    contributions *= 1 + rounding * candidates[rows][:, [1]]
     weights = np.ones(20)
     bounds = np.array([[-1.0, -1.0], [1.0, 1.0]])
     deviations = contributions.mean(axis=1)

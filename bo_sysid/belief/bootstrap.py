@@ -25,6 +25,7 @@ from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, covariance_factor
 from bo_sysid.belief.surrogate import Surrogate
 
 SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
+_TIED = 1e-9  # of standardised values: nearer ones differ by rounding
 
 
 def bootstrap_argmin(
@@ -148,10 +149,11 @@ def _minima(
 def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[np.ndarray, " b"]:
     """Return the column of the least value in each row, one of them at random where several are.
 
-    Candidates that recordings do not tell apart, by a parameter without effect, are equal in all.
+    Candidates that recordings do not tell apart are equal in all, up to rounding: by a parameter
+    without effect, or along a valley of two that stand for each other.
     """
     columns = values.argmin(axis=1)
-    tied = values == values[np.arange(len(values)), columns][:, None]
+    tied = values <= values[np.arange(len(values)), columns][:, None] + _TIED
     for row in np.flatnonzero(tied.sum(axis=1) > 1):
         columns[row] = rng.choice(np.flatnonzero(tied[row]))
     return columns
