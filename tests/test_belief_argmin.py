@@ -123,9 +123,11 @@ def test_all_evaluated_is_certain():
     assert belief.best == 3
 
 
-def test_equal_evaluated_minima_share():
+@pytest.mark.parametrize("rounding", [0.0, 1e-15, -1e-15])
+def test_equal_evaluated_minima_share(rounding):
     points = np.random.default_rng(0).random((4, 2))
-    surrogate = fit_surrogate(points, np.array([1.0, 0.5, 2.0, 0.5]), UNIT, seed=0)
+    deviations = np.array([1.0, 0.5, 2.0, 0.5 + rounding])
+    surrogate = fit_surrogate(points, deviations, UNIT, seed=0)
     belief = argmin_probability(surrogate, points)
     np.testing.assert_allclose(belief.probabilities, [0, 0.5, 0, 0.5])
     assert belief.entropy == pytest.approx(np.log(2))

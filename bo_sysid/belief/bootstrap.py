@@ -21,11 +21,10 @@ from scipy.special import ndtr
 from bo_sysid.arrays import Points, Probabilities, Rows
 from bo_sysid.belief.argmin import ArgminBelief, allot
 from bo_sysid.belief.gp import Conditional
-from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, covariance_factor
+from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor
 from bo_sysid.belief.surrogate import Surrogate
 
 SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
-_TIED = 1e-9  # of standardised values: nearer ones differ by rounding
 
 
 def bootstrap_argmin(
@@ -153,7 +152,7 @@ def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[n
     without effect, or along a valley of two that stand for each other.
     """
     columns = values.argmin(axis=1)
-    tied = values <= values[np.arange(len(values)), columns][:, None] + _TIED
+    tied = values <= values[np.arange(len(values)), columns][:, None] + TIED
     for row in np.flatnonzero(tied.sum(axis=1) > 1):
         columns[row] = rng.choice(np.flatnonzero(tied[row]))
     return columns

@@ -35,6 +35,7 @@ MASS = 1e-3  # bound on the probability that may be dropped
 CHUNK = 1024  # candidates per block when moments are computed
 TOLERANCE = 1e-8  # share of the prior variance at which no further pivot is worth adding
 JITTER = 1e-10  # share of the prior variance added before a factorisation
+TIED = 1e-9  # of standardised values: those that are known and nearer differ by rounding
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def contenders(
     gap = moments.mean[reference] - moments.mean
     sigma = np.sqrt(np.maximum(difference, 1e-300))
     with np.errstate(over="ignore"):
-        bound = np.where(difference > 0, ndtr(gap / sigma), gap >= 0)
+        bound = np.where(difference > 0, ndtr(gap / sigma), gap >= -TIED)
     bound[reference] = 1.0
     order = np.argsort(bound, kind="stable")
     lost = np.cumsum(bound[order])
@@ -115,7 +116,7 @@ class Contest:
         mean: `s` posterior means there.
         factor: `r x s` matrix `F`; `FᵀF` is the posterior covariance of `rows`.
         floor: least value that is known exactly; +inf where none is.
-        holders: the rows that have it.
+        holders: the rows that have it, up to rounding.
         lost: bound on the probability of all other candidates.
         exact: whether `factor` is exact.
     """
@@ -163,7 +164,7 @@ def contest(
             member, x[rows], moments.variance[rows], None if exact else bound, rng
         ),
         floor=floor,
-        holders=sure[moments.mean[sure] == floor],
+        holders=sure[moments.mean[sure] <= floor + TIED],
         lost=lost,
         exact=exact,
     )

@@ -13,6 +13,7 @@ from bo_sysid.acquisition.registry import acquisition
 from bo_sysid.arrays import Points
 from bo_sysid.belief.argmin import ArgminBelief
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
+from bo_sysid.belief.joint import TIED
 from bo_sysid.belief.stopping import StopRule, entropy_settled
 from bo_sysid.belief.surrogate import Surrogate
 from bo_sysid.compare.arms import Arm, remade
@@ -78,16 +79,14 @@ def run_search(job: SearchJob) -> dict[str, Any]:
     )
     deviation = None if job.table is None else job.table.evaluation.deviation
     lowest = None if deviation is None else float(deviation.min())
+    least = None if deviation is None else deviation - deviation.min() <= TIED * deviation.std()
     seen = watch.told(len(outcome.history))
     return {
         "row": outcome.history.rows.tolist(),
         "deviation": outcome.history.evaluation.deviation.tolist(),
         "entropy": [s and s.entropy for s in seen],
         "max_p": [s and s.max_p for s in seen],
-        "right": [
-            None if s is None or deviation is None else bool(deviation[s.best] == lowest)
-            for s in seen
-        ],
+        "right": [None if s is None or least is None else bool(least[s.best]) for s in seen],
         "steps": [steps for steps, _ in watch.costs],
         "seconds": [seconds for _, seconds in watch.costs],
         "stopped": outcome.reason.value,
