@@ -427,6 +427,24 @@ def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Pa
     assert len(make_problem(study, threads=1).deviation.windows) == 2
 
 
+@pytest.mark.parametrize(("rates", "least"), [(True, 2), (False, 3)])
+def test_fitted_starts_that_leave_nothing_to_tell_are_refused(
+    tmp_path: Path, rates: bool, least: int
+) -> None:
+    """A start of the cart is two numbers: a window of no more of them fits with any mass."""
+    for horizon in (least - 1, least):
+        asked = {"starts": "fitted", "horizon": horizon}
+        study = cart_study(tmp_path, deviation=asked)
+        if not rates:
+            log = pd.read_parquet(tmp_path / "cart.parquet").drop(columns="qvel.rail")
+            log.to_parquet(tmp_path / "cart.parquet")
+        if horizon == least:
+            assert make_problem(study, threads=1).horizon == least
+            continue
+        with pytest.raises(StudyError, match=rf"deviation.horizon: .* 2 numbers.* {least} or more"):
+            make_problem(study, threads=1)
+
+
 def test_a_horizon_beyond_what_is_set_aside_is_told_before_the_search(tmp_path: Path) -> None:
     study = cart_study(tmp_path, samples=101, deviation={"horizon": 30})
     with pytest.raises(StudyError, match=r"deviation.horizon: windows of 30 .*has about 25"):

@@ -135,6 +135,8 @@ def make_problem(
     fitted, horizon, notes = _framing(study, model, recordings)
     windows = _cut(study, model, recordings, horizon)
     _require_two(study, model, recordings, windows)
+    if fitted:
+        _require_more_than_starts(study, model, windows)
     whiten = study.deviation.whiten
     noise = study.recordings.noise if whiten == "auto" else whiten
     deviation = Deviation(
@@ -192,6 +194,23 @@ def _require_two(
         f"the horizon {horizon} cuts the {instants} instants of the recordings into one window; an "
         f"interval needs two or more: {remedy}",
     )
+
+
+def _require_more_than_starts(study: Study, model: Model, windows: Windows) -> None:
+    """Refuse windows that starts alone explain, whatever the candidate.
+
+    Raises:
+        StudyError: no window holds more numbers than its start has.
+    """
+    own = 2 * (windows.start.qvel.shape[1] - len(model.loops.joints))
+    horizon = windows.observed.shape[1]
+    most = max(int(np.isfinite(windows.observed).sum(axis=(1, 2)).max()), 1)
+    if most <= own:
+        raise study.error(
+            ("deviation", "horizon"),
+            f"windows of {horizon} instants hold at most {most} numbers, and a start that is "
+            f"fitted to them has {own}: any candidate fits; use {own * horizon // most + 1} or more",
+        )
 
 
 def instants_of(model: Model, recording: Recording) -> int:
