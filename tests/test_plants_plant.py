@@ -181,6 +181,24 @@ def test_a_plant_that_diverges_says_when_and_keeps_what_was_recorded(pendulum):
     assert "diverged" in plant.trajectories[0].fault
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_plant_that_diverges_earns_nothing_by_being_put_back_upright():
+    """MuJoCo restarts it at the reference, which for a cart-pole is the goal."""
+
+    def falls_apart(spec):
+        spec.joint("hinge_1").damping[0] = -2.0
+
+    model, task = Model.from_dm_control("cartpole", "swingup"), find_task("cartpole", "swingup")
+    plant = Plant(model, [falls_apart], task=task)
+
+    def act(observation):
+        return np.ones((len(observation), 1))
+
+    with pytest.raises(PlantError, match="diverged"):
+        plant.record(act)
+    assert plant.trajectories[0].reward == plant.evaluate(act, 1)[0]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
