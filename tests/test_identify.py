@@ -427,6 +427,17 @@ def test_a_horizon_that_leaves_one_window_is_told_before_the_search(tmp_path: Pa
     assert len(make_problem(study, threads=1).deviation.windows) == 2
 
 
+def test_a_channel_between_the_windows_is_not_said_to_rest(tmp_path: Path) -> None:
+    """Positions at half the rate of speeds: where one begins a window, it ends before the next."""
+    asked = {"columns": {"qpos.rail": {"missing": "skip"}}, "train": ["cart.parquet"]}
+    study = cart_study(tmp_path, recordings=asked, search={"budget": 3})
+    log = pd.read_parquet(tmp_path / "cart.parquet")
+    log.loc[log.index % 2 == 1, "qpos.rail"] = np.nan
+    log.to_parquet(tmp_path / "cart.parquet")
+    (note,) = (n for n in identify(study).notes if n.startswith("qpos.rail is not compared"))
+    assert note.endswith("no window of 1 instants has a sample of it; use a longer horizon")
+
+
 @pytest.mark.parametrize(("rates", "least"), [(True, 2), (False, 3)])
 def test_fitted_starts_that_leave_nothing_to_tell_are_refused(
     tmp_path: Path, rates: bool, least: int

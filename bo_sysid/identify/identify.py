@@ -237,11 +237,17 @@ def _notes(problem: Problem) -> tuple[str, ...]:
         + [n for r in problem.recordings for n in r.notes]
         + [*problem.deviation.windows.left_out, *problem.deviation.windows.notes]
     )
-    w = problem.deviation.whitening
-    notes += [
-        f"{channel} is compared in units of {scale:.4g} ({source})"
-        if np.isfinite(scale)
-        else f"{channel} is not compared: it never moves in the recordings"
-        for channel, scale, source in zip(w.channels, w.scale, w.source, strict=True)
-    ]
+    notes += [_compared(problem, k) for k in range(len(problem.deviation.whitening.channels))]
     return tuple(dict.fromkeys(notes))
+
+
+def _compared(problem: Problem, k: int) -> str:
+    """Return in words on which scale channel number `k` is compared, or why it is not."""
+    whitening, observed = problem.deviation.whitening, problem.deviation.windows.observed
+    name, scale = whitening.channels[k], whitening.scale[k]
+    if np.isfinite(scale):
+        return f"{name} is compared in units of {scale:.4g} ({whitening.source[k]})"
+    if np.isfinite(observed[..., k]).any():
+        return f"{name} is not compared: it never moves in the recordings"
+    why = f"no window of {problem.horizon} instants has a sample of it; use a longer horizon"
+    return f"{name} is not compared: {why}"
