@@ -225,3 +225,13 @@ def test_what_a_killed_process_was_writing_is_removed(tmp_path: Path) -> None:
         (run.folder / ".tmp-1-folder").mkdir()
     with opened(tmp_path / "run") as run:
         assert not (run.folder / ".tmp-1-answer.json").exists()
+
+
+@pytest.mark.parametrize("content", [b"a: [1\nb: {", b"\xff\xfe\x00"])
+def test_a_damaged_study_of_a_run_is_named(tmp_path: Path, content: bytes) -> None:
+    """As of somebody who edited it there."""
+    with Run.open(tmp_path / "run", {"name": "arm"}, "identify"):
+        pass
+    (tmp_path / "run" / "study.yaml").write_bytes(content)
+    with pytest.raises(RunError, match=r"study\.yaml: damaged, not YAML"):
+        Run.open(tmp_path / "run", {"name": "arm"}, "identify")

@@ -257,12 +257,25 @@ def _existing(
     way_out = "use another --out, or remove the folder"
     if record["command"] != command:
         raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
-    there = yaml.safe_load(written(folder, _STUDY).read_text(encoding="utf-8"))
-    differ = differences(there, plain(study))
+    differ = differences(_study_there(folder), plain(study))
     if differ:
         listed = "".join(f"\n  {d}" for d in differ[:10])
         raise RunError(f"{folder}: holds a run of another study; {way_out}. It differs in{listed}")
     return record
+
+
+def _study_there(folder: Path) -> Any:
+    """Return the study that a run folder holds.
+
+    Raises:
+        RunError: it is missing or damaged.
+    """
+    path = written(folder, _STUDY)
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        why = str(error).splitlines()[0]
+        raise RunError(f"{path}: damaged, not YAML ({why}); use another --out") from None
 
 
 def _remove_leftovers(folder: Path) -> None:
