@@ -205,11 +205,12 @@ def _require_more_than_starts(study: Study, model: Model, windows: Windows) -> N
     own = 2 * (windows.start.qvel.shape[1] - len(model.loops.joints))
     horizon = windows.observed.shape[1]
     most = max(int(np.isfinite(windows.observed).sum(axis=(1, 2)).max()), 1)
+    least = own * horizon // most + 1
     if most <= own:
         raise study.error(
             ("deviation", "horizon"),
             f"windows of {horizon} instants hold at most {most} numbers, and a start that is "
-            f"fitted to them has {own}: any candidate fits; use {own * horizon // most + 1} or more",
+            f"fitted to them has {own}: any candidate fits; use {least} or more",
         )
 
 
