@@ -17,9 +17,10 @@ import bo_sysid.excite.beside
 from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError, UserError
+from bo_sysid.learn.iterate import _valued
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.sources import MachineSource
-from bo_sysid.learn.values import values
+from bo_sysid.learn.values import Values, values
 from bo_sysid.mjcf import address_edit
 from bo_sysid.plants.build import build_plant
 from bo_sysid.plants.load import make_environment
@@ -120,6 +121,23 @@ def test_actions_are_those_that_give_the_commands_of_the_model(most: float) -> N
     wanted = np.array([-0.2, 0.0]) + (policy.act(seen) + 1) / 2 * np.array([0.4, 1.0])
     np.testing.assert_allclose(given, np.clip(wanted, low, high), atol=1e-7)
     assert policy.acting(np.array(own["low"]), np.array(own["high"])) == policy.act
+
+
+def test_a_policy_is_valued_by_the_commands_that_it_learned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As that of the iteration before a repair, by which the rule of Zhu et al. ends a search."""
+    asked = Mock(return_value=Values(np.zeros((2, 1))))
+    monkeypatch.setattr("bo_sysid.learn.iterate.values", asked)
+    network = GaussianPolicy(Network((3, 4, 1)))
+    theta = np.random.default_rng(0).normal(size=network.size).astype(np.float32)
+    own = {"commands": {"low": [-0.2], "high": [0.2]}}
+    policy = LearnedPolicy(network, theta, Normaliser(np.zeros(3), np.ones(3)), own)
+    seen = np.random.default_rng(1).normal(size=(50, 3))
+    scene = Scene.of(Study.from_dict(pendulum(limits={"hinge": {"effort": 0.5}})))
+    _valued(scene, policy, np.arange(2), 1)
+    act = asked.call_args.args[2]
+    np.testing.assert_allclose(0.5 * act(seen), 0.2 * policy.act(seen), atol=1e-7)
 
 
 UPRIGHT = """

@@ -193,7 +193,8 @@ def _learned(
 
 def _valued(scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"], times: int) -> Values:
     models = [scene.compiled(scene.candidates.points[row]) for row in rows]
-    return values(scene, models, policy.act, threads=threads(), times=times)
+    act = policy.acting(*command_range(scene))  # it may be of before a repair
+    return values(scene, models, act, threads=threads(), times=times)
 
 
 def _judged(
