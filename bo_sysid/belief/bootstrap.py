@@ -151,7 +151,7 @@ def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[n
     Candidates that recordings do not tell apart are equal in all, up to rounding: by a parameter
     without effect, or along a valley of two that stand for each other.
     """
-    columns = values.argmin(axis=1)
+    columns: Int[np.ndarray, " b"] = values.argmin(axis=1)
     tied = values <= values[np.arange(len(values)), columns][:, None] + TIED
     for row in np.flatnonzero(tied.sum(axis=1) > 1):
         columns[row] = rng.choice(np.flatnonzero(tied[row]))
