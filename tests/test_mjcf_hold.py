@@ -56,6 +56,12 @@ def test_a_held_joint_takes_the_sensors_of_its_motor_along(tmp_path: Path) -> No
     assert data.sensor("torque").data[0] == 1.5
 
 
+def test_a_joint_that_is_named_twice_is_held_once(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    held = Model.from_file(tmp_path / "arm.xml", hold=["finger", "finger"])
+    assert held.joints == ("elbow",)
+
+
 def test_an_unknown_joint_is_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
     with pytest.raises(ModelError, match=r"hold: no joint 'fingr'; did you mean 'finger'"):

@@ -169,7 +169,7 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     name_elements(spec)
     before = compile_spec(spec, source)
     joints = {j.name: j for j in spec.joints}
-    for name in names:
+    for name in dict.fromkeys(names):  # deleted twice, a joint ends the process
         if name not in joints:
             raise ModelError(f"{source}: hold: no joint {name!r}; {nearest(name, joints)}")
         if tie := tied_by(before, name):
