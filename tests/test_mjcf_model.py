@@ -284,6 +284,35 @@ def test_what_a_sensor_sees_stays():
     assert "seen" in Model.from_xml(distance, assets=assets).geoms
 
 
+SENSING = """
+<mujoco><asset><mesh name="shell" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/>
+  <mesh name="pad" builtin="sphere" params="1" scale=".05 .05 .05"/></asset>
+  <worldbody>
+    <body name="arm"><joint axis="0 1 0"/><geom name="hand" size=".05" pos=".2 0 0"/>
+      <geom type="mesh" mesh="shell" contype="0" conaffinity="0" mass="0" pos=".5 0 0"/></body>
+    <body name="post" pos="1 0 .3"><geom name="pole" size=".05"/></body>
+  </worldbody><sensor>SENSOR</sensor></mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        '<distance body1="arm" body2="post" cutoff="5"/>',
+        '<fromto body1="post" body2="arm" cutoff="5"/>',
+        '<normal body1="arm" geom2="pole" cutoff="5"/>',
+        '<tactile geom="hand" mesh="pad"/>',
+    ],
+)
+def test_sensors_of_all_geoms_of_a_body_and_of_a_mesh_alone_show_the_same(sensor):
+    text = SENSING.replace("SENSOR", sensor)
+    readings = []
+    for model in (Model.from_xml(text).compile(), mujoco.MjModel.from_xml_string(text)):
+        mujoco.mj_forward(model, data := mujoco.MjData(model))
+        readings.append(data.sensordata.copy())
+    np.testing.assert_array_equal(*readings)
+
+
 def test_export_loads_in_plain_mujoco_and_moves_the_same(tmp_path):
     model = Model.from_dm_control("cheetah", "run")
     edits = [
