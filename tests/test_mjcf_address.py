@@ -284,6 +284,18 @@ class Quantity:
     high: float = 1.0
 
 
+def test_mass_of_a_geom_beside_a_body_that_weighs_by_a_bound_alone():
+    model = Model.from_xml("""
+    <mujoco><compiler boundmass="0.01" boundinertia="0.001"/><worldbody>
+      <body name="cart"><joint type="slide"/>
+        <body name="pole"><joint axis="0 1 0"/><geom name="bob" size=".1" mass="1"/>
+          <geom size=".1" density="500"/></body></body>
+    </worldbody></mujoco>""")
+    assert Address.parse("geom[bob].mass").read(model) == 1.0
+    own, other = model.compile(), model.compile([address_edit(model, ["geom[bob].mass"], 1.5)])
+    np.testing.assert_allclose(other.body_mass - own.body_mass, [0, 0, 0.5], atol=1e-12)
+
+
 def test_parameters_are_independent_of_their_order(machine):
     """A body's mass is what was asked for although sizes and inertias change as well."""
     quantities = [

@@ -104,6 +104,9 @@ def geom_mass(spec: mujoco.MjSpec, name: str) -> float:
     if geom.mass == 0 or (geom.density == 0 and np.isnan(geom.mass)):
         return 0.0
     body = geom.parent
+    for other in alone.bodies[1:]:  # which may weigh nothing but for the bounds
+        other.explicitinertial, other.mass, other.inertia = True, 1.0, np.ones(3)
+        other.fullinertia[0] = np.nan
     body.explicitinertial = False
     for other in body.geoms:
         if other.name != name:
