@@ -194,6 +194,23 @@ def test_the_unit_of_a_clock_goes_with_its_column():
     np.testing.assert_array_equal(channels["ctrl.n"].time, TIME)
 
 
+@pytest.mark.parametrize(
+    ("columns", "clocks", "late"),
+    [
+        ({}, {"ctrl": "t"}, 0.0),
+        ({}, {"ctrl": {"from": "t", "shift": 0.004}}, 0.004),
+        ({"ctrl.m": {"clock": "t"}}, {}, 0.0),
+        ({"ctrl.m": {"clock": "t"}}, {"ctrl": {"shift": 0.004}}, 0.004),
+    ],
+)
+def test_what_is_said_of_the_time_holds_for_clocks_in_its_column(columns, clocks, late):
+    time = {"from": "t", "unit": "ms", "scale": 0.5, "offset": -3.0}
+    arrays = {"t": 2000 * (TIME + 3.0), "ctrl__m": WAVE}
+    channels = read({"time": time, **columns}, clocks, **arrays).channels
+    np.testing.assert_allclose(channels["qpos.a"].time, TIME, atol=1e-12)
+    np.testing.assert_allclose(channels["ctrl.m"].time, TIME + late, atol=1e-12)
+
+
 def test_a_column_called_time_of_a_kind_is_its_clock_and_may_be_shorter():
     clock = np.append(TIME[:20] * 2, np.full(30, np.nan))
     values = np.append(WAVE[:20], np.full(30, np.nan))

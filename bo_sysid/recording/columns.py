@@ -36,7 +36,8 @@ class ColumnRule:
         signed: bits of an unsigned integer that holds a signed one, as registers do: above half of
             its range it is negative; 0 for a number as it stands.
         hold: "zero", "linear" or "none"; None for what the kind of channel says.
-        clock: column of the time stamps in [s]; None for what ``clocks:`` or the file says.
+        clock: column of the time stamps, in [s] or as the rule of ``time`` reads that column; None
+            for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
 
     The rule of ``time`` has no sign, hold, clock or missing, and states the size of a jump.
@@ -98,7 +99,8 @@ class ClockRule:
 
     Attributes:
         source: column of the time stamps (``from`` in a study); None for the recording's time.
-        unit: unit of that column; None where the file says it or it is seconds.
+        unit: unit of that column; None where the file or the rule of ``time`` says it, or it is
+            seconds.
         hold: "zero", "linear" or "none"; None for what the kind of channel says.
         shift: added to the stamps, in [s]: how much later than stamped its channels happened.
     """

@@ -155,6 +155,7 @@ class _Mapper:
     def _stated_clock(self, name: str, rule: ColumnRule, column: str) -> ColumnRule:
         """Return the rule for a channel's clock; the most specific statement about it wins."""
         table, clock_rule = self.table, self._clock_rule(name)
+        timed = self.rules.get("time", ColumnRule("time"))
         own = next(
             (c for c in (f"time.{name}", f"time.{_kind(name)}") if c in table.columns),
             table.clocks.get(column),
@@ -166,7 +167,9 @@ class _Mapper:
         elif own is not None:
             stated = ColumnRule(own)
         else:
-            stated = self.rules.get("time", ColumnRule("time"))
+            stated = timed
+        if stated.source == (timed.source or "time"):  # one column is read in one way
+            stated = replace(timed, unit=stated.unit or timed.unit)
         if clock_rule is not None and rule.clock in (None, clock_rule.source or rule.clock):
             stated = replace(stated, unit=clock_rule.unit or stated.unit)
         if clock_rule is not None and clock_rule.shift:
