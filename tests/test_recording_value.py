@@ -91,6 +91,33 @@ def test_from_arrays_indexes_coordinates_and_holds_controls():
         Recording.from_arrays(TIME, qpoz={"a": VALUES})
 
 
+@pytest.mark.parametrize("resolution", ["ns", "us", "ms"])
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_dates_and_durations_are_time_stamps_in_seconds(resolution, zone):
+    seconds = 1.7e9 + np.arange(5) * 0.25
+    dates = pd.to_datetime(seconds, unit="s").as_unit(resolution)
+    local = dates if zone is None else dates.tz_localize("UTC").tz_convert(zone)
+    for time, expected in ((local, seconds), (dates - dates[0], seconds - seconds[0])):
+        frame = pd.DataFrame({"time": time, "qpos.a": np.arange(5.0)})
+        columns = [time, pd.Series(time)] if zone else [time, pd.Series(time), time.to_numpy()]
+        recordings = [Recording.from_arrays(t, qpos={"a": np.arange(5.0)}) for t in columns]
+        for recording in (Recording.from_frame(frame), *recordings):
+            np.testing.assert_allclose(recording.channels["qpos.a"].time, expected, rtol=1e-15)
+
+
+def test_samples_that_are_no_numbers_are_refused_by_name():
+    time = np.arange(2.0)
+    with pytest.raises(RecordingError, match=r"arm: qpos.a: samples must be numbers; .*'up'"):
+        Recording.from_arrays(time, name="arm", qpos={"a": ["up", "down"]})
+    with pytest.raises(RecordingError, match=r"arm: qpos.a: samples must be numbers; .*'up'"):
+        frame = pd.DataFrame({"time": time, "qpos.a": ["up", "down"]})
+        Recording.from_frame(frame, name="arm")
+    with pytest.raises(RecordingError, match=r"qpos.a: samples must be numbers; they are datetime"):
+        Recording.from_arrays(time, qpos={"a": pd.to_datetime(time, unit="s").to_numpy()})
+    with pytest.raises(RecordingError, match=r"time: samples must be numbers; .*'noon'"):
+        Recording.from_arrays(["noon", "night"], qpos={"a": time})
+
+
 def test_samples_without_a_name_are_refused():
     code = (  # of its own, since types are checked in tests
         "from bo_sysid import Recording\n"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.recording.numbers import DATED, in_seconds
 from bo_sysid.recording.value import Hold
 
 
@@ -62,12 +63,8 @@ class RawTable:
         values = self.columns[name]
         if values.dtype.kind in "fiub":
             return values.astype(float)
-        if values.dtype.kind == "M":
-            seconds = values.astype("datetime64[ns]").astype(np.int64) * 1e-9
-            return np.where(np.isnat(values), np.nan, seconds)
-        if values.dtype.kind == "m":
-            seconds = values.astype("timedelta64[ns]").astype(np.int64) * 1e-9
-            return np.where(np.isnat(values), np.nan, seconds)
+        if values.dtype.kind in DATED:
+            return in_seconds(values)
         return _numbers(values, f"{self.source}: column {name!r}")
 
 

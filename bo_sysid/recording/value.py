@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.errors import RecordingError, nearest
+from bo_sysid.recording.numbers import numbers, stamps
 
 KINDS = ("qpos", "qvel", "act", "ctrl", "goal", "sensor", "aux")
 HELD_KINDS = frozenset({"act", "ctrl", "goal", "aux"})
@@ -136,7 +137,7 @@ class Recording:
         """Make a recording from arrays that share one clock.
 
         Args:
-            time: `T` time stamps in [s].
+            time: `T` time stamps: numbers in [s], dates or durations.
             name: a short name.
             units: unit by channel name, where known.
             **kinds: for each kind of channel (``qpos``, ``qvel``, ``act``, ``ctrl``, ``goal``,
@@ -152,7 +153,7 @@ class Recording:
             >>> sorted(r.channels)
             ['ctrl.elbow', 'qpos.elbow']
         """
-        stamps = np.asarray(time, float)
+        clock = stamps(time, f"{name}: time")
         units = units or {}
         channels: dict[str, Channel] = {}
         for kind, group in kinds.items():
@@ -165,26 +166,31 @@ class Recording:
                 )
             hold: Hold = "zero" if kind in HELD_KINDS else "none"
             for item, samples in group.items():
-                for key, column in _columns(f"{kind}.{item}", np.asarray(samples, float)):
-                    unit = units.get(key, units.get(f"{kind}.{item}", ""))
-                    channels[key] = Channel(stamps, column, unit, f"{name}: {key}", hold)
+                whole = f"{kind}.{item}"
+                for key, column in _columns(whole, numbers(samples, f"{name}: {whole}")):
+                    unit = units.get(key, units.get(whole, ""))
+                    channels[key] = Channel(clock, column, unit, f"{name}: {key}", hold)
         return cls(name, channels)
 
     @classmethod
     def from_frame(cls, frame: pd.DataFrame, *, name: str = UNNAMED) -> "Recording":
-        """Make a recording from a DataFrame with a ``time`` column in [s] and channel columns."""
+        """Make a recording from a DataFrame with channels as columns and a column ``time``.
+
+        That holds numbers in [s], dates or durations.
+        """
         if "time" not in frame.columns:
             raise RecordingError(
                 f"{name}: no column 'time'; {nearest('time', map(str, frame.columns))}"
             )
-        time = frame["time"].to_numpy(float)
+        time = stamps(frame["time"], f"{name}: time")
         channels = {}
         for column in frame.columns:
             key = str(column)
             if key == "time":
                 continue
             hold: Hold = "zero" if key.split(".", 1)[0] in HELD_KINDS else "none"
-            channels[key] = Channel(time, frame[column].to_numpy(float), "", f"{name}: {key}", hold)
+            where = f"{name}: {key}"
+            channels[key] = Channel(time, numbers(frame[column], where), "", where, hold)
         return cls(name, channels)
 
     def to_frame(self) -> pd.DataFrame:

@@ -1,0 +1,46 @@
+"""Arrays as numbers, and time stamps in seconds."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RecordingError
+
+DATED = "Mm"
+"""Kinds of NumPy arrays that hold dates or durations."""
+
+
+def in_seconds(stamps: np.ndarray) -> np.ndarray:
+    """Return dates as seconds since 1970, and durations in seconds; NaN where there is none."""
+    passed = stamps - np.datetime64(0, "s") if stamps.dtype.kind == "M" else stamps
+    return np.asarray(passed / np.timedelta64(1, "s"))
+
+
+def stamps(time: Any, where: str) -> np.ndarray:
+    """Return time stamps in [s]: numbers as they are, dates and durations in seconds.
+
+    Raises:
+        RecordingError: they are none of these; the message begins with `where`.
+    """
+    if isinstance(getattr(time, "dtype", None), pd.DatetimeTZDtype):
+        time = pd.Series(time).dt.tz_convert(None)  # in UTC
+    if isinstance(time, np.ndarray | pd.Series | pd.Index) and time.dtype.kind in DATED:
+        return in_seconds(np.asarray(time))
+    return numbers(time, where)
+
+
+def numbers(values: Any, where: str) -> np.ndarray:
+    """Return samples as floats.
+
+    Raises:
+        RecordingError: they are no array of numbers; the message begins with `where`.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in DATED:
+            return array.astype(float)
+        why = f"they are {array.dtype}"
+    except (TypeError, ValueError) as error:
+        why = str(error)
+    raise RecordingError(f"{where}: samples must be numbers; {why}")
