@@ -4,6 +4,7 @@ import gzip
 import json
 import subprocess
 import sys
+from datetime import datetime
 
 import h5py
 import numpy as np
@@ -261,6 +262,14 @@ def test_an_entry_that_is_no_record_names_its_row(wrong, tmp_path):
             (tmp_path / "log.json").write_text(text.format(", ".join(entries)))
             with pytest.raises(RecordingError, match=rf"row {k}: {wrong} is no record"):
                 read_recording(tmp_path / "log.json")
+
+
+def test_dates_beyond_the_nanoseconds_of_64_bits_do_no_harm(tmp_path):
+    never = pa.array([datetime(9999, 1, 1)] * 3, pa.timestamp("us"))
+    table = {"time": [0.0, 0.1, 0.2], "qpos.a": [1.0, 2.0, 3.0], "aux.expires": never}
+    pq.write_table(pa.table(table), tmp_path / "log.parquet")
+    expires = read_recording(tmp_path / "log.parquet").channels["aux.expires"]
+    assert expires.values[0] == (datetime(9999, 1, 1) - datetime(1970, 1, 1)).total_seconds()
 
 
 def test_a_date_that_is_missing_names_its_row(tmp_path):

@@ -56,7 +56,7 @@ def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     for name in table.column_names:
         column = table.column(name)
         if pa.types.is_timestamp(column.type):
-            column = column.cast(pa.timestamp("ns"))
+            column = column.cast(pa.timestamp(column.type.unit))  # without its zone
         values = column.to_pandas().to_numpy()
         if not _lists(column.type):
             columns[name] = values
