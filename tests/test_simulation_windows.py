@@ -12,6 +12,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, Layout, MujocoSimulator, State, cut, predicted
+from bo_sysid.simulation.smoothing import smooth
 
 ARM = """<mujoco><option timestep="0.002" integrator="{integrator}"/><worldbody>
   <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>
@@ -161,6 +162,33 @@ def test_a_control_that_changes_within_a_step_acts_by_its_mean() -> None:
     np.testing.assert_allclose(
         prediction.values[..., velocity], windows.observed[..., velocity], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("pause", [1.0, 60.0, 3600.0])
+def test_no_velocity_is_estimated_across_a_pause(pause: float) -> None:
+    arm = Model.from_xml(ARM.format(integrator="RK4"))
+    whole = simulated(arm)
+    late = np.where(np.arange(401) < 200, 0.0, pause)
+    channels = {n: replace(c, time=c.time + late) for n, c in whole.channels.items()}
+    moved = {  # by hand, while nothing was recorded
+        n: replace(c, values=c.values + 0.5 * (late > 0)) if n.startswith("qpos.") else c
+        for n, c in channels.items()
+    }
+    full = cut(arm, [replace(whole, channels=moved)], horizon=20)
+    bare = {n: c for n, c in moved.items() if not n.startswith("qvel.")}
+    windows = cut(arm, [replace(whole, channels=bare)], horizon=20)
+    assert 200 in np.searchsorted(channels["qpos.elbow"].time, windows.time)
+    np.testing.assert_allclose(windows.start.qvel, full.start.qvel, atol=2e-4)
+
+
+def test_a_sample_alone_between_pauses_is_at_rest_and_two_give_a_slope() -> None:
+    steady = np.arange(50) * 0.01
+    time = np.concatenate([steady, [60.0, 120.0, 120.01], 180.0 + steady])
+    angle = 2.0 * time + 5.0 * np.sin(np.floor(time / 60.0))  # moved by hand in the pauses
+    wheel = "<worldbody><body><joint/><geom size='1'/></body></worldbody>"
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{wheel}</mujoco>")
+    fit = smooth(model, time, angle[:, None], np.array([50, 51, 52, 55]))
+    np.testing.assert_allclose(fit.velocity[:, 0], [0.0, 2.0, 2.0, 2.0], atol=1e-9)
 
 
 def test_missing_velocities_are_estimated() -> None:

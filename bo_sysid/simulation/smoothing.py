@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Times
+from bo_sysid.recording.alignment import stretches
 from bo_sysid.simulation.state import tangent_difference
 
 _HALF_WIDTHS = (2, 3, 5, 7, 10, 15, 20)
@@ -40,7 +41,8 @@ def smooth(
     A cubic in time is fitted by least squares to the samples about each index, in the tangent
     space of the joints at the recorded position; uneven stamps are used as they are. The width is
     the largest whose residual stays within 15 % of the narrowest one's, so that noise is averaged
-    where the motion is smooth and nothing is smeared where it is not.
+    where the motion is smooth and nothing is smeared where it is not. Neighbours beyond a pause are
+    none.
 
     Args:
         model: gives the joints.
@@ -65,17 +67,35 @@ def _fit(
     half: int,
 ) -> tuple[Smoothed, float]:
     """Return the fit of one width and its residual per degree of freedom, root mean square."""
-    last = len(time) - 1
-    first = np.clip(index - half, 0, max(last - 2 * half, 0))
-    rows = first[:, None] + np.arange(min(2 * half, last) + 1)
-    t = time[rows] - time[index][:, None]
+    begin, end = _stretch(time, index)
+    count = min(2 * half + 1, len(time))
+    first = np.clip(index - half, begin, np.maximum(end - count, begin))
+    rows = first[:, None] + np.arange(count)
+    inside = rows < end[:, None]  # W x K
+    rows = np.minimum(rows, len(time) - 1)
+    t = np.where(inside, time[rows] - time[index][:, None], 0.0)
     scale = np.abs(t).max(axis=1, keepdims=True)
-    degree = min(_DEGREE, rows.shape[1] - 1)
-    basis = (t / scale)[..., None] ** np.arange(degree + 1)  # W x K x (degree + 1)
+    scale[scale == 0] = 1.0  # a sample by itself
+    powers = np.arange(min(_DEGREE, count - 1) + 1)
+    used = inside[..., None] & (powers < inside.sum(axis=1)[:, None, None])
+    basis = np.where(used, (t / scale)[..., None] ** powers, 0.0)  # W x K x (degree + 1)
     moved = tangent_difference(model, qpos[rows], qpos[index][:, None])  # W x K x nv
+    moved = np.where(inside[..., None], moved, 0.0)
     coefficients = np.linalg.pinv(basis) @ moved
     residual = moved - basis @ coefficients
-    spare = max(rows.shape[1] - degree - 1, 1)
+    spare = max(count - len(powers), 1)
     rms = float(np.sqrt((residual**2).sum(axis=1).mean() / spare))
-    velocity = coefficients[:, 1] / scale if degree else np.zeros_like(coefficients[:, 0])
-    return Smoothed(coefficients[:, 0], velocity, rows.shape[1]), rms
+    velocity = coefficients[:, 1] / scale if count > 1 else np.zeros_like(coefficients[:, 0])
+    return Smoothed(coefficients[:, 0], velocity, count), rms
+
+
+def _stretch(
+    time: Times, index: Int[np.ndarray, " W"]
+) -> tuple[Int[np.ndarray, " W"], Int[np.ndarray, " W"]]:
+    """Return the first row of the stretch between pauses that each sample is in, and of the next.
+
+    Nobody knows how a machine moved in a pause.
+    """
+    begins = np.array([s.start for s in stretches(time)] + [len(time)])
+    own = np.searchsorted(begins, index, side="right")
+    return begins[own - 1], begins[own]
