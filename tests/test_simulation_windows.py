@@ -333,6 +333,26 @@ TUMBLE = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>
   </body></worldbody></mujoco>"""
 
 
+def test_what_is_no_orientation_is_refused_by_name_and_time() -> None:
+    model = Model.from_xml(TUMBLE)
+    pose = np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (100, 1))
+    turns = np.tile([0.6, 0.0, 0.8, 0.0], (100, 1))
+
+    def tried(brick: np.ndarray, wheel: np.ndarray) -> None:
+        kinds = {"brick": brick, "wheel": wheel}
+        time = 2.0 + np.arange(100) * 0.01
+        cut(model, [Recording.from_arrays(time, qpos=kinds, name="throw")], horizon=5)
+
+    tried(pose, turns * np.linspace(0.97, 1.03, 100)[:, None])
+    unknown = np.where(np.arange(100)[:, None] == 3, 0.0, pose)
+    said = r"throw: qpos.brick.3 to qpos.brick.6 .* length 0 at 2.03 s; .*\(1 of 100 .*: leave such"
+    with pytest.raises(RecordingError, match=said):
+        tried(unknown, turns)
+    said = r"qpos.wheel.0 to .* length 1.638e\+04 at 2 s; .* {qpos.wheel.0: {scale: 6.10352e-05}}"
+    with pytest.raises(RecordingError, match=said):
+        tried(pose, 16384 * turns)
+
+
 def test_an_orientation_may_be_told_with_either_sign() -> None:
     """A free body and one on a ball joint turn more than once; the log says w >= 0."""
     model = Model.from_xml(TUMBLE)

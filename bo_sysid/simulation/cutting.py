@@ -20,7 +20,7 @@ from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
-from bo_sysid.simulation.windows import Layout, Windows
+from bo_sysid.simulation.windows import Layout, Windows, require_orientations
 
 WARMSTART = "aux.qacc_warmstart"  # recorded only from simulated plants
 _ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
@@ -90,6 +90,7 @@ def _cut_one(
     measured = [n for n in layout.qpos if n not in layout.unrecorded]
     _require(recording, [n for n in measured if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
+    require_orientations(layout, recording.name, channels, time, table)
     complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
     heard = [
         n

@@ -8,10 +8,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Ctrl
+from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.joints import BALL, FREE
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.state import State, Trajectory
+
+_UNIT = 0.1  # by which the length of a quaternion may differ from 1
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,48 @@ class Layout:
             frozenset(f"{g}.{n}" for n in model.unrecorded for g in ("qpos", "qvel")),
             also,
             {name: turned[i] for name, i in qpos.items() if i in turned},
+        )
+
+
+def require_orientations(
+    layout: Layout,
+    name: str,
+    channels: Sequence[str],
+    time: Float[np.ndarray, " T"],
+    table: Float[np.ndarray, "T c"],
+) -> None:
+    """Refuse quaternions that are no orientation, as those written before one is known.
+
+    Args:
+        layout: of the model, which has the orientations.
+        name: of the recording.
+        channels: of the columns of `table`.
+        time: `T` instants in [s].
+        table: what was measured; NaN where nothing was.
+
+    Raises:
+        RecordingError: a length is far from 1; the message names channels, time and remedy.
+    """
+    where = {n: k for k, n in enumerate(channels)}
+    orientations: dict[int, list[int]] = {}
+    for channel, (begin, _, _) in layout.turns.items():
+        orientations.setdefault(begin, []).append(where.get(channel, -1))
+    for columns in orientations.values():
+        if min(columns) < 0:
+            continue  # not recorded whole
+        length = np.linalg.norm(table[:, columns], axis=1)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
+        if not wrong.size:
+            continue
+        first, last = channels[columns[0]], channels[columns[-1]]
+        usual = float(np.nanmedian(length))
+        remedy = "leave such rows out of the log"
+        if usual > 0 and abs(usual - 1.0) > _UNIT:
+            remedy = f"columns: {{{first}: {{scale: {1 / usual:.6g}}}}}, and so for all four"
+        raise RecordingError(
+            f"{name}: {first} to {last} are a quaternion of length {length[wrong[0]]:.4g} at "
+            f"{time[wrong[0]]:g} s; an orientation has length 1 ({wrong.size} of "
+            f"{np.isfinite(length).sum()} have another): {remedy}"
         )
 
 
