@@ -336,6 +336,14 @@ def test_an_address_that_is_not_there_is_refused(folder: Path, address: str, exp
         study.parameter_set(load_model(study))
 
 
+def test_the_time_step_is_no_parameter(folder: Path) -> None:
+    damping = {"address": "joint[*].damping", "low": 0, "high": 1}
+    step = {"name": "step", "address": "option.timestep", "low": 0.001, "high": 0.004}
+    study = minimal(folder, parameters=[damping, step])
+    with pytest.raises(StudyError, match=r"parameters\.1\.address: option.timestep is no parameter"):
+        study.parameter_set(load_model(study))
+
+
 def test_what_is_certain_must_be_a_number_of_the_model(folder: Path) -> None:
     columns = {"qpos.elbow": "theta2"}
     logs = {"train": "data/arm-1.csv", "columns": columns}

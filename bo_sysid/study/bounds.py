@@ -1,4 +1,4 @@
-"""Whether a model can have the bounds of its parameters, before anything is simulated."""
+"""Whether a model can have its parameters and their bounds, before anything is simulated."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +11,31 @@ if TYPE_CHECKING:
     from bo_sysid.study.study import Study
 
 Bound = Literal["low", "high"]
+
+
+def require_one_step(
+    study: "Study", parameters: Sequence["Parameter"], entries: Mapping[str, int]
+) -> None:
+    """Refuse the time step for a parameter.
+
+    Windows are cut into steps of the model's own; as many of another length are another time.
+
+    Args:
+        study: has the parameters, for the message.
+        parameters: of the study.
+        entries: by the parameter's name, which entry of ``parameters:`` it stands in.
+
+    Raises:
+        StudyError: a parameter has the address ``option.timestep``.
+    """
+    for p in parameters:
+        if "option.timestep" in p.addresses:
+            raise study.error(
+                ("parameters", entries[p.name], "address"),
+                "option.timestep is no parameter: recordings are cut into steps of the model's own "
+                "length, and a candidate with another would be compared at other times; diagnose "
+                "looks for another time step by itself",
+            )
 
 
 def require_bounds(

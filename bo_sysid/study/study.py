@@ -13,7 +13,7 @@ from bo_sysid.errors import ModelError, StudyError, nearest
 from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
-from bo_sysid.study.bounds import require_bounds
+from bo_sysid.study.bounds import require_bounds, require_one_step
 from bo_sysid.study.messages import study_error
 from bo_sysid.study.outer import (
     Compare,
@@ -178,8 +178,9 @@ class Study(Section):
         """Return the parameters, with wildcards matched to what `model` has.
 
         Raises:
-            StudyError: an address is none or matches nothing, two parameters have one name, one
-                has the name of a column of the tables, or the model does not compile at a bound.
+            StudyError: an address is none, matches nothing or is the time step, two parameters have
+                one name, one has the name of a column of the tables, or the model does not compile
+                at a bound.
             ModelError: two parameters share an address.
         """
         from bo_sysid.mjcf import Address
@@ -219,6 +220,7 @@ class Study(Section):
                     ordered=entry.ordered is not False,
                 )
         parameters = tuple(found.values())
+        require_one_step(self, parameters, entries)
         require_bounds(self, model, parameters, entries)
         return parameters
 
