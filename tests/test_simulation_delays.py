@@ -1,4 +1,4 @@
-"""Windows of machines whose actuators are late begin with what was commanded before."""
+"""Windows of machines whose actuators or sensors are late, and what was before them."""
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Engine, MujocoSimulator
 from bo_sysid.simulation.cutting import cut
 from bo_sysid.simulation.delays import load_past, remembered_steps
@@ -146,3 +146,46 @@ def test_diagnosis_follows_a_parameter_that_is_a_longer_delay() -> None:
     off = [np.abs(r).max() for r in left]
     assert np.argmin(off) == 3
     assert min(off) < 1e-3  # sigma
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.0191])
+@pytest.mark.parametrize("interp", ["zoh", "linear"])
+@pytest.mark.parametrize(("horizon", "every"), [(30, 1), (30, 3), (1, 1)])
+def test_what_a_late_sensor_shows_of_before_a_window_is_not_compared(
+    delay: float, interp: str, horizon: int, every: int
+) -> None:
+    late = f'delay="{delay}" nsample="12" interp="{interp}"'
+    sensing = Model.from_xml(
+        TWO.replace(' delay=".0071" nsample="5" interp="linear"', "")
+        .replace("<geom", '<site name="tip" pos="0 0 -1"/><geom', 1)
+        .replace(
+            "</mujoco>",
+            f'<sensor><framepos name="far" objtype="site" objname="tip" {late}/>'
+            '<jointpos name="angle" joint="a"/></sensor></mujoco>',
+        )
+    )
+    compiled = sensing.compile()
+    data, rows = mujoco.MjData(compiled), []
+    for k in range(600):
+        data.ctrl[:] = np.cos(0.02 * k), 3 * np.sin(0.08 * k)
+        state = (k * STEP, *data.qpos, *data.qvel, *data.ctrl)
+        mujoco.mj_step(compiled, data)
+        rows.append([*state, *data.sensordata])
+    names = (*sensing.qpos_channels, *sensing.qvel_channels, *sensing.ctrl_channels)
+    columns = np.array(rows)[20:].T
+    kept = {
+        n: Channel(columns[0], x, hold="zero")
+        if n.startswith("ctrl")
+        else Channel(columns[0, ::every], x[::every])
+        for n, x in zip((*names, *sensing.sensor_channels), columns[1:], strict=True)
+    }
+    windows = cut(sensing, [Recording("log", kept)], horizon=horizon)
+    (found,) = MujocoSimulator(sensing, (), Engine(1)).predictions(np.zeros((1, 0)), windows)
+    assert np.nanmax(np.abs(windows.residual(found.values))) < 1e-9
+    seen = np.isfinite(windows.observed)
+    far = [n.startswith("sensor.far") for n in windows.channels]
+    assert seen[..., np.logical_not(far)].all()
+    shown = (windows.step + windows.fraction) * STEP >= delay - 1e-9
+    np.testing.assert_array_equal(seen[..., far], np.repeat(shown[..., None], 3, axis=2))
+    told = [n for n in windows.left_out if "what was before it, by the sensor's delay" in n]
+    assert len(told) == 3

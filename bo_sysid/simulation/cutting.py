@@ -16,7 +16,7 @@ from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
 from bo_sysid.simulation.activations import activations, set_activations
-from bo_sysid.simulation.delays import remembered_steps
+from bo_sysid.simulation.delays import remembered_steps, shown_of_before
 from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
@@ -112,12 +112,21 @@ def _cut_one(
         before = time[first] - late * dt
         past = controls(model, compiled, recording, before, late, dt, controlled)
         start = replace(start, past=past)
+    observed = table[first[:, None] + np.arange(1, horizon + 1)]
+    before = shown_of_before(compiled, layout.sensor, channels, step)
+    observed[before] = np.nan
+    left_out += tuple(
+        f"{recording.name}: {n} begins each window with what was before it, by the sensor's delay "
+        "in the model; that is not compared"
+        for n, some in zip(channels, before.any(axis=(0, 1)), strict=True)
+        if some
+    )
     return Windows(
         start=start,
         ctrl=ctrl,
         signals={n: _signal(recording, n, time[first], steps, dt) for n in signals},
         channels=tuple(channels),
-        observed=table[first[:, None] + np.arange(1, horizon + 1)],
+        observed=observed,
         step=step,
         fraction=fraction,
         time=time[first],
