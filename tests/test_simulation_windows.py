@@ -181,6 +181,36 @@ def test_no_velocity_is_estimated_across_a_pause(pause: float) -> None:
     np.testing.assert_allclose(windows.start.qvel, full.start.qvel, atol=2e-4)
 
 
+FELT = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="x" axis="0 1 0"/>
+  <geom size=".1" pos=".2 0 0" mass="1"/><site name="tip" pos=".2 0 0"/></body></worldbody>
+  <actuator><motor name="m" joint="x"/></actuator>
+  <sensor><jointactuatorfrc name="torque" joint="x"/><accelerometer name="felt" site="tip"/>
+  </sensor></mujoco>"""
+
+
+@pytest.mark.parametrize("every", [1, 5])
+@pytest.mark.parametrize("horizon", [1, 4, 20])
+def test_forces_at_the_last_instant_are_those_of_the_control_from_then_on(
+    horizon: int, every: int
+) -> None:
+    model = Model.from_xml(FELT)
+    compiled = model.compile()
+    data, rows = mujoco.MjData(compiled), []
+    for k in range(1000):
+        data.ctrl[:] = 2.0 * np.sin(0.04 * (k - k % every))
+        state = (0.002 * k, *data.qpos, *data.qvel, *data.ctrl)
+        mujoco.mj_step(compiled, data)
+        rows.append([*state, *data.sensordata])
+    time, *columns = np.array(rows)[::every].T
+    names = ("qpos.x", "qvel.x", "ctrl.m", *model.sensor_channels)
+    holds = ["zero" if n == "ctrl.m" else "none" for n in names]
+    channels = {n: Channel(time, c, hold=h) for n, c, h in zip(names, columns, holds, strict=True)}
+    windows = cut(model, [Recording("log", channels)], horizon=horizon)
+    for part in (windows, windows.beginning(1)):
+        (found,) = MujocoSimulator(model, (), Engine(1)).predictions(np.zeros((1, 0)), part)
+        np.testing.assert_allclose(found.values, part.observed, atol=1e-9)
+
+
 def test_a_sample_alone_between_pauses_is_at_rest_and_two_give_a_slope() -> None:
     steady = np.arange(50) * 0.01
     time = np.concatenate([steady, [60.0, 120.0, 120.01], 180.0 + steady])

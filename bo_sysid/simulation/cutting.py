@@ -104,7 +104,7 @@ def _cut_one(
     step = np.floor(instants / dt + on_step).astype(int)
     fraction = instants / dt - step
     fraction[np.abs(fraction) < on_step] = 0.0
-    steps = int((step + (fraction > 0)).max())
+    steps = int((step + (fraction > 0)).max()) + _feels(compiled, layout, channels)
     ctrl = controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
     start, open_ = _on_loops(model.loops, recording, start)
@@ -135,6 +135,16 @@ def _cut_one(
         notes=note + open_,
         left_out=left_out,
     )
+
+
+def _feels(compiled: mujoco.MjModel, layout: Layout, channels: Sequence[str]) -> bool:
+    """Whether a channel shows forces or accelerations, which at an instant are of a step from it.
+
+    At the last instant of a window they need the control from then on.
+    """
+    stage = np.repeat(compiled.sensor_needstage, compiled.sensor_dim)
+    shown = [int(stage[layout.sensor[n]]) for n in channels if n in layout.sensor]
+    return int(mujoco.mjtStage.mjSTAGE_ACC) in shown
 
 
 def _require(recording: Recording, missing: list[str], what: str) -> None:

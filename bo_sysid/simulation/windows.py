@@ -80,8 +80,9 @@ class Windows:
 
     def beginning(self, instants: int) -> "Windows":
         """Return the first instants of every window."""
-        last = float((self.step + self.fraction)[:, :instants].max())
-        steps = int(np.ceil(last - 1e-9))
+        at = self.step + self.fraction
+        last, first = (int(np.ceil(a.max() - 1e-9)) for a in (at, at[:, :instants]))
+        steps = self.steps - last + first  # what the last instant needs beyond it stays
         return replace(
             self,
             ctrl=self.ctrl[:, :steps],
