@@ -457,6 +457,7 @@ ACTING = """
         ("<actuator>", '<actuator><dcmotor joint="a" input="none" motorconst="1e-9" '
          'resistance="1"/>'),  # without a control
         ('dynprm=".04"', 'dynprm=".04" actrange="-.3 .5"'),
+        ('dynprm=".04"', 'dynprm=".04" delay=".006" nsample="7" interp="linear"'),
     ],
 )  # fmt: skip
 def test_activations_are_what_the_controls_before_led_to(plain: str, other: str) -> None:
@@ -522,13 +523,25 @@ def test_a_torque_that_was_measured_acts_as_late_as_it_did() -> None:
 
 
 @pytest.mark.parametrize("horizon", [1, 10, 60])
-def test_candidates_begin_with_the_activations_of_their_own_time_constants(horizon: int) -> None:
-    """A window of one sample shows the time constant by its start alone."""
-    xml = ACTING.replace('ctrlrange="-1 1"', "")
-    plant = mujoco.MjModel.from_xml_string(xml.replace('dynprm=".04"', 'dynprm=".08"'))
+@pytest.mark.parametrize(
+    ("address", "true", "low", "high"),
+    [("dynprm[0]", 0.08, 0.02, 0.12), ("delay", 0.006, 0.0, 0.01)],
+)
+def test_candidates_begin_with_the_activations_of_their_own_time_constants_and_delays(
+    horizon: int, address: str, true: float, low: float, high: float
+) -> None:
+    """A window of one sample shows them by its start alone."""
+    late = 'dynprm=".04" delay=".002" nsample="11" interp="linear"'
+    xml = ACTING.replace('ctrlrange="-1 1"', "").replace('dynprm=".04"', late)
+    spec = mujoco.MjSpec.from_string(xml)
+    if address == "delay":
+        spec.actuator("slow").delay = true
+    else:
+        spec.actuator("slow").dynprm[0] = true
+    plant = spec.compile()
     data, rows = mujoco.MjData(plant), []
     told = np.repeat(np.random.default_rng(0).uniform(-3, 3, (40, 2)), 50, axis=0)
-    data.act[0] = told[0, 0]
+    told[:50] = 0.0  # as MuJoCo has what was before
     for k, u in enumerate(told):
         rows.append([1e-3 * k, *data.qpos, *data.qvel, *u])
         data.ctrl[:] = u
@@ -538,10 +551,10 @@ def test_candidates_begin_with_the_activations_of_their_own_time_constants(horiz
         time, qpos={"a": a, "b": b}, qvel={"a": va, "b": vb}, ctrl={"slow": slow, "held": held}
     )
     model = Model.from_xml(xml)
-    lag = Parameter("lag", ("actuator[slow].dynprm[0]",), 0.02, 0.12, steps=6)
+    lag = Parameter("lag", (f"actuator[slow].{address}",), low, high, steps=6)
     windows = cut(model, [recording], horizon=horizon, parameters=[lag])
     found = MujocoSimulator(model, (lag,), Engine(1)).predictions(lag.grid[:, None], windows)
     off = [np.abs(windows.residual(f.values)).max() for f in found]
-    assert lag.grid[np.argmin(off)] == pytest.approx(0.08)
+    assert lag.grid[np.argmin(off)] == pytest.approx(true)
     assert min(off) < 1e-9
     assert sorted(off)[1] > 1e-4

@@ -34,7 +34,8 @@ def activation(
     A lag begins settled at its first control. An integrator that holds a position begins where its
     joint is.
     """
-    control, ends = _held(_clipped(compiled, recording, a)), _act_range(compiled, a)
+    control = _late(compiled, _held(_clipped(compiled, recording, a)), a)
+    ends = _act_range(compiled, a)
     if int(compiled.actuator_dyntype[a]) in LAGS:
         return _lagging(control, float(compiled.actuator_dynprm[a, 0]), ends, at)
     return _integral(control, _held_position(compiled, recording, a), ends, at)
@@ -55,6 +56,12 @@ def _held(channel: Channel) -> Channel:
         return channel
     means = 0.5 * (channel.values[:-1] + channel.values[1:])
     return replace(channel, values=np.append(means, channel.values[-1]), hold="zero")
+
+
+def _late(compiled: mujoco.MjModel, channel: Channel, a: int) -> Channel:
+    """Return a control when it reaches an activation: later by the actuator's own delay."""
+    delay = float(compiled.actuator_delay[a])
+    return replace(channel, time=channel.time + delay) if delay else channel
 
 
 def _lagging(

@@ -77,6 +77,6 @@ def activations_of(
 
 
 def set_activations(model: Model, parameters: Sequence[ParameterLike]) -> bool:
-    """Whether parameters set time constants, so that each candidate has activations of its own."""
+    """Whether parameters set time constants or delays, which activations follow from."""
     targets = [t for p in parameters for address in p.addresses for t in resolve(model, address)]
-    return any((t.kind, t.name) == ("actuator", "dynprm") for t in targets)
+    return any(t.kind == "actuator" and t.name in ("dynprm", "delay") for t in targets)

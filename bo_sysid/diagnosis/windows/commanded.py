@@ -37,7 +37,11 @@ def changed_activations(
     filtered = {p.actuator for p in parts if isinstance(p, Filter)}
     for a in controlled(nominal) if nominal.na else ():
         if nominal.actuator_actnum[a]:
-            name, own = nominal.actuator(a).name, nominal.actuator_dynprm[a]
-            if name in filtered or (model.actuator(name).dynprm != own).any():
+            name = nominal.actuator(a).name
+            own, other = (
+                (*m.actuator_dynprm[i], m.actuator_delay[i])
+                for m, i in ((nominal, a), (model, model.actuator(name).id))
+            )
+            if name in filtered or own != other:
                 return True
     return False
