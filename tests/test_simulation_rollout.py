@@ -51,6 +51,18 @@ def loop(model: mujoco.MjModel, start: State, ctrl: np.ndarray) -> np.ndarray:
     return out
 
 
+def test_a_model_whose_bodies_may_fall_asleep_is_simulated() -> None:
+    plain = Model.from_xml(PENDULUM.format(damping=0.1, integrator="Euler"))
+    sleepy = '<option timestep="0.001"><flag sleep="enable"/></option>'
+    text = PENDULUM.replace('<option timestep="0.001" integrator="{integrator}"/>', sleepy)
+    model, start = Model.from_xml(text.format(damping=0.1)), starts(3)
+    ctrl = np.random.default_rng(1).normal(size=(3, 40, 1))
+    trajectory = Engine(threads=1).rollout(model.compile(), start, ctrl)
+    np.testing.assert_array_equal(trajectory.qpos, loop(plain.compile(), start, ctrl))
+    asleep = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    assert model.spec().option.enableflags & asleep  # an export keeps it
+
+
 def test_rollout_equals_the_bare_engine_to_the_last_bit() -> None:
     model, start = pendulum(0.1), starts(5)
     ctrl = np.random.default_rng(1).normal(size=(5, 40, 1))

@@ -22,9 +22,11 @@ def stripped(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     A visual-only mesh is a mesh geom that collides with nothing, carries no mass, feels no fluid
     and is named by nothing. Cameras and such meshes stay where a sensor looks at or through
     them. Materials stay, without their textures: they weigh nothing, rays see their
-    transparency, and a compiled tendon cannot give its material up.
+    transparency, and a compiled tendon cannot give its material up. Nothing falls asleep: who
+    sleeps is no part of a state, so that many simulations at once cannot know it.
     """
     lean = spec.copy()
+    lean.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     for material in lean.materials:
         for role in range(len(material.textures)):
             material.textures[role] = ""
