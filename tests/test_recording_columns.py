@@ -211,6 +211,24 @@ def test_what_is_said_of_the_time_holds_for_clocks_in_its_column(columns, clocks
     np.testing.assert_allclose(channels["ctrl.m"].time, TIME + late, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("begin", "unit", "factor"),
+    [
+        (0, "ms", 1),
+        (0, "us", 1_000),
+        (0, "ns", 1_000_000),
+        (1_700_000_000, "ms", 1),
+        (1_700_000_000, "us", 1_000),
+    ],
+)
+def test_instants_in_two_units_are_the_same_instants(begin, unit, factor):
+    ms = 1000 * begin + 10 * np.arange(50)
+    time = np.array([float(f"{k / 1000:.3f}") for k in ms])  # as text says them
+    clocks = {"qvel": {"from": "t", "unit": unit}}
+    channels = read(None, clocks, time=time, t=factor * ms, qvel__a=WAVE).channels
+    np.testing.assert_array_equal(channels["qvel.a"].time, time)
+
+
 def test_a_column_called_time_of_a_kind_is_its_clock_and_may_be_shorter():
     clock = np.append(TIME[:20] * 2, np.full(30, np.nan))
     values = np.append(WAVE[:20], np.full(30, np.nan))

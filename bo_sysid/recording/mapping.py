@@ -211,7 +211,9 @@ class _Mapper:
             self.notes.append(
                 f"Time stamps in column {column!r} read as signed numbers of {stated.signed} bits."
             )
-        stamps = stated.scale * factor * raw
+        # 70 ms / 1000 is the number that 0.07 s is read as, 0.001 * 70 ms the one beside it
+        scaled = stated.scale * raw
+        stamps = scaled / round(1 / factor) if factor < 1 else scaled * factor
         if stated.period:
             filled = ~np.isnan(stamps)
             unwrapped = np.unwrap(stamps[filled], period=stated.period)
