@@ -109,8 +109,8 @@ def test_samples_that_are_no_numbers_are_refused_by_name():
     time = np.arange(2.0)
     with pytest.raises(RecordingError, match=r"arm: qpos.a: samples must be numbers; .*'up'"):
         Recording.from_arrays(time, name="arm", qpos={"a": ["up", "down"]})
+    frame = pd.DataFrame({"time": time, "qpos.a": ["up", "down"]})
     with pytest.raises(RecordingError, match=r"arm: qpos.a: samples must be numbers; .*'up'"):
-        frame = pd.DataFrame({"time": time, "qpos.a": ["up", "down"]})
         Recording.from_frame(frame, name="arm")
     with pytest.raises(RecordingError, match=r"qpos.a: samples must be numbers; they are datetime"):
         Recording.from_arrays(time, qpos={"a": pd.to_datetime(time, unit="s").to_numpy()})

@@ -340,7 +340,7 @@ def test_the_time_step_is_no_parameter(folder: Path) -> None:
     damping = {"address": "joint[*].damping", "low": 0, "high": 1}
     step = {"name": "step", "address": "option.timestep", "low": 0.001, "high": 0.004}
     study = minimal(folder, parameters=[damping, step])
-    with pytest.raises(StudyError, match=r"parameters\.1\.address: option.timestep is no parameter"):
+    with pytest.raises(StudyError, match=r"parameters\.1\.address: option.timestep is no"):
         study.parameter_set(load_model(study))
 
 

@@ -118,8 +118,8 @@ def _cut_one(
     left_out += tuple(
         f"{recording.name}: {n} begins each window with what was before it, by the sensor's delay "
         "in the model; that is not compared"
-        for n, some in zip(channels, before.any(axis=(0, 1)), strict=True)
-        if some
+        for k, n in enumerate(channels)
+        if before[..., k].any()
     )
     return Windows(
         start=start,
