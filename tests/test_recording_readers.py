@@ -473,6 +473,18 @@ def test_a_recording_without_a_name_takes_that_of_its_file(tmp_path):
     assert read_recording(write_recording(named, tmp_path / "a.parquet")).name == "swing"
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+@pytest.mark.parametrize("point", [".", ","])
+def test_names_may_hold_commas_between_other_separators(separator, point, tmp_path):
+    header = separator.join(["time", "q [rad, of the link, not the motor]"])
+    rows = [separator.join([f"0{point}{k}", f"{k}{point}5"]) for k in range(1, 9)]
+    (tmp_path / "log.csv").write_text("\n".join([header, *rows]))
+    rules = {"qpos.a": "q [rad, of the link, not the motor]"}
+    channel = read_recording(tmp_path / "log.csv", rules).channels["qpos.a"]
+    np.testing.assert_allclose(channel.time, np.arange(1, 9) / 10)
+    np.testing.assert_allclose(channel.values, np.arange(1, 9) + 0.5)
+
+
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_a_name_in_quotes_may_hold_a_separator_and_quotes(separator, tmp_path):
     """As pandas and spreadsheets write a column that is called "torque, elbow"."""

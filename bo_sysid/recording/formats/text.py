@@ -110,11 +110,11 @@ def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
     while lines and (not lines[0].strip() or lines[0].lstrip().startswith("#")):
         comments.append(lines.pop(0))
     header = lines.pop(0) if lines else ""
-    separator, names = _names(header)
+    separator, names = _names(header, lines[0] if lines else "")
     if all(_is_number(name) for name in names) and comments:
         lines.insert(0, header)
         header = comments[-1].lstrip("# ")
-        separator, names = _names(header)
+        separator, names = _names(header, lines[0])
     if not names or all(_is_number(name) for name in names):
         raise RecordingError(
             f"{path}: the first line must name the columns (time, qpos.<joint>, …), not "
@@ -131,9 +131,19 @@ def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
     return names, separator, "\n".join(lines)
 
 
-def _names(header: str) -> tuple[str, list[str]]:
-    """Return the separator of a header line and the names between."""
-    separator = max(",;\t", key=header.count)
+def _names(header: str, row: str) -> tuple[str, list[str]]:
+    """Return the separator of a header line and the names between.
+
+    Names may hold others, as in "q [rad, absolute]"; the first row has as many of the right one.
+    Where that is true of two, the comma is the other: of decimals.
+    """
+
+    def fits(separator: str) -> tuple[bool, bool, int]:
+        count = header.count(separator)
+        alike = count == row.count(separator)
+        return count > 0, alike, 0 if alike else count
+
+    separator = max(";\t,", key=fits)
     if separator not in header:
         return " ", header.split()
     names = next(csv.reader([header], delimiter=separator, skipinitialspace=True))
