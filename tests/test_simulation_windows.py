@@ -558,3 +558,29 @@ def test_candidates_begin_with_the_activations_of_their_own_time_constants_and_d
     assert lag.grid[np.argmin(off)] == pytest.approx(true)
     assert min(off) < 1e-9
     assert sorted(off)[1] > 1e-4
+
+
+NUMBERED = """<mujoco><worldbody>
+  <body><joint name="f.{0}"/><geom size=".1"/><body pos="0 0 1"><joint name="f.{1}"/>
+    <geom size=".1"/><body pos="0 0 1"><joint name="f.{2}"/><geom size=".1"/><body pos="0 0 1">
+      <joint name="f.{3}"/><geom size=".1"/></body></body></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("first", [0, 3])
+def test_four_hinges_with_numbers_for_names_are_no_quaternion(first: int) -> None:
+    model = Model.from_xml(NUMBERED.format(*range(first, first + 4)))
+    time = np.arange(0, 0.1, 0.002)
+    angles = {name: 0.3 + 0.1 * np.sin(20 * time) for name in model.joints}
+    windows = cut(model, [Recording.from_arrays(time, qpos=angles)], horizon=5)
+    np.testing.assert_allclose(windows.residual(-windows.observed), 2 * windows.observed)
+
+
+def test_an_orientation_is_compared_with_its_nearer_sign() -> None:
+    xml = '<mujoco><worldbody><body><joint name="b" type="ball"/><geom size=".1" pos=".1 0 0"/>'
+    model = Model.from_xml(xml + "</body></worldbody></mujoco>")
+    time = np.arange(0, 0.1, 0.002)
+    half = 0.5 * time
+    turned = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=1)
+    windows = cut(model, [Recording.from_arrays(time, qpos={"b": turned})], horizon=5)
+    np.testing.assert_allclose(windows.residual(-windows.observed), 0.0, atol=1e-15)

@@ -134,6 +134,7 @@ def _cut_one(
         timestep=dt,
         notes=note + open_,
         left_out=left_out,
+        turning=frozenset(layout.turns),
     )
 
 
@@ -322,4 +323,5 @@ def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> 
         timestep=dt,
         notes=tuple(n for p in pieces for n in p.notes),
         left_out=tuple(n for p in pieces for n in p.left_out),
+        turning=pieces[0].turning,
     )

@@ -35,6 +35,7 @@ class Windows:
         notes: what was done to cut them.
         left_out: what of the recordings is in no window, in words.
         told: the recordings, where activations at the starts differ by parameters.
+        turning: the model's channels that are numbers of a quaternion.
     """
 
     start: State
@@ -50,6 +51,7 @@ class Windows:
     notes: tuple[str, ...] = field(default=())
     left_out: tuple[str, ...] = ()
     told: tuple[Recording, ...] = field(default=(), repr=False)
+    turning: frozenset[str] = field(default=frozenset(), repr=False)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -112,21 +114,25 @@ class Windows:
         A body's orientation is q as well as -q, and loggers change over from one to the other.
         """
         observed = self.observed
-        for columns in quaternions(self.channels):
+        for columns in quaternions(self.channels, self.turning):
             observed = observed.copy() if observed is self.observed else observed
             dot = (observed[..., columns] * predicted[..., columns]).sum(axis=-1, keepdims=True)
             observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
         return np.asarray(observed - predicted)
 
 
-def quaternions(channels: Sequence[str]) -> list[list[int]]:
+def quaternions(channels: Sequence[str], turning: Collection[str]) -> list[list[int]]:
     """Return where among channels the whole quaternions of free and ball joints are.
 
-    Those of a free joint are ``qpos.<joint>.3`` to ``.6``, of a ball joint ``.0`` to ``.3``.
+    Those of a free joint are ``qpos.<joint>.3`` to ``.6``, of a ball joint ``.0`` to ``.3``; but
+    hinges may have such names as well.
+
+    Args:
+        channels: names of channels.
+        turning: those of the model that are numbers of a quaternion.
     """
-    where = {name: k for k, name in enumerate(channels)}
-    stems = dict.fromkeys(n.rpartition(".")[0] for n in channels if n.startswith("qpos."))
-    stems.pop("qpos", None)  # of joints that are called 3, 4, 5 and 6
+    where = {name: k for k, name in enumerate(channels) if name in turning}
+    stems = dict.fromkeys(n.rpartition(".")[0] for n in where)
     found = []
     for stem in stems:
         first = 3 if f"{stem}.4" in where else 0

@@ -59,7 +59,7 @@ def _of_poses(recordings: Sequence[Recording], names: Sequence[str]) -> dict[str
     where the number is near 1.
     """
     factors = {}
-    for columns in quaternions(names):
+    for columns in quaternions(names, names):  # angles of hinges have no length that is kept
         numbers = [names[c] for c in columns]
         told = [r for r in recordings if all(n in r.channels for n in numbers)]
         if not told or not all(_of_length_one(r, numbers) for r in told):
