@@ -20,12 +20,19 @@ SIGMA = 1e-4
 JOINTS = ("elbow", "wrist")
 ROTORS, FRICTION, DAMPING = np.array([0.3, 0.04]), np.array([2.0, 0.25]), np.array([0.6, 0.08])
 WANTED = ("dry_friction", "viscous_damping", "armature")
-XML = """
+_FRAME = """
 <mujoco>
   <option timestep="0.002" integrator="implicitfast"/>
   <default><geom contype="0" conaffinity="0"/></default>
-  <worldbody>
-    <body name="forearm" pos="0 0 1">
+  <worldbody>{body}</worldbody>
+  <actuator>{shoulder}
+    <motor name="elbow" joint="elbow"/>
+    <motor name="wrist" joint="wrist"/>
+  </actuator>
+</mujoco>
+"""
+_FOREARM = """
+    <body name="forearm" pos="0 0 {height}">
       <joint name="elbow" axis="0 1 0"/>
       <geom name="forearm" type="capsule" fromto="0 0 0 0 0 -.3" size=".04" mass="1.8"/>
       <body name="hand" pos="0 0 -.3">
@@ -33,41 +40,20 @@ XML = """
         <geom name="hand" type="capsule" fromto="0 0 0 0 0 -.08" size=".03" mass=".3"/>
       </body>
     </body>
-  </worldbody>
-  <actuator>
-    <motor name="elbow" joint="elbow"/>
-    <motor name="wrist" joint="wrist"/>
-  </actuator>
-</mujoco>
 """
+XML = _FRAME.format(body=_FOREARM.format(height=1), shoulder="")
 """The wrist's rotor has a hundred times the inertia of the hand."""
 
 
-SHOULDERED = """
-<mujoco>
-  <option timestep="0.002" integrator="implicitfast"/>
-  <default><geom contype="0" conaffinity="0"/></default>
-  <worldbody>
+SHOULDERED = _FRAME.format(
+    body=f"""
     <body name="arm" pos="0 0 1">
       <joint name="shoulder" axis="0 1 0"/>
       <geom name="arm" type="capsule" fromto="0 0 0 0 0 -.35" size=".05" mass="3"/>
-      <body name="forearm" pos="0 0 -.35">
-        <joint name="elbow" axis="0 1 0"/>
-        <geom name="forearm" type="capsule" fromto="0 0 0 0 0 -.3" size=".04" mass="1.8"/>
-        <body name="hand" pos="0 0 -.3">
-          <joint name="wrist" axis="0 1 0"/>
-          <geom name="hand" type="capsule" fromto="0 0 0 0 0 -.08" size=".03" mass=".3"/>
-        </body>
-      </body>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor name="shoulder" joint="shoulder"/>
-    <motor name="elbow" joint="elbow"/>
-    <motor name="wrist" joint="wrist"/>
-  </actuator>
-</mujoco>
-"""
+      {_FOREARM.format(height=-0.35)}
+    </body>""",
+    shoulder='<motor name="shoulder" joint="shoulder"/>',
+)
 """The same below a shoulder."""
 SHOULDER = {"armature": 0.5, "dry_friction": 5.0, "viscous_damping": 1.0}
 

@@ -16,7 +16,7 @@ from bo_sysid.mjcf.joints import HINGE, SLIDE
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
 from bo_sysid.simulation.activations import activations, set_activations
-from bo_sysid.simulation.delays import remembered_steps, shown_of_before
+from bo_sysid.simulation.delays import remembered_steps, without_before
 from bo_sysid.simulation.smoothing import smooth
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
@@ -99,7 +99,8 @@ def _cut_one(
     ]
     inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
     first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
-    instants = time[first[:, None] + np.arange(1, horizon + 1)] - time[first][:, None]
+    rows = first[:, None] + np.arange(1, horizon + 1)
+    instants = time[rows] - time[first][:, None]
     on_step = _ON_STEP + rounding(time) / dt
     step = np.floor(instants / dt + on_step).astype(int)
     fraction = instants / dt - step
@@ -112,14 +113,8 @@ def _cut_one(
         before = time[first] - late * dt
         past = controls(model, compiled, recording, before, late, dt, controlled)
         start = replace(start, past=past)
-    observed = table[first[:, None] + np.arange(1, horizon + 1)]
-    before = shown_of_before(compiled, layout.sensor, channels, step)
-    observed[before] = np.nan
-    left_out += tuple(
-        f"{recording.name}: {n} begins each window with what was before it, by the sensor's delay "
-        "in the model; that is not compared"
-        for k, n in enumerate(channels)
-        if before[..., k].any()
+    observed, delayed = without_before(
+        compiled, layout.sensor, recording.name, channels, table[rows], step
     )
     return Windows(
         start=start,
@@ -133,7 +128,7 @@ def _cut_one(
         recording=np.full(len(first), number),
         timestep=dt,
         notes=note + open_,
-        left_out=left_out,
+        left_out=left_out + delayed,
         turning=frozenset(layout.turns),
     )
 

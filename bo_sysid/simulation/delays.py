@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from mujoco.batch import Batch
 
 from bo_sysid.mjcf.commands import controlled
@@ -37,22 +37,33 @@ def load_past(batch: Batch, past: Float[np.ndarray, "W D nu"]) -> None:
             history[:, first : first + count] = past[:, own, k]
 
 
-def shown_of_before(
+def without_before(
     model: mujoco.MjModel,
     columns: Mapping[str, int],
+    name: str,
     channels: Sequence[str],
+    seen: Float[np.ndarray, "W H c"],
     step: Int[np.ndarray, "W H"],
-) -> Bool[np.ndarray, "W H c"]:
-    """Return where delayed sensors show what was before a window, which no simulation knows.
+) -> tuple[Float[np.ndarray, "W H c"], tuple[str, ...]]:
+    """Return what was seen without what delayed sensors show of before a window, and words on it.
 
-    MuJoCo shows zeros there.
+    No simulation knows that: MuJoCo shows zeros there.
 
     Args:
         model: the compiled model.
         columns: of `sensordata` by channel.
-        channels: names of the c observed channels.
+        name: of the recording.
+        channels: names of the c channels.
+        seen: `W x H x c` what they showed.
         step: `W x H` simulation step at or before each instant.
     """
     delays = np.repeat(model.sensor_delay, model.sensor_dim) / model.opt.timestep  # in steps
     late = np.array([delays[columns[n]] if n in columns else 0.0 for n in channels])
-    return np.asarray(step[..., None] < late - _ON_STEP)
+    before = step[..., None] < late - _ON_STEP
+    told = tuple(
+        f"{name}: {n} begins each window with what was before it, by the sensor's delay in the "
+        "model; that is not compared"
+        for k, n in enumerate(channels)
+        if before[..., k].any()
+    )
+    return np.where(before, np.nan, seen), told
