@@ -9,13 +9,16 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, lengthened, windows_of
+from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.subsets import groups
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import prepare
 
 _LACKED = ("dry_friction", "viscous_damping", "armature")
 _JOINTS = 3  # from which pairs and triples of single effects do not reach such a set
+_STARTS = (3.0, 10.0, 1.0, 30.0)  # times what shows, from which it is fitted in turn
 _EXPLAINED = 0.05  # of what the nominal model leaves, that the set may leave
 
 
@@ -24,8 +27,9 @@ def from_bare_joints(
 ) -> Search | None:
     """Return a search on full windows in which what bare joints lack is fitted.
 
-    The set is carried from the shortest windows to the full ones, its magnitudes and starts with
-    it. None where not even the shortest are too long for slopes, or where it leaves too much.
+    Joints are geared by little or by much, and a fit from the wrong size ends beside the truth: it
+    begins from several, until one comes near. None where not even the shortest windows are too long
+    for slopes, or where the best fit leaves too much.
 
     Args:
         evidence: what is searched.
@@ -37,13 +41,27 @@ def from_bare_joints(
     members = bare_joints(search)
     if not members or search.nominal.rms < TRACTABLE:
         return None
-    fit = search.fit(members, [np.array(c.probe, float) for c in members])
+    best: Search | None = None
+    for factor in _STARTS:
+        x = [np.minimum(factor * np.asarray(c.probe), c.high) for c in members]
+        made = Search.on(search.prepared, search.candidates, search.most, None, search.doing)
+        made = _carried(evidence, made, made.fit(members, x), length, horizon, step)
+        best = made if best is None or made.least < best.least else best
+        if best.least < ROUGH:
+            break
+    return best if best is not None and best.least < _EXPLAINED * best.nominal.rms else None
+
+
+def _carried(
+    evidence: Evidence, search: Search, fit: Fit, length: int, horizon: int, step: float
+) -> Search:
+    """Carry a fit from short windows to full ones, its magnitudes and starts with it."""
     while length < horizon:
         length = lengthened(length, horizon)
         prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
         search = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
-        fit = search.fit(members, fit.x, guess=fit.hypothesis)
-    return search if fit.rms < _EXPLAINED * search.nominal.rms else None
+        fit = search.fit(fit.members, fit.x, guess=fit.hypothesis)
+    return search
 
 
 def bare_joints(search: Search) -> tuple[Candidate, ...]:
