@@ -10,10 +10,10 @@ import numpy as np
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, lengthened, windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import LOOSE
 from bo_sysid.diagnosis.sets.subsets import groups
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
-from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import prepare
 
 _LACKED = ("dry_friction", "viscous_damping", "armature")
@@ -47,7 +47,7 @@ def from_bare_joints(
         made = Search.on(search.prepared, search.candidates, search.most, None, search.doing)
         made = _carried(evidence, made, made.fit(members, x), length, horizon, step)
         best = made if best is None or made.least < best.least else best
-        if best.least < ROUGH:
+        if best.least < LOOSE:
             break
     return best if best is not None and best.least < _EXPLAINED * best.nominal.rms else None
 
