@@ -153,8 +153,9 @@ def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[n
     """
     columns: Int[np.ndarray, " b"] = values.argmin(axis=1)
     tied = values <= values[np.arange(len(values)), columns][:, None] + TIED
-    for row in np.flatnonzero(tied.sum(axis=1) > 1):
-        columns[row] = rng.choice(np.flatnonzero(tied[row]))
+    several = tied.sum(axis=1) > 1
+    lots = np.where(tied[several], rng.random(tied[several].shape), -1.0)
+    columns[several] = lots.argmax(axis=1)
     return columns
 
 

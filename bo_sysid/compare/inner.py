@@ -79,7 +79,7 @@ def run_search(job: SearchJob) -> dict[str, Any]:
     )
     deviation = None if job.table is None else job.table.evaluation.deviation
     lowest = None if deviation is None else float(deviation.min())
-    least = None if deviation is None else deviation - deviation.min() <= TIED * deviation.std()
+    least = None if deviation is None else deviation - lowest <= TIED * deviation.std()
     seen = watch.told(len(outcome.history))
     return {
         "row": outcome.history.rows.tolist(),

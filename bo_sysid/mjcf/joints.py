@@ -14,6 +14,14 @@ QPOS_SIZE = {FREE: 7, BALL: 4, SLIDE: 1, HINGE: 1}
 QVEL_SIZE = {FREE: 6, BALL: 3, SLIDE: 1, HINGE: 1}
 
 
+def quaternions(model: mujoco.MjModel) -> tuple[tuple[str, ...], ...]:
+    """Return the four channels of the orientation of each free and each ball joint."""
+    first = {FREE: 3, BALL: 0}
+    turning = np.flatnonzero(np.isin(model.jnt_type, list(first)))
+    names = {model.joint(j).name: first[int(model.jnt_type[j])] for j in turning}
+    return tuple(tuple(f"qpos.{n}.{i}" for i in range(k, k + 4)) for n, k in names.items())
+
+
 def joint_units(model: mujoco.MjModel) -> dict[str, str]:
     """Return the units of the position and velocity channels of hinges and slides."""
     units = {}

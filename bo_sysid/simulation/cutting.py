@@ -12,7 +12,7 @@ from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Loops, Model, ParameterLike, room_for_delays
 from bo_sysid.mjcf.commands import deaf_controls
-from bo_sysid.mjcf.joints import HINGE, SLIDE
+from bo_sysid.mjcf.joints import HINGE, SLIDE, quaternions
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
 from bo_sysid.simulation.activations import activations, set_activations
@@ -90,7 +90,8 @@ def _cut_one(
     measured = [n for n in layout.qpos if n not in layout.unrecorded]
     _require(recording, [n for n in measured if n not in recording.channels], "joint position")
     time, table = _merged(recording, channels)
-    require_orientations(layout, recording.name, channels, time, table)
+    orientations = quaternions(compiled)
+    require_orientations(orientations, recording.name, channels, time, table)
     complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
     heard = [
         n
@@ -129,7 +130,7 @@ def _cut_one(
         timestep=dt,
         notes=note + open_,
         left_out=left_out + delayed,
-        turning=frozenset(layout.turns),
+        quaternions=orientations,
     )
 
 
@@ -318,5 +319,5 @@ def _joined(pieces: Sequence[Windows], channels: tuple[str, ...], dt: float) -> 
         timestep=dt,
         notes=tuple(n for p in pieces for n in p.notes),
         left_out=tuple(n for p in pieces for n in p.left_out),
-        turning=pieces[0].turning,
+        quaternions=pieces[0].quaternions,
     )

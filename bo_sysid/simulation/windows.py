@@ -35,7 +35,7 @@ class Windows:
         notes: what was done to cut them.
         left_out: what of the recordings is in no window, in words.
         told: the recordings, where activations at the starts differ by parameters.
-        turning: the model's channels that are numbers of a quaternion.
+        quaternions: the four channels of each orientation that the model has.
     """
 
     start: State
@@ -51,7 +51,7 @@ class Windows:
     notes: tuple[str, ...] = field(default=())
     left_out: tuple[str, ...] = ()
     told: tuple[Recording, ...] = field(default=(), repr=False)
-    turning: frozenset[str] = field(default=frozenset(), repr=False)
+    quaternions: tuple[tuple[str, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -114,32 +114,14 @@ class Windows:
         A body's orientation is q as well as -q, and loggers change over from one to the other.
         """
         observed = self.observed
-        for columns in quaternions(self.channels, self.turning):
+        for names in self.quaternions:
+            if not set(names) <= set(self.channels):
+                continue  # not recorded whole
+            columns = [self.channels.index(n) for n in names]
             observed = observed.copy() if observed is self.observed else observed
             dot = (observed[..., columns] * predicted[..., columns]).sum(axis=-1, keepdims=True)
             observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
         return np.asarray(observed - predicted)
-
-
-def quaternions(channels: Sequence[str], turning: Collection[str]) -> list[list[int]]:
-    """Return where among channels the whole quaternions of free and ball joints are.
-
-    Those of a free joint are ``qpos.<joint>.3`` to ``.6``, of a ball joint ``.0`` to ``.3``; but
-    hinges may have such names as well.
-
-    Args:
-        channels: names of channels.
-        turning: those of the model that are numbers of a quaternion.
-    """
-    where = {name: k for k, name in enumerate(channels) if name in turning}
-    stems = dict.fromkeys(n.rpartition(".")[0] for n in where)
-    found = []
-    for stem in stems:
-        first = 3 if f"{stem}.4" in where else 0
-        columns = [where.get(f"{stem}.{i}", -1) for i in range(first, first + 4)]
-        if min(columns) >= 0:
-            found.append(columns)
-    return found
 
 
 @dataclass(frozen=True)
@@ -201,7 +183,7 @@ class Layout:
 
 
 def require_orientations(
-    layout: Layout,
+    orientations: Sequence[Sequence[str]],
     name: str,
     channels: Sequence[str],
     time: Float[np.ndarray, " T"],
@@ -210,7 +192,7 @@ def require_orientations(
     """Refuse quaternions that are no orientation, as those written before one is known.
 
     Args:
-        layout: of the model, which has the orientations.
+        orientations: the four channels of each.
         name: of the recording.
         channels: of the columns of `table`.
         time: `T` instants in [s].
@@ -219,18 +201,14 @@ def require_orientations(
     Raises:
         RecordingError: a length is far from 1; the message names channels, time and remedy.
     """
-    where = {n: k for k, n in enumerate(channels)}
-    orientations: dict[int, list[int]] = {}
-    for channel, (begin, _, _) in layout.turns.items():
-        orientations.setdefault(begin, []).append(where.get(channel, -1))
-    for columns in orientations.values():
-        if min(columns) < 0:
+    for names in orientations:
+        if not set(names) <= set(channels):
             continue  # not recorded whole
-        length = np.linalg.norm(table[:, columns], axis=1)
+        length = np.linalg.norm(table[:, [channels.index(n) for n in names]], axis=1)
         wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
         if not wrong.size:
             continue
-        first, last = channels[columns[0]], channels[columns[-1]]
+        first, last = names[0], names[-1]
         usual = float(np.nanmedian(length))
         remedy = "leave such rows out of the log"
         if usual > 0 and abs(usual - 1.0) > _UNIT:

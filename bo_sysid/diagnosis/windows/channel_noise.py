@@ -6,9 +6,9 @@ import numpy as np
 
 from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf.joints import quaternions
 from bo_sysid.recording import Recording
 from bo_sysid.recording.noise import MOVES, noise_sigma, underrated
-from bo_sysid.simulation.windows import quaternions
 
 _LEAST = 1e-9
 _FIXED = 0.3  # of the noise of its numbers, that the length of a quaternion shows at most
@@ -35,7 +35,8 @@ def channel_noise(
         if moved > 0:
             found[name] = max(sigma, _LEAST, 1e-6 * moved)
             most = max(most, (moved / found[name], name))
-    for name, factor in _of_poses(recordings, list(found)).items():
+    poses = [q for q in quaternions(machine.model) if set(q) <= set(found)]
+    for name, factor in _of_poses(recordings, poses).items():
         found[name] *= 1.0 if name in given or "qpos" in given else factor
     recorded = ", ".join(r.name for r in recordings)
     if not found:
@@ -52,15 +53,16 @@ def channel_noise(
     return found
 
 
-def _of_poses(recordings: Sequence[Recording], names: Sequence[str]) -> dict[str, float]:
-    """Return the factor of σ by number of a quaternion whose length is kept at 1.
+def _of_poses(
+    recordings: Sequence[Recording], poses: Sequence[tuple[str, ...]]
+) -> dict[str, float]:
+    """Return the factor of σ by number of each quaternion whose length is kept at 1.
 
     Noise that turns a pose by equal angles about all axes moves number i by √(1 - qᵢ²) of it: less
     where the number is near 1.
     """
     factors = {}
-    for columns in quaternions(names, names):  # angles of hinges have no length that is kept
-        numbers = [names[c] for c in columns]
+    for numbers in poses:
         told = [r for r in recordings if all(n in r.channels for n in numbers)]
         if not told or not all(_of_length_one(r, numbers) for r in told):
             continue
