@@ -238,6 +238,18 @@ def test_a_set_with_a_soft_gear_is_fitted_to_its_end() -> None:
     assert fit.x[0][0] == pytest.approx(1 / 60, rel=0.05)
 
 
+def test_a_gear_that_bends_by_a_third_of_what_its_joint_moves_is_named() -> None:
+    soft, loss = 0.2, 0.01
+    recording = record("joint_compliance", [soft, loss, 0.0, 0.0], 3, 4.0)
+    effects = [CATALOGUE[e] for e in ("joint_compliance", "viscous_damping", "joint_spring")]
+    model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
+    found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))
+    best = found.decision.best
+    assert [c.key for c in best.members] == [("joint_compliance", "hinge")]
+    assert best.x[0][0] == pytest.approx(soft, rel=0.01)
+    assert best.rms < 1.05
+
+
 def test_a_joint_that_follows_what_it_does_not_explain_is_not_named() -> None:
     """Beside damping a soft gear left 3.6 of 19 sigma of friction that no effect in the list is."""
     recording = record("dry_friction", [0.3, 0.0], 2, 1.5)

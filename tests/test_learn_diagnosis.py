@@ -28,6 +28,7 @@ from bo_sysid.plants.tasks import Start
 from bo_sysid.policy.network import GaussianPolicy, Network
 from bo_sysid.policy.normalisation import Normaliser
 from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording import DATASETS, Dataset
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation import ForceLaw
@@ -307,3 +308,29 @@ def test_recordings_of_policies_are_corrected_as_the_first_ones(tmp_path: Path) 
         for recording in source.recordings(later):
             np.testing.assert_allclose(recording.channels["qvel.hinge"].values, truth * 1.25 / 0.8)
         assert len(source.recordings(later)) == 2
+
+
+def test_a_dataset_and_recordings_of_policies_are_diagnosed_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, later = (
+        build_plant(Study.from_dict(pendulum(), tmp_path)).record(np.full((100, 1), x))
+        for x in (0.2, -0.1)
+    )
+    public = Dataset("swing", lambda: (first,), lambda: (later,), "nobody")
+    monkeypatch.setitem(DATASETS, "swing", lambda: public)
+    noise = {"qpos": 0.01}
+    asked = pendulum(plant=None, recordings={"dataset": "swing", "noise": noise})
+    study = Study.from_dict(asked, tmp_path)
+    scene = Scene.of(study)
+    with Run.open(tmp_path / "run", study.resolved(relative_to=tmp_path), "learn") as run:
+        source = MachineSource(scene, run)
+        write_recording(later, run.path("recordings/trajectory-01.csv"))
+        assert source.take(2, Mock(spec=LearnedPolicy), scene) is None
+        told = {**study.resolved(), "recordings": {**source.training, "holdout": None}}
+        both = load_train(Study.from_dict(told, run.folder))
+        assert told["recordings"]["noise"] == noise
+    for recording, truth in zip(both, (first, later), strict=True):
+        seen, whole = recording.channels["qpos.hinge"].values, truth.channels["qpos.hinge"].values
+        np.testing.assert_allclose(seen, whole[: len(seen)], atol=1e-12)
+        assert len(seen) > 0.7 * len(whole)

@@ -21,14 +21,15 @@ from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.mjcf.strip import stripped
 
 _GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
-_SOFT = (0.003, 0.02, 0.1)  # of that spread, by which the typical force bends a joint
-_MOST_SOFT = 0.2  # the same, at most: what gives way further is no gear, and follows any motion
+_SOFT = (0.003, 0.02, 0.1, 0.3)  # of that spread, by which the typical force bends a joint
+_MOST_SOFT = 0.5  # the same, at most: what gives way further is no gear, and follows any motion
 _LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0
 _HARDEST = 0.9999  # largest impedance of MuJoCo's constraints
 _TIGHT = 1e-3  # of that spread, by which the typical force bends a gear that plays
 _YIELDING = (0.01, 0.05)  # the same for ends that give way, from which fits are begun as well
+_MOST_YIELDING = 0.2  # the same, at most
 _EVENLY = 0.5  # share of a joint's damping that acts on the link, to begin with
 _MOST = 10.0  # of a joint's typical force: what bends the ends of a gap
 _SOFTEST = 0.01  # impedance of the ends of a gap
@@ -152,7 +153,7 @@ def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent(
         (_GAPS[0] * joint.spread, tight, _EVENLY, _RATIO, sides[0]),
         (0.0, 0.0, 0.0, 0.0, -1e-9),
-        (joint.spread, _MOST_SOFT * most, 1.0, 1.0, 1.0),
+        (joint.spread, _MOST_YIELDING * most, 1.0, 1.0, 1.0),
         tuple((gap * joint.spread, tight, _EVENLY, _RATIO, side) for gap, side in points),
         tuple(
             (gap * joint.spread, soft * most, _EVENLY, _RATIO, side)

@@ -246,10 +246,19 @@ class MachineSource:
 
     @property
     def training(self) -> Mapping[str, Any]:
-        """The study's own key, with the recordings of policies added."""
+        """The study's own key, with the recordings of policies added.
+
+        No key names a dataset and files: those of a dataset are written into the run folder.
+        """
         told = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
         own = [str(f.relative_to(self._run.folder)) for f in self._files]
-        return {**told, "train": [*told.get("train", ()), *own]}
+        if told.pop("dataset", None) is not None:
+            told["train"] = []
+            for k, recording in enumerate(self._first):
+                file = f"recordings/first-{k + 1:02d}.parquet"
+                write_recording(recording, self._run.path(file))
+                told["train"].append(file)
+        return {**told, "train": [*told["train"], *own]}
 
     @property
     def noise(self) -> Mapping[str, float]:
