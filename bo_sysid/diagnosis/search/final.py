@@ -3,40 +3,29 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.moves import eliminate, rubbing
+from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
-from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
+from bo_sysid.diagnosis.sets.refit import FINAL, Effort
 from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, lost, ranked
-from bo_sysid.diagnosis.sets.shapes import ranges, reshaped, with_shapes_unsure
-from bo_sysid.diagnosis.windows.estimated_starts import first_starts
+from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.linear import Linear
-from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
-from bo_sysid.diagnosis.windows.windowing import Prepared, prepare, settled
+from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.mjcf.touching import can_touch
 
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
 _NEEDED = 0.5  # [sigma] that leaving out a part costs, from which it need not be fitted again
 _COMPARED = 3  # leading sets at most that are compared with others
-_POLISH = 6  # times at most that the leader is linearised anew on all windows
-_TOLD = 2.0  # standard deviations from which a bend, or what is left, is told from none
+_TOLD = 2.0  # standard deviations from which a bend is told from none
 _AS_GOOD = 1.02  # times what a set leaves, that may be left without
 _UNTOLD = 1.005  # the same, of friction that holds where it creeps in the set
 _NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are polished; how many
-_SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
-_SETTLED_SHAPE = 0.03  # the same as a share of a shape
-_GAINED = 0.995  # of what the time before left, that linearising anew must come below
-_CURVED = 0.5  # [sigma] of the correction, from which more than a share of it may be left
-_HALVINGS = 2  # of the time step at most, for that
-_STRAIGHTER = 0.7  # of what is unexplained, that half the step may leave to be worth its time
 
 
 def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
@@ -45,10 +34,9 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     chosen = _finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
-    times = 1 if lost(order[0], search.nominal) else _POLISH
-    leader, prepared = _polished(problem, leader, prepared, most=times)
-    if leader.rms < ROUGH and not can_touch(evidence.machine.model):
-        leader, prepared = _stepped_finer(evidence, leader, prepared, horizon)
+    once = lost(order[0], search.nominal)
+    leader, prepared = polished(problem, leader, prepared, once=once)
+    leader, prepared = stepped_finer(evidence, leader, prepared, horizon)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis, search.doing)
     for f in chosen:
         if f.members:
@@ -80,7 +68,7 @@ def compare(final: Search, first: Fit) -> None:
     """
     eliminate(final)
     done: set[object] = set()
-    polished = {_effects(first)}
+    finished = {_effects(first)}
     for _ in range(_COMPARED):
         simulate_blocks(final)
         leader = _leader(final)
@@ -92,7 +80,7 @@ def compare(final: Search, first: Fit) -> None:
         substitute(final, leader)
         _shaped_alike(final, leader)
         _from_nearer(final, leader)
-        _polish(final, leader, polished)
+        _polish(final, leader, finished)
         eliminate(final)
 
 
@@ -150,7 +138,7 @@ def _exchanged(fit: Fit, leader: Fit) -> bool:
     return len(fit.members) == len(leader.members) == shared + 1
 
 
-def _polish(final: Search, leader: Fit, polished: set[Names]) -> None:
+def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
     """Fit the leader and the nearest rivals with their own shapes, linearised at themselves.
 
     What a start can do at one motion is not what it can do at another, and an effect with fewer
@@ -159,15 +147,15 @@ def _polish(final: Search, leader: Fit, polished: set[Names]) -> None:
     Args:
         final: the fits on all windows.
         leader: the leading one.
-        polished: effects and sites of the sets that were fitted so before; grows.
+        finished: effects and sites of the sets that were fitted so before; grows.
     """
     problem = final.prepared.problem
-    rivals = [f for f in _rivals(final, leader) if _effects(f) not in polished]
+    rivals = [f for f in _rivals(final, leader) if _effects(f) not in finished]
     for f in (leader, *rivals[:_RIVALS]):
-        if _effects(f) in polished or (f is leader and not _shaped(final, f)):
+        if _effects(f) in finished or (f is leader and not _shaped(final, f)):
             continue
-        polished.add(_effects(f))
-        made = _fitted_at_itself(problem, f)
+        finished.add(_effects(f))
+        made = fitted_at_itself(problem, f)
         if made.rss < f.rss:
             final.listed(made)
 
@@ -221,92 +209,6 @@ def _straightened(final: Search) -> None:
     for f in list(final.fits.values()):
         if _effects(f) == _effects(leader) and any(c.bent and c.key in untold for c in f.members):
             del final.fits[f.key]
-
-
-def _polished(
-    problem: Problem, leader: Fit, prepared: Prepared, *, most: int
-) -> tuple[Fit, Prepared]:
-    """Fit the leader on all windows, prepared anew until its magnitudes stay where they are.
-
-    Or until that gains nothing: a bend that windows tell little of may wander on for ever.
-    """
-    for k in range(min(most, _times(leader, problem))):
-        before, leader = leader, _refitted(prepared.linear, leader)
-        same = len(leader.start) == len(problem.windows)
-        prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
-        idle = k > 0 and leader.rms > _GAINED * before.rms
-        if idle or _distance(before, leader) < _SETTLED:
-            break
-    return leader, prepared
-
-
-def _stepped_finer(
-    evidence: Evidence, leader: Fit, prepared: Prepared, horizon: int
-) -> tuple[Fit, Prepared]:
-    """Halve the time step while that explains much of what the leader leaves.
-
-    What a step does is corrected by one share of what a finer one changes, which is right to first
-    order alone. Where effects are thousands of sigma large the rest is felt: an arm whose friction,
-    damping and rotors were missing kept .4 σ, and its forecasts twice their noise.
-    """
-    by_noise = _TOLD * np.sqrt(2.0 / prepared.problem.dof)  # rms² of n numbers varies by √(2/n)
-    for _ in range(_HALVINGS):
-        if leader.excess < by_noise or prepared.correction_rms < _CURVED:
-            break
-        step = prepared.problem.windows.timestep / 2
-        problem = windows_of(evidence, horizon, step, everything=True)
-        finer = prepare(problem, leader.hypothesis)
-        made, finer = _polished(problem, leader, finer, most=_POLISH)
-        if made.excess > _STRAIGHTER * leader.excess:
-            break
-        leader, prepared = made, finer
-    return leader, prepared
-
-
-def _fitted_at_itself(problem: Problem, fit: Fit) -> Fit:
-    """Fit a set as the leader was, on the windows and with the weights that all are compared by."""
-    for _ in range(_times(fit, problem)):
-        first = first_starts(problem, fit.hypothesis)
-        linear = settled(problem, fit.hypothesis, [*first, fit.start])
-        before, fit = fit, _refitted(linear, fit)
-        if _distance(before, fit) < _SETTLED:
-            break
-    return fit
-
-
-def _times(fit: Fit, problem: Problem) -> int:
-    """Return how often a set is linearised anew.
-
-    Once in contact: how much each window says is found anew with every linear model there.
-    """
-    most = 1 if can_touch(problem.machine.model) else _POLISH
-    return most if fit.members else 0
-
-
-def _refitted(linear: Linear, fit: Fit) -> Fit:
-    """Return a fit with magnitudes and shapes fitted to the end in a linear model's space."""
-    made = refit(
-        linear, fit.members, fit.x, groups=fit.groups, start=linear.start, guess=fit.hypothesis,
-        effort=FINAL,
-    )  # fmt: skip
-    return reshaped(linear, made)
-
-
-def _distance(before: Fit, after: Fit) -> float:
-    """Return how far the magnitudes of two fits of a set lie apart, in standard deviations.
-
-    Infinitely far where its shapes still move.
-    """
-    moved = [
-        np.abs(b.shapes - a.shapes) > _SETTLED_SHAPE * np.abs(a.shapes)
-        for b, a in zip(before.members, after.members, strict=True)
-    ]
-    if np.concatenate(moved).any():
-        return np.inf
-    change = np.concatenate(after.x) - np.concatenate(before.x)
-    own = slice(0, len(change))
-    inverse = np.linalg.pinv(after.covariance[own, own], hermitian=True)
-    return float(np.sqrt(max(change @ inverse @ change, 0.0)))
 
 
 def _lacks(fit: Fit, leader: Fit) -> bool:
