@@ -18,7 +18,7 @@ _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where the
 _SETTLED_SHAPE = 0.03  # the same as a share of a shape
 _GAINED = 0.995  # of what the time before left, that linearising anew must come below
 _CURVED = 0.5  # [sigma] of the correction, from which more than a share of it may be left
-_HALVINGS = 2  # of the time step at most, for that
+_HALVINGS = 3  # of the time step at most, for that
 _BEYOND_NOISE = 2.0  # standard deviations of rms², from which something is left
 _STRAIGHTER = 0.7  # of what is unexplained, that half the step may leave to be worth its time
 
