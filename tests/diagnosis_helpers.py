@@ -46,13 +46,14 @@ def record(
     ]
     compiled = model.compile(edits, timestep=sampling / finer)
     data, time = mujoco.MjData(compiled), np.arange(0, duration, sampling)
+    shown = [compiled.joint(n).qposadr[0] for n in model.joints]  # beside joints of gears
     ctrl = sum(
         rng.normal(size=2) * np.sin(2 * np.pi * f * time[:, None] + rng.uniform(0, 6, 2))
         for f in rng.uniform(0.2, 1.5, 6)
     ) * np.array([0.5, 0.13])
     qpos = np.empty((len(time), 2))
     for k, u in enumerate(ctrl):
-        qpos[k] = data.qpos
+        qpos[k] = data.qpos[shown]
         data.ctrl[:] = u
         for _ in range(finer):
             if force is not None:

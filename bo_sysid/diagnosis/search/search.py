@@ -196,7 +196,8 @@ class Search:
         for _ in range(_AFRESH):
             far = fit.rms > ROUGH or (springy and not clean(fit))
             hopeful = not fit.members or fit.rms < _HOPEFUL * self.least
-            if not (far and hopeful and fit.hypothesis.free):
+            unfinished = springy and fit.rms > self.nominal.rms  # it leaves more than none
+            if not (far and (hopeful or unfinished) and fit.hypothesis.free):
                 break
             made = self._at_itself(fit, fit.start, labels, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
