@@ -63,7 +63,7 @@ def stepped_finer(
         prepared: all windows, with starts fitted to it.
         horizon: their length in instants.
     """
-    if leader.rms > ROUGH or can_touch(evidence.machine.model):
+    if not leader.members or leader.rms > ROUGH or can_touch(evidence.machine.model):
         return leader, prepared
     varies = np.sqrt(2.0 / prepared.problem.dof)  # rms² of n numbers, by noise alone
     for _ in range(_HALVINGS):
