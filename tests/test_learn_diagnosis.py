@@ -18,8 +18,8 @@ from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.learn.iterate import _valued
+from bo_sysid.learn.machine_source import MachineSource
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.sources import MachineSource
 from bo_sysid.learn.values import Values, values
 from bo_sysid.mjcf import address_edit
 from bo_sysid.plants.build import build_plant

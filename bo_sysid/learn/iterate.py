@@ -21,7 +21,7 @@ from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration, repaired_scene, stored_repair
 from bo_sysid.learn.repair import MOST, Repair, repaired
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.sources import Source
+from bo_sysid.learn.source import Source
 from bo_sysid.learn.stops import STOP_RULES, Verdict, distances, near_enough, value_guided
 from bo_sysid.learn.values import Values, values
 from bo_sysid.policy.store import LearnedPolicy

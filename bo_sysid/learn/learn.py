@@ -19,8 +19,10 @@ from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import write_commands
 from bo_sysid.learn.iterate import Teller, iterate
 from bo_sysid.learn.iteration import Iteration, reread
+from bo_sysid.learn.machine_source import MachineSource
+from bo_sysid.learn.plant_source import PlantSource
 from bo_sysid.learn.scene import Scene
-from bo_sysid.learn.sources import Source, open_source
+from bo_sysid.learn.source import Source
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run
@@ -97,7 +99,7 @@ def learn(
 def _learned(study: Study, run: Run, progress: OnProgress, strict: bool) -> Learning:
     scene = Scene.of(study)
     _require_unchanged(study, run)
-    source = open_source(scene, run, strict=strict)
+    source = PlantSource(scene, run) if study.plant else MachineSource(scene, run, strict)
     tell = Teller(progress, study.learn.trajectories)
     done: list[Iteration] = []
     while not done or not done[-1].verdict.stop:

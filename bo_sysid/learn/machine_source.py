@@ -1,0 +1,170 @@
+"""Real trajectories of a person's machine: a policy file out, a recording in."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bo_sysid.errors import RecordingError, RunError, StudyError
+from bo_sysid.learn.hand_over import hand_over
+from bo_sysid.learn.scene import Scene
+from bo_sysid.learn.source import Waiting
+from bo_sysid.learn.values import Estimate
+from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.recording import READERS, Recording
+from bo_sysid.recording.writers import write_recording
+from bo_sysid.runs import Run
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import corrected, read_files, read_train
+
+_USED = "used_recordings.json"
+"""Digests of the recordings of policies that a run has used, by the iteration that began so."""
+_WHOLE = 0.95  # share of an episode that a recording of it should have
+
+
+class MachineSource:
+    """A person's machine: a policy file out, a recording in.
+
+    The first iteration uses the recordings that the study names. Every later one needs the
+    recording of the policy that was learned before, in ``recordings/trajectory-<number>`` of the
+    run folder, in any format that is read.
+
+    Args:
+        scene: its study names the first recordings.
+        run: folder of policies and recordings.
+        strict: refuse messy recordings.
+
+    Raises:
+        RunError: the first recordings changed since the run began.
+        UserError: there are none, or they cannot be read.
+    """
+
+    def __init__(self, scene: Scene, run: Run, strict: bool = False) -> None:
+        self._scene, self._run, self._strict = scene, run, strict
+        self._first = _first_recordings(scene, strict)
+        self._files: list[Path] = []
+        digest = _digest(corrected(scene.study, self._first))
+        if run.has("first_recordings.json"):
+            if run.read_json("first_recordings.json")["sha256"] != digest:
+                raise RunError(
+                    f"{run.folder}: the recordings that the study names changed since this run "
+                    "began; use another --out, or put further ones where the run asks for them"
+                )
+        else:
+            names = [r.name for r in self._first]
+            run.write_json("first_recordings.json", {"names": names, "sha256": digest})
+        self._copies = self._copied() if scene.study.recordings.dataset else []
+
+    def take(self, number: int, policy: LearnedPolicy | None, scene: Scene) -> Waiting | None:
+        """Find the recording of iteration `number`, or write the policy and say what to record.
+
+        Raises:
+            RecordingError: the recording is wrong, or there are two; the run waits for a better
+                one.
+            RunError: it is another one than the run used before.
+        """
+        if policy is None:
+            return None
+        stem = f"recordings/trajectory-{number - 1:02d}"
+        there = [self._run.path(stem + ending) for ending in READERS]
+        found = [path for path in there if path.is_file()]
+        if not found:
+            return Waiting(hand_over(scene, self._run, policy, number - 1, stem))
+        if len(found) > 1:
+            both = " and ".join(path.name for path in found)
+            raise RecordingError(f"{self._run.path(stem)}: {both} are there; only one may be")
+        read = read_files(self._scene.study, found, self._strict)
+        self._require_used(number, found[0], _digest(read))
+        self._files.append(found[0])
+        return None
+
+    def _require_used(self, number: int, file: Path, digest: str) -> None:
+        """Refuse another recording than the one with which an iteration was begun."""
+        used = self._run.read_json(_USED) if self._run.has(_USED) else {}
+        begun = self._run.path(f"iterations/{number:02d}").is_dir()
+        if begun and used.get(str(number), digest) != digest:
+            raise RunError(
+                f"{file}: changed since this run used it; put back what was there, or use "
+                "another --out"
+            )
+        self._run.write_json(_USED, {**used, str(number): digest})
+
+    def recordings(self, study: Study) -> tuple[Recording, ...]:
+        """The first recordings and those of policies, as a study's model is to see them."""
+        return corrected(study, (*self._first, *self._further))
+
+    @property
+    def _further(self) -> tuple[Recording, ...]:
+        """Those of policies, as the machine told them."""
+        return read_files(self._scene.study, self._files, self._strict)
+
+    def _copied(self) -> list[str]:
+        """A dataset's recordings as files of the run folder: no key names a dataset and files."""
+        names = [f"recordings/first-{k + 1:02d}.parquet" for k in range(len(self._first))]
+        for name, recording in zip(names, self._first, strict=True):
+            write_recording(recording, self._run.path(name))
+        return names
+
+    @property
+    def training(self) -> Mapping[str, Any]:
+        """The study's own key, with the recordings of policies added."""
+        told = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
+        own = [str(f.relative_to(self._run.folder)) for f in self._files]
+        if told.pop("dataset", None) is not None:
+            told["train"] = self._copies
+        return {**told, "train": [*told["train"], *own]}
+
+    @property
+    def noise(self) -> Mapping[str, float]:
+        """What the study says."""
+        return self._scene.study.recordings.noise
+
+    @property
+    def trajectories(self) -> pd.DataFrame:
+        """One row a recording of a policy; its reward is not known here."""
+        step = self._scene.task.control_timestep
+        rows = [
+            {
+                "number": k + 1,
+                "name": r.name,
+                "steps": round((r.span[1] - r.span[0]) / step),
+                "seconds": r.span[1] - r.span[0],
+                "reward": np.nan,
+                "fault": self._silence(r),
+            }
+            for k, r in enumerate(self._further)
+        ]
+        return pd.DataFrame(rows, columns=["number", "name", "steps", "seconds", "reward", "fault"])
+
+    def _silence(self, recording: Recording) -> str:
+        seconds, whole = recording.span[1] - recording.span[0], self._scene.task.time_limit
+        if not np.isfinite(whole) or seconds > _WHOLE * whole:
+            return ""
+        return f"{recording.name} ends after {seconds:.3g} of {whole:g} s"
+
+    def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
+        """Return None: only the machine itself knows."""
+        return None
+
+
+def _first_recordings(scene: Scene, strict: bool) -> tuple[Recording, ...]:
+    try:
+        return read_train(scene.study, strict=strict)
+    except StudyError as error:
+        raise StudyError(
+            f"{error}. Learning for a machine begins with a recording of it (bo-sysid excite makes "
+            "a safe trajectory to record); a simulated one is described under the key plant"
+        ) from None
+
+
+def _digest(recordings: tuple[Recording, ...]) -> str:
+    digest = hashlib.sha256()
+    for r in recordings:
+        for name, channel in r.channels.items():
+            digest.update(name.encode())
+            digest.update(channel.time.tobytes())
+            digest.update(channel.values.tobytes())
+    return digest.hexdigest()
