@@ -23,7 +23,6 @@ from bo_sysid.diagnosis.answer.hints import (
     holding,
     leaves_much,
     left_sentence,
-    meshing,
     unrepeated,
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
@@ -34,6 +33,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.meshing import meshing
 from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER

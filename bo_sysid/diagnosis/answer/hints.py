@@ -7,15 +7,15 @@ import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
+from bo_sysid.diagnosis.sets.meshing import LATE, meshing
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
-from bo_sysid.effects import Machine, Site
+from bo_sysid.effects import Machine
 from bo_sysid.mjcf.joints import BALL
 
 _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
-_LATE, _SOFT = ("actuator_lag", "actuator_delay"), "joint_compliance"
-_SMALL = 0.15  # of a motor's lag, of another effect at its joint: together they may be a gap
+_SOFT = "joint_compliance"
 _MORE = 0.15  # of a compliance, that it explains more than a late motor does
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
@@ -110,7 +110,7 @@ def following(best: Fit, others: Sequence[Fit], machine: Machine) -> tuple[str, 
 def _is_late(names: frozenset[tuple[str, str]], soft: Candidate, machine: Machine) -> bool:
     """Whether names are a lag or a delay alone, of the motor of a joint that is soft."""
     ((effect, site), *more) = names
-    joint = machine.joint_of("actuator", site) if effect in _LATE and not more else None
+    joint = machine.joint_of("actuator", site) if effect in LATE and not more else None
     return joint is not None and joint.name == soft.site.name
 
 
@@ -168,36 +168,6 @@ def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
         f"magnet or a spring may look the same. Motion of {which} over more than {reach} would "
         "tell."
     )
-
-
-def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:
-    """Return the joints whose motor is late beside another effect there that is small.
-
-    A gap in the gear is crossed at every reversal, which makes a joint late; what it does beside
-    that is little, and looks like one more effect.
-    """
-    sizes: dict[str, list[tuple[bool, float]]] = {}
-    for c, size in zip(best.members, best.unique, strict=True):
-        late = c.effect.id in _LATE
-        for name in _joints_at(c.site, machine):
-            sizes.setdefault(name, []).append((late, size))
-    found = []
-    for name, there in sizes.items():
-        lags = [size for late, size in there if late]
-        others = [size for late, size in there if not late]
-        if lags and others and max(others) < _SMALL * max(lags):
-            found.append(name)
-    return tuple(found)
-
-
-def _joints_at(site: Site, machine: Machine) -> list[str]:
-    """Return the joint on which a site acts, or those by which a body moves."""
-    if site.kind == "body":
-        model, body = machine.model, machine.model.body(site.name)
-        own = range(int(body.jntadr[0]), int(body.jntadr[0] + body.jntnum[0]))
-        return [model.joint(j).name for j in own]
-    joint = machine.joint_of(site.kind, site.name)
-    return [] if joint is None else [joint.name]
 
 
 def _meshing_sentence(joints: Sequence[str]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from bo_sysid.diagnosis.search.bare import from_bare_joints
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
+from bo_sysid.diagnosis.search.gaps import mesh
 from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, stripped
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
@@ -19,6 +20,7 @@ from bo_sysid.diagnosis.search.window_lengths import (
 )
 from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.meshing import meshing
 from bo_sysid.diagnosis.sets.rules import clean, follows, lost
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
@@ -84,6 +86,7 @@ def _located(
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
+    search = _meshed(evidence, search, horizon)
     tell(f"final fits: {_said(search.best)}")
     step = _step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
@@ -200,6 +203,17 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
 def _bends(leader: Fit) -> bool:
     """Whether friction of a fit bends, or little is left, which may be its bend."""
     return leader.rms < ROUGH and rubbing(leader, bent=clean(leader))
+
+
+def _meshed(evidence: Evidence, search: Search, length: int) -> Search:
+    """Search on with a gap where that is what makes a motor late, at the step that it needs."""
+    leader, machine = search.best, search.prepared.problem.machine
+    if can_touch(machine.model) or not meshing(leader, machine):
+        return search
+    step = float(machine.model.opt.timestep) / _GAP_DIVISION
+    made = carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis), _CARRIED)
+    mesh(made, leader)
+    return search if made.best.names == leader.names else made
 
 
 def _lengthened(

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 
+from bo_sysid.diagnosis.search.gaps import add_joints, soften
 from bo_sysid.diagnosis.search.rounds import extend, round_at
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import simplify
@@ -22,20 +22,13 @@ from bo_sysid.diagnosis.sets.rules import (
     sizes,
     weak,
 )
-from bo_sysid.diagnosis.sets.subsets import clashes
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.diagnosis.windows.problem import ROUGH
-from bo_sysid.diagnosis.windows.settling import first_start, settle
 from bo_sysid.diagnosis.windows.windowing import Prepared
 from bo_sysid.mjcf.touching import can_touch
 
-_TRIED, _BEGUN = 2, 3  # joints that are added, by what their points leave; points of each
 _ELIMINATIONS = 14  # members that are left out, at most
 _NEARER = 0.97  # of what a set leaves far off, that a round must come below
 _NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
-
-_Point = tuple[float, Candidate, np.ndarray]
-"""What is left, in sigma²; a candidate; its magnitudes."""
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -93,54 +86,6 @@ def _stuck(search: Search, before: Fit) -> bool:
     """Whether a round has found no more than another set that explains as little."""
     best = search.best
     return lost(best, search.nominal) and best.rms > _NEARER * before.rms
-
-
-def add_joints(search: Search, leader: Fit) -> None:
-    """Fit sets with each joint that an effect adds, from what its grid points leave.
-
-    A linear estimate says little of a gap: what moves in it is not there in the nominal model. Each
-    is tried alone, beside the leader and in the place of what the leader adds.
-    """
-    rigid = [k for k, c in enumerate(leader.members) if not c.effect.hidden]
-    bases = dict.fromkeys((search.nominal, search.fit(*subset(leader, rigid)), leader))
-    for base in (b for b in bases if b.size < search.most):
-        for points in _joints_beside(search, base)[:_TRIED]:
-            for _, c, x in points[:_BEGUN]:
-                search.refit(
-                    (*base.members, c), (*base.x, x), start=base.start, guess=base.hypothesis,
-                    across=True,
-                )  # fmt: skip
-
-
-def soften(search: Search, leader: Fit) -> None:
-    """Fit a set whose joint moves in a gap from soft ends; no small step leads there from hard."""
-    for k, c in enumerate(leader.members):
-        others = c.points[1:] if c.effect.hidden else []
-        for ends in dict.fromkeys(tuple(point[1:]) for point in others):
-            x = (*leader.x[:k], np.array([leader.x[k][0], *ends]), *leader.x[k + 1 :])
-            search.refit(
-                leader.members, x, start=leader.start, guess=leader.hypothesis,
-                across=True,
-            )  # fmt: skip
-
-
-def _joints_beside(search: Search, base: Fit) -> list[list[_Point]]:
-    """Return for each joint that may be added its points by what they leave; the best joint first.
-
-    Every other window is simulated.
-    """
-    some = np.arange(len(search.prepared.start)) % 2 == 0
-    frame = search.frame.rows(some)
-    added = [c for c in search.candidates if c.effect.hidden and not clashes([*base.members, c])]
-    points = {(set_key([c]), tuple(x)): (c, x) for c in added for x in c.points}
-    left: dict[tuple[str, str], list[_Point]] = {}
-    for c, x in points.values():  # points of a grid have the same further starts
-        h = replace(base.hypothesis, members=(*base.members, c), x=(*base.x, x))
-        start, r = first_start(frame.problem, h, base.start.rows(some))
-        r = settle(frame.problem, frame, h, start, 1, r=r)[1]
-        left.setdefault(c.key, []).append((float((r**2).sum()), c, x))
-    ordered = [sorted(points, key=itemgetter(0)) for points in left.values()]
-    return sorted(ordered, key=lambda points: points[0][0])
 
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
