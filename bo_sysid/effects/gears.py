@@ -196,23 +196,26 @@ def backlash(
     """
     if not x[0]:
         return None
-    open_, soft = 0.5 * float(x[0]), float(x[1])
+    name = f"{site.name}_play"
+    play, there = spec.joint(name), spec.joint(name) is not None
+    if not there:
+        play = _second_joint(spec, site, machine, "play", float(x[2]))
+    weight, stiffest = (1 - _SOFTEST) * _inverse_inertia(spec, play), 0.25 / _step(machine) ** 2
+    stiff = min(weight / max(float(x[1]), 1e-30), stiffest)
+    open_, soft = 0.5 * float(x[0]), weight / stiff  # no stiffer than a step resolves
     hidden = Hidden(
-        f"{site.name}_play",
+        name,
         site.name,
         float(x[4]),
         lambda torque: -open_ * np.sign(torque) - soft * torque,
         open_ + soft * _MOST * machine.joints[site.name].force,
     )
-    if spec.joint(hidden.joint) is not None:  # the model has it: what stands beside it is wanted
+    if there:  # the model has it: what stands beside it is wanted
         return _closed(spec, hidden, site, machine)
-    play, dt = _second_joint(spec, site, machine, "play", float(x[2])), _step(machine)
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
-    half = 0.5 * float(x[0]) / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
-    weight = _inverse_inertia(spec, play)
+    half = open_ / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
     play.range = [-half, half]
     play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    stiff = min((1 - _SOFTEST) * weight / max(float(x[1]), 1e-30), 1.0 / (2.0 * dt) ** 2)
     play.solimp_limit = [_SOFTEST, _SOFTEST, 0.001, 0.5, 2.0]
     play.solref_limit = [-stiff, -2.0 * max(float(x[3]), _RINGING) * np.sqrt(stiff)]
     return _closed(spec, hidden, site, machine)
