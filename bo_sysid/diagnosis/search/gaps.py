@@ -9,7 +9,7 @@ import numpy as np
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset
-from bo_sysid.diagnosis.sets.meshing import joints_at, meshing
+from bo_sysid.diagnosis.sets.meshing import joints_at
 from bo_sysid.diagnosis.sets.subsets import clashes
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.diagnosis.windows.settling import first_start, settle
@@ -32,13 +32,13 @@ def add_joints(search: Search, leader: Fit) -> None:
         _add_beside(search, base, search.candidates)
 
 
-def mesh(search: Search, leader: Fit) -> None:
-    """Fit a joint in the place of each motor that is late and of what is small beside it.
+def mesh(search: Search, leader: Fit, joints: Sequence[str]) -> None:
+    """Fit a joint that is added in the place of all that a set has at each of some joints.
 
-    Where those explain all, no joint is tried otherwise: each is let in where something is left.
+    Where a motor that is late explains all, none is tried otherwise.
     """
     machine = search.prepared.problem.machine
-    for name in meshing(leader, machine):
+    for name in joints:
         elsewhere = [
             k for k, c in enumerate(leader.members) if name not in joints_at(c.site, machine)
         ]

@@ -208,11 +208,12 @@ def _bends(leader: Fit) -> bool:
 def _meshed(evidence: Evidence, search: Search, length: int) -> Search:
     """Search on with a gap where that is what makes a motor late, at the step that it needs."""
     leader, machine = search.best, search.prepared.problem.machine
-    if can_touch(machine.model) or not meshing(leader, machine):
+    joints = meshing(leader, machine)
+    if can_touch(machine.model) or not joints:
         return search
     step = float(machine.model.opt.timestep) / _GAP_DIVISION
     made = carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis), _CARRIED)
-    mesh(made, leader)
+    mesh(made, made.best, joints)
     return search if made.best.names == leader.names else made
 
 
