@@ -197,7 +197,8 @@ def backlash(
     if not x[0]:
         return None
     name = f"{site.name}_play"
-    play, there = spec.joint(name), spec.joint(name) is not None
+    play = spec.joint(name)
+    there = play is not None  # in a repaired model: what stands beside it is wanted
     if not there:
         play = _second_joint(spec, site, machine, "play", float(x[2]))
     weight, stiffest = (1 - _SOFTEST) * _inverse_inertia(spec, play), 0.25 / _step(machine) ** 2
@@ -210,7 +211,7 @@ def backlash(
         lambda torque: -open_ * np.sign(torque) - soft * torque,
         open_ + soft * _MOST * machine.joints[site.name].force,
     )
-    if there:  # the model has it: what stands beside it is wanted
+    if there:
         return _closed(spec, hidden, site, machine)
     hinge = play.type == mujoco.mjtJoint.mjJNT_HINGE
     half = open_ / (np.pi / 180 if play.compiler.degree and hinge else 1.0)
