@@ -105,7 +105,8 @@ class MachineSource:
         """A dataset's recordings as files of the run folder: no key names a dataset and files."""
         names = [f"recordings/first-{k + 1:02d}.parquet" for k in range(len(self._first))]
         for name, recording in zip(names, self._first, strict=True):
-            write_recording(recording, self._run.path(name))
+            if not self._run.has(name):  # the same: their digest was compared
+                write_recording(recording, self._run.path(name))
         return names
 
     @property
