@@ -35,8 +35,8 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
     once = lost(order[0], search.nominal)
-    leader, prepared = polished(problem, leader, prepared, once=once)
-    leader, prepared = stepped_finer(evidence, leader, prepared, horizon)
+    leader, prepared = polished(problem, leader, prepared, search.doing, once=once)
+    leader, prepared = stepped_finer(evidence, leader, prepared, horizon, search.doing)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis, search.doing)
     for f in chosen:
         if f.members:

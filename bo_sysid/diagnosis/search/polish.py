@@ -1,5 +1,7 @@
 """Fits to their end: linearised anew until magnitudes stay, at a step that is fine enough."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bo_sysid.diagnosis.search.window_lengths import windows_of
@@ -24,7 +26,12 @@ _STRAIGHTER = 0.7  # of what is unexplained, that half the step may leave to be 
 
 
 def polished(
-    problem: Problem, leader: Fit, prepared: Prepared, *, once: bool = False
+    problem: Problem,
+    leader: Fit,
+    prepared: Prepared,
+    doing: Callable[[str], None],
+    *,
+    once: bool = False,
 ) -> tuple[Fit, Prepared]:
     """Fit the leader on all windows, prepared anew until its magnitudes stay where they are.
 
@@ -34,10 +41,15 @@ def polished(
         problem: the windows.
         leader: a set that was fitted on some of them, or on others.
         prepared: the windows with starts fitted to the leader.
+        doing: told what is fitted, before it is; one time may take minutes.
         once: whether one time is enough, since the leader is no explanation.
     """
-    times = _times(leader, problem)
-    for k in range(min(times, 1) if once else times):
+    times = min(_times(leader, problem), 1 if once else _MOST)
+    for k in range(times):
+        doing(
+            f"the leading set on all {len(problem.windows)} windows, {leader.rms:.3f} sigma so far "
+            f"(time {k + 1}, at most {times})"
+        )
         before, leader = leader, _refitted(prepared.linear, leader)
         same = len(leader.start) == len(problem.windows)
         prepared = prepare(problem, leader.hypothesis, leader.start if same else None)
@@ -48,7 +60,11 @@ def polished(
 
 
 def stepped_finer(
-    evidence: Evidence, leader: Fit, prepared: Prepared, horizon: int
+    evidence: Evidence,
+    leader: Fit,
+    prepared: Prepared,
+    horizon: int,
+    doing: Callable[[str], None],
 ) -> tuple[Fit, Prepared]:
     """Halve the time step while that explains much of what the leader leaves.
 
@@ -62,6 +78,7 @@ def stepped_finer(
         leader: a set that was fitted to the end.
         prepared: all windows, with starts fitted to it.
         horizon: their length in instants.
+        doing: told what is fitted, before it is.
     """
     if not leader.members or leader.rms > ROUGH or can_touch(evidence.machine.model):
         return leader, prepared
@@ -72,7 +89,7 @@ def stepped_finer(
         step = prepared.problem.windows.timestep / 2
         problem = windows_of(evidence, horizon, step, everything=True)
         finer = prepare(problem, leader.hypothesis)
-        made, finer = polished(problem, leader, finer)
+        made, finer = polished(problem, leader, finer, doing)
         if made.excess > _STRAIGHTER * leader.excess:
             break
         leader, prepared = made, finer
