@@ -13,7 +13,8 @@ from bo_sysid.errors import StudyError
 
 Apply = Literal["set", "scale", "add"]
 
-_MOST = 200_000  # points of a grid
+MOST_CANDIDATES = 200_000
+"""Points of a grid at most."""
 
 COLUMNS = (
     "level", "row", "deviation", "diverged", "entropy", "contributions", "P", "P_boot", "mean",
@@ -94,10 +95,10 @@ class CandidateSet:
             StudyError: the grid has more than 200 000 points.
         """
         size = int(np.prod([float(p.steps) for p in parameters]))
-        if size > _MOST:
+        if size > MOST_CANDIDATES:
             raise StudyError(
                 f"a grid over {len(parameters)} parameters has {size} candidates, more than "
-                f"{_MOST}; use candidates: {{sobol: 20000}} or fewer steps"
+                f"{MOST_CANDIDATES}; use candidates: {{sobol: 20000}} or fewer steps"
             )
         axes = np.meshgrid(*[p.grid for p in parameters], indexing="ij")
         spacing = np.array([(p.high - p.low) / (p.steps - 1) for p in parameters])

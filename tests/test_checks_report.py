@@ -473,3 +473,19 @@ def test_a_joint_that_a_recording_lacks_stands_where_the_model_puts_it() -> None
     without = Recording.from_arrays(TIME, aux={"other": np.zeros(len(TIME))})
     (flag,) = contact_flags(model, [at_stop, without])
     assert flag.evidence == {"share": 0.5}  # and not all of it
+
+
+@pytest.mark.parametrize(("parent", "level"), [("base", "look"), ("", "note")])
+def test_geoms_that_overlap_at_a_joint_are_to_be_looked_at(parent: str, level: str) -> None:
+    """MuJoCo filters contact between parent and child, but not where the parent stands still."""
+    turret = (
+        '<body name="turret"><joint name="turn" axis="0 0 1"/><geom name="drum" size=".1"/></body>'
+    )
+    base = f'<body name="base"><geom name="foot" size=".1"/>{turret if parent else ""}</body>'
+    far = '<body><joint name="lift" axis="0 1 0"/><geom size=".01" pos="3 0 0"/>%s</body>'
+    arms = base if parent else base + far % turret
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
+    still = dict.fromkeys(("turn",) if parent else ("turn", "lift"), np.zeros(len(TIME)))
+    (flag,) = contact_flags(model, [Recording.from_arrays(TIME, qpos=still)])
+    assert (flag.level, flag.channels, flag.evidence) == (level, ("drum", "foot"), {"share": 1.0})
+    assert ('<exclude body1="base" body2="turret"/>' in flag.sentence) == (level == "look")

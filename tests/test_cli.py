@@ -504,3 +504,15 @@ def test_an_interrupted_record_goes_on_as_if_it_had_not_been(
         assert whole == cut
     (folder / "pendulum.xml").write_text(MODEL.replace("0.05", "0.2"))
     assert made("cut") == list(names)  # of another model now
+
+
+def test_a_grid_that_is_too_large_is_for_identify_alone_to_refuse(folder: Path, say: Say) -> None:
+    """A diagnosis searches no grid, and its study can be checked."""
+    large = ("--set", "parameters.0.steps=300001")
+    code, out, _ = say("check", "arm.yaml", *large)
+    assert code == 0
+    assert "For identify a grid of" in out
+    code, _, err = say("identify", "arm.yaml", *large)
+    assert code == 2
+    assert "search.candidates: a grid of" in err
+    assert "{candidates: {sobol: 20000}}" in err

@@ -492,3 +492,20 @@ def test_a_name_in_quotes_may_hold_a_separator_and_quotes(separator, tmp_path):
     frame.to_csv(tmp_path / "log.csv", index=False, sep=separator)
     (table,) = read_tables(tmp_path / "log.csv")
     assert list(table.columns) == list(frame)
+
+
+def test_a_line_of_units_below_the_header_is_read(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time;qpos.a;ctrl.m;mode\n[ms];[deg];[Nm];\n0;90;1,5;2\n4;180;2,5;2\n")
+    log = read_recording(path)
+    assert log.channels["qpos.a"].values == pytest.approx([np.pi / 2, np.pi])
+    assert log.channels["qpos.a"].time == pytest.approx([0, 0.004])
+    assert log.channels["ctrl.m"].values.tolist() == [1.5, 2.5]
+    assert "Units were read from the line below the header." in log.notes
+
+
+def test_a_line_of_words_below_the_header_is_no_line_of_units(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("time,qpos.a,qpos.b\ns,angle,other\n0,1,2\n1,2,3\n")
+    with pytest.raises(RecordingError, match="row 0: 'angle' is not a number"):
+        read_recording(path)

@@ -25,14 +25,14 @@ from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
 from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.mjcf import Model, nominal
-from bo_sysid.parameters import Parameter
+from bo_sysid.parameters import MOST_CANDIDATES, Parameter
 from bo_sysid.recording import Recording, sensor_noise
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
-from bo_sysid.study.overview import Overview, overview
+from bo_sysid.study.overview import Overview, overview, too_many
 
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
@@ -107,6 +107,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     )
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
     flags = [*slow_flags(read), *bounds_flags(parameters, point), *wrap_flags(wraps)]
+    flags += _grid_flags(summary)
     flags += [*wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
     flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
@@ -174,6 +175,14 @@ def _windows(
         parameters=study.parameter_set(model),
     )
     return windows.rows(windows.evenly(_WINDOWS))
+
+
+def _grid_flags(summary: Overview) -> list[Flag]:
+    """Return what `identify` will refuse, and nothing else needs."""
+    if summary.candidates <= MOST_CANDIDATES:
+        return []
+    sentence = f"For identify {too_many(summary.candidates)}. diagnose needs none."
+    return [Flag("look", "bounds", tuple(summary.parameters["name"]), sentence)]
 
 
 def _beside_flags(simulator: MujocoSimulator) -> list[Flag]:

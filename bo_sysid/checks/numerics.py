@@ -17,6 +17,7 @@ from bo_sysid.simulation import MujocoSimulator, Windows
 _WORTH = 1.0  # standard deviations that a step may cost
 _FAR = 100.0  # standard deviations
 _INSTANTS = 400
+_ALWAYS = 0.95  # of the recordings
 
 
 def step_effect(
@@ -97,7 +98,7 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
     names = [model.joint(j).name for j in range(model.njnt)]
     if not np.isin(model.jnt_type, SCALAR).all():
         return _floating(model)
-    touched: dict[tuple[str, str], int] = {}
+    touched: dict[tuple[int, int], int] = {}
     count = 0
     for r in recordings:
         first, last = r.span
@@ -110,18 +111,31 @@ def contact_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
                     data.qpos[model.jnt_qposadr[j]] = value
             mujoco.mj_fwdPosition(model, data)
             count += 1
-            for pair in {_pair(model, data, c) for c in range(data.ncon)}:
+            for pair in {_pair(data, c) for c in range(data.ncon)}:
                 touched[pair] = touched.get(pair, 0) + 1
-    return [
-        Flag(
-            "note",
-            "contact",
-            pair,
-            f"{pair[0]} touches {pair[1]} during {100 * n / count:.0f} % of the recordings.",
-            {"share": n / count},
-        )
-        for pair, n in sorted(touched.items(), key=lambda item: -item[1])[:5]
-    ]
+    most = sorted(touched.items(), key=lambda item: -item[1])[:5]
+    return [_touching(model, pair, n / count) for pair, n in most]
+
+
+def _touching(model: mujoco.MjModel, geoms: tuple[int, int], share: float) -> Flag:
+    """Return how long two geoms touch; where a joint joins them and they always do, they overlap.
+
+    MuJoCo leaves out contact between a body and its parent, but not where that is fixed to the
+    world.
+    """
+    names = sorted(model.geom(g).name or f"geom_{g}" for g in geoms)
+    sentence = f"{names[0]} touches {names[1]} during {100 * share:.0f} % of the recordings."
+    bodies = [int(model.body_weldid[model.geom_bodyid[g]]) for g in geoms]
+    parents = [int(model.body_weldid[model.body_parentid[b]]) for b in bodies]
+    if share < _ALWAYS or not (bodies[0] == parents[1] or bodies[1] == parents[0]):
+        return Flag("note", "contact", tuple(names), sentence, {"share": share})
+    first, second = (model.body(int(model.geom_bodyid[g])).name or "world" for g in geoms)
+    more = (
+        f" A joint joins their bodies, {first} and {second}: geoms that overlap there rub and push "
+        "in the simulation as they do in no machine. Leave them out of contact (MJCF: <contact>"
+        f'<exclude body1="{first}" body2="{second}"/></contact>, or contype="0" conaffinity="0").'
+    )
+    return Flag("look", "contact", tuple(names), sentence + more, {"share": share})
 
 
 def _floating(model: mujoco.MjModel) -> list[Flag]:
@@ -131,7 +145,6 @@ def _floating(model: mujoco.MjModel) -> list[Flag]:
     return [Flag("note", "contact", (), sentence)]
 
 
-def _pair(model: mujoco.MjModel, data: mujoco.MjData, contact: int) -> tuple[str, str]:
-    first, second = (int(g) for g in data.contact[contact].geom)
-    names = sorted(model.geom(g).name or f"geom_{g}" for g in (first, second))
-    return names[0], names[1]
+def _pair(data: mujoco.MjData, contact: int) -> tuple[int, int]:
+    first, second = sorted(int(g) for g in data.contact[contact].geom)
+    return first, second

@@ -34,9 +34,10 @@ def run(args: argparse.Namespace) -> None:
     """Identify, and print what was found."""
     study = load_study(args)
 
-    from bo_sysid.study.overview import overview
+    from bo_sysid.study.overview import overview, require_searchable
 
-    overview(study, strict=args.strict)  # wrong input is told before torch is loaded
+    # wrong input is told before torch is loaded
+    require_searchable(study, overview(study, strict=args.strict).candidates)
     with open_run(args, study, "identify") as run:
         compute = partial(identify_into, run, study, strict=args.strict)
         once(run, study, compute, _RESULTS, strict=args.strict)

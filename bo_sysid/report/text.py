@@ -148,7 +148,7 @@ def overview_text(found: Overview) -> str:
             "",
             table(found.parameters.assign(addresses=addresses)),
             "",
-            f"B has {found.candidates} candidates.",
+            f"B has {found.candidates:,} candidates.",
         ]
     else:
         parts += ["", "Nothing is uncertain: the study names no parameters."]

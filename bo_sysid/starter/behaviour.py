@@ -73,10 +73,13 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
 
 def _late(wiring: Wiring) -> str:
     """Return when the controls act, in words."""
-    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {1e3 * wiring.sigma:.1f})"
+    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {1.96e3 * wiring.sigma:.1f})"
     if wiring.delay > 0:
         return f"{told} later than stamped"
-    return f"{told} earlier than stamped; a command that changes between samples looks so"
+    return (
+        f"{told} earlier than stamped; what is measured and changes between samples looks so, for "
+        "that {hold: linear} in its place"
+    )
 
 
 def _judged(
@@ -91,6 +94,8 @@ def _judged(
             g = replace(g, reason=reason, confidence=min(g.confidence, _LIKELY))
         elif share <= _AGREES and not g.reason.startswith(_MOVED):
             told = f"{_AGREED} (unexplained forces {share:.2g})"
+            if n in tested.mirrored:
+                told += f", as well with {tested.mirrored[n]} and this both turned"
             g = replace(g, reason=f"{g.reason}; {told}", confidence=max(g.confidence, _LIKELY))
         elif n.startswith("qpos.") and driven(model, n) in joints and share > _AGREES:
             g = replace(g, reason=f"{g.reason}; the motion of others tells its sign")

@@ -52,35 +52,45 @@ class Tested:
     Attributes:
         left: by joint whose balance of forces is known, the share that stays unexplained.
         untold: by channel whose sign the motion does not tell, why.
+        mirrored: by position or control that may be turned together with the other of its joint,
+            that other.
     """
 
     left: Mapping[str, float]
     untold: Mapping[str, str]
+    mirrored: Mapping[str, str]
 
 
 def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Tested:
     """Return whose signs the motion does not tell, and how far it agrees with the model.
 
     A sign is told where the balance of forces of a joint that the model explains gets worse by as
-    much as a fault counts, once the channel alone is turned.
+    much as a fault counts, once the channel alone is turned. A joint that counts the other way and
+    its motor with it look the same to themselves; whether others tell is tested as well.
     """
     evidence = evidence_of(model, recordings)
     if evidence is None:
         joints = {f"qpos.{model.joint(j).name}" for j in range(model.njnt)}
         names = {n for r in recordings for n in r.channels if n in joints or n.startswith("ctrl.")}
-        return Tested({}, dict.fromkeys(names, "these logs cannot be compared with the model"))
+        return Tested({}, dict.fromkeys(names, "these logs cannot be compared with the model"), {})
     h = evidence.identity()
     before = evidence.shares(h, _DELAYS).min(axis=0)
     explained = evidence.weights * (before < _EXPLAINED)
-    untold = {}
-    for name, wire in h.wires.items():
-        turned = replace(h, wires={**h.wires, name: replace(wire, sign=-1)})
-        after = evidence.shares(turned, _DELAYS).min(axis=0)
+
+    def told(names: Sequence[str]) -> bool:
+        turned = {n: replace(h.wires[n], sign=-1) for n in names}
+        after = evidence.shares(replace(h, wires=h.wires | turned), _DELAYS).min(axis=0)
         worse = np.log((after + _FLOOR) / (before + _FLOOR)) * explained
-        if not worse.max(initial=0.0) > MARGIN:
-            untold[name] = _why(evidence, name, before)
+        return bool(worse.max(initial=0.0) > MARGIN)
+
+    untold = {n: _why(evidence, n, before) for n in h.wires if not told([n])}
+    mirrored = {}
+    for name in evidence.inputs:
+        pair = [f"qpos.{evidence.driven(name)}", name]
+        if all(n in h.wires and n not in untold for n in pair) and not told(pair):
+            mirrored |= dict(zip(pair, reversed(pair), strict=True))
     known = zip(evidence.joints, before.tolist(), evidence.weights, strict=True)
-    return Tested({j: share for j, share, weight in known if weight}, untold)
+    return Tested({j: share for j, share, weight in known if weight}, untold, mirrored)
 
 
 def _why(evidence: Evidence, name: str, shares: np.ndarray) -> str:

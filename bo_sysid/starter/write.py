@@ -125,6 +125,7 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
     lines = [
         "# What models lack most often; the upper bounds follow from the forces in the log.",
         '# Add masses that you are not sure of: {address: "body[forearm].mass", apply: scale, …}',
+        "# `diagnose` fits what stands here and names none of it: remove what it is to look for.",
         "parameters:" if scales["mute"].eq("").any() else "parameters: []",
     ]
     for row in scales.itertuples():

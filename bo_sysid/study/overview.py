@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from math import prod
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import pandas as pd
 from bo_sysid.errors import ModelError, RecordingError, nearest
 from bo_sysid.mjcf import Address, Loops, Model, nominal
 from bo_sysid.mjcf.commands import deaf_controls
-from bo_sysid.parameters import CandidateSet, Parameter
+from bo_sysid.parameters import MOST_CANDIDATES, CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling
 from bo_sysid.recording.noise import noise_sigma
 from bo_sysid.recording.value import UNUSED
@@ -34,7 +35,8 @@ class Overview:
             model), recordings that have it, samples, interval in [ms], low, high, unit, noise
             (standard deviation).
         parameters: one row a parameter: name, unit, addresses, apply, nominal, low, high, steps.
-        candidates: number N of candidates in B; 0 where nothing is uncertain.
+        candidates: number N of candidates in B; 0 where nothing is uncertain. Of a grid it may be
+            more than can be searched, since not every command searches it.
         notes: what was done to the data.
     """
 
@@ -79,7 +81,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
         tuple(r.name for r in recordings),
         _channels(model, recordings, unrecorded),
         described(model, parameters),
-        len(candidate_set(study, parameters)) if parameters else 0,
+        candidate_count(study, parameters),
         tuple(dict.fromkeys(n for r in recordings for n in r.notes)),
     )
 
@@ -177,11 +179,43 @@ def require_scales(study: Study, model: Model) -> None:
 
 
 def candidate_set(study: Study, parameters: Sequence[Parameter]) -> CandidateSet:
-    """Return the discrete set B: the full grid, or a Sobol design of the stated size."""
+    """Return the discrete set B: the full grid, or a Sobol design of the stated size.
+
+    Raises:
+        StudyError: the grid is too large to be searched.
+    """
     size = study.search.candidates.sobol
     if size is None:
+        require_searchable(study, candidate_count(study, parameters))
         return CandidateSet.from_grid(parameters)
     return CandidateSet.from_sobol(parameters, size, study.search.seed)
+
+
+def candidate_count(study: Study, parameters: Sequence[Parameter]) -> int:
+    """Return the number of candidates in B, of a grid that is too large for `candidate_set` too."""
+    if not parameters:
+        return 0
+    if study.search.candidates.sobol is None:
+        return prod(p.steps for p in parameters)
+    return len(candidate_set(study, parameters))
+
+
+def require_searchable(study: Study, count: int) -> None:
+    """Refuse a set B of more candidates than can be searched; see `Overview.candidates`.
+
+    Raises:
+        StudyError: the message says how else to choose candidates.
+    """
+    if count > MOST_CANDIDATES:
+        raise study.error(("search", "candidates"), too_many(count))
+
+
+def too_many(count: int) -> str:
+    """Return what to do about a grid that is too large."""
+    return (
+        f"a grid of {count:,} candidates is searched by nothing, at most {MOST_CANDIDATES:,} are: "
+        "search: {candidates: {sobol: 20000}} takes a sample of it, fewer steps make it smaller"
+    )
 
 
 def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:

@@ -232,5 +232,8 @@ def _lengthened(
 
 
 def _said(fit: Fit) -> str:
-    names = ", ".join(str(c) for c in fit.members) or "nothing missing"
-    return f"{names} ({fit.rms:.3f} sigma)"
+    sites: dict[str, list[str]] = {}
+    for c in fit.members:
+        sites.setdefault(c.effect.id, []).append(c.site.name)
+    names = [f"{effect} at {', '.join(at)}" for effect, at in sites.items()]
+    return f"{'; '.join(names) or 'nothing missing'} ({fit.rms:.3f} sigma)"

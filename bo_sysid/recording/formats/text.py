@@ -14,6 +14,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.parquet import arrow_columns
 from bo_sysid.recording.formats.registry import content, reader, require_content
 from bo_sysid.recording.table import RawTable
+from bo_sysid.recording.units import is_unit
 
 _COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
 _SEPARATOR = re.compile(r'"?sep=.?"?')  # a first line that Excel writes and reads
@@ -27,12 +28,14 @@ def read_csv(path: Path) -> RawTable:
 
     Between other separators than commas, numbers may have decimal commas.
     Blank lines and lines that start with ``#`` may stand before the header; the header itself may
-    start with ``#``, as `numpy.savetxt` writes it. Before all may stand Excel's ``sep=;``.
+    start with ``#``, as `numpy.savetxt` writes it. Before all may stand Excel's ``sep=;``, and
+    below the header a line of units.
     """
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     names, separator, body = _header_and_body(path, _text(path))
+    units, body = _units(names, separator, body)
     if not body.strip():
         raise RecordingError(f"{path}: the file names its columns but holds no samples")
     if separator == " ":  # any run of blanks
@@ -57,8 +60,10 @@ def read_csv(path: Path) -> RawTable:
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
     pointed = separator == "," or any(map(pa.types.is_floating, table.schema.types))
     commas = {} if pointed else _decimal_commas(columns)
-    note = f"Decimal commas read as points in columns {', '.join(map(repr, commas))}."
-    return RawTable(str(path), {**columns, **commas}, notes=(note,) if commas else ())
+    notes = ["Units were read from the line below the header."] if units else []
+    if commas:
+        notes.append(f"Decimal commas read as points in columns {', '.join(map(repr, commas))}.")
+    return RawTable(str(path), {**columns, **commas}, units=units, notes=tuple(notes))
 
 
 def _decimal_commas(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -129,6 +134,22 @@ def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
                 "needs a name of its own"
             )
     return names, separator, "\n".join(lines)
+
+
+def _units(names: list[str], separator: str, body: str) -> tuple[dict[str, str], str]:
+    """Return the unit of each column where the first line holds units, and the lines below.
+
+    It does where no cell is a number and at least half of those that are not empty are known units.
+    """
+    first, _, rest = body.partition("\n")
+    cells = [
+        c.strip().strip("[]()").strip() for c in next(csv.reader([first], delimiter=separator), [])
+    ]
+    written = {n: c for n, c in zip(names, cells, strict=False) if c}
+    known = sum(is_unit(c) for c in written.values())
+    if not known or 2 * known < len(written) or any(_is_number(c) for c in written.values()):
+        return {}, body
+    return written, rest
 
 
 def _names(header: str, row: str) -> tuple[str, list[str]]:
