@@ -79,12 +79,12 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
 
     def told(names: Sequence[str]) -> bool:
         turned = {n: replace(h.wires[n], sign=-1) for n in names}
-        after = evidence.shares(replace(h, wires=h.wires | turned), _DELAYS).min(axis=0)
+        after = evidence.shares(replace(h, wires={**h.wires, **turned}), _DELAYS).min(axis=0)
         worse = np.log((after + _FLOOR) / (before + _FLOOR)) * explained
         return bool(worse.max(initial=0.0) > MARGIN)
 
     untold = {n: _why(evidence, n, before) for n in h.wires if not told([n])}
-    mirrored = {}
+    mirrored: dict[str, str] = {}
     for name in evidence.inputs:
         pair = [f"qpos.{evidence.driven(name)}", name]
         if all(n in h.wires and n not in untold for n in pair) and not told(pair):
