@@ -494,9 +494,16 @@ def test_a_name_in_quotes_may_hold_a_separator_and_quotes(separator, tmp_path):
     assert list(table.columns) == list(frame)
 
 
-def test_a_line_of_units_below_the_header_is_read(tmp_path):
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time;qpos.a;ctrl.m;mode\n[ms];[deg];[Nm];\n0;90;1,5;2\n4;180;2,5;2\n",
+        "time  qpos.a ctrl.m mode\n  ms  deg    Nm -\n 0   90  1.5 2\n 4   180 2.5 2\n",
+    ],
+)
+def test_a_line_of_units_below_the_header_is_read(text, tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("time;qpos.a;ctrl.m;mode\n[ms];[deg];[Nm];\n0;90;1,5;2\n4;180;2,5;2\n")
+    path.write_text(text)
     log = read_recording(path)
     assert log.channels["qpos.a"].values == pytest.approx([np.pi / 2, np.pi])
     assert log.channels["qpos.a"].time == pytest.approx([0, 0.004])

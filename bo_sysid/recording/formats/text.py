@@ -142,10 +142,12 @@ def _units(names: list[str], separator: str, body: str) -> tuple[dict[str, str],
     It does where no cell is a number and at least half of those that are not empty are known units.
     """
     first, _, rest = body.partition("\n")
-    cells = [
-        c.strip().strip("[]()").strip() for c in next(csv.reader([first], delimiter=separator), [])
-    ]
-    written = {n: c for n, c in zip(names, cells, strict=False) if c}
+    blank = separator == " "  # any run of them
+    cells = first.split() if blank else next(csv.reader([first], delimiter=separator), [])
+    if len(cells) != len(names):
+        return {}, body
+    stated = zip(names, (c.strip().strip("[]()").strip() for c in cells), strict=True)
+    written = {n: c for n, c in stated if c}
     known = sum(is_unit(c) for c in written.values())
     if not known or 2 * known < len(written) or any(_is_number(c) for c in written.values()):
         return {}, body
