@@ -2,9 +2,11 @@
 
 import json
 import re
+import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -309,6 +311,12 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
     assert code == 0
     assert "2 evaluations so far, lowest deviation 0.25. The same command goes on." in out
     (folder / "run" / "evaluations.parquet").write_text("no")
+    with Run.open(folder / "run2", {}, "diagnose"):
+        (folder / "run2" / "fits").mkdir()
+        (folder / "run2" / "fits" / "0a.npz").touch()
+        (folder / "run2" / "fits" / "made_from.json").touch()
+        said = say("report", "run2")[1]
+    assert "Nothing is decided yet; fits so far: 1. The same command goes on." in said
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err
@@ -410,6 +418,18 @@ def _last_words(program: str, *arguments: str) -> list[str]:
     command = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
     return done.stderr.splitlines()[-1].split()
+
+
+def test_a_process_that_is_terminated_says_what_goes_on(folder: Path) -> None:
+    command = [sys.executable, "-m", "bo_sysid", "identify", "arm.yaml", "--out", "run"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:  # noqa: S603
+        while process.poll() is None and not (folder / "run" / "run.json").is_file():
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate()
+    assert process.returncode == 130
+    assert err.endswith("bo-sysid: interrupted; the same command goes on where it was\n")
+    assert json.loads((folder / "run" / "run.json").read_text())["status"] == "interrupted"
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ that ``--help`` and errors of input answer at once.
 import argparse
 import io
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -71,7 +72,7 @@ def make_parser() -> argparse.ArgumentParser:
         description="Find where a MuJoCo simulation and a real machine disagree, and repair the "
         "model.",
         epilog="Exit code: 0 done, 2 the study, model or recording is wrong, 130 interrupted "
-        "(Ctrl-C), 1 anything else.",
+        "(Ctrl-C, SIGTERM), 1 anything else.",
     )
     parser.add_argument("--version", action="version", version=f"bo-sysid {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
@@ -87,9 +88,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments; those of the process where left out.
 
     Returns:
-        The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted; 1 anything
-        else, with a traceback where it is a defect.
+        The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted, by Ctrl-C or
+        by a SIGTERM to the process; 1 anything else, with a traceback where it is a defect.
     """
+    if argv is None:  # a whole process: a scheduler that ends it is told what Ctrl-C is told
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # not in a notebook
             stream.reconfigure(errors="replace")  # names may hold any letter

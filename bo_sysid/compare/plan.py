@@ -15,7 +15,7 @@ from bo_sysid.execution import OnProgress, Outcome, Progress, map_jobs, open_eng
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
-from bo_sysid.study.overview import candidate_set
+from bo_sysid.study.overview import candidate_count
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Plan:
 
     def _small(self, problem: ComparedProblem) -> bool:
         parameters = problem.study.parameter_set(load_model(problem.study))
-        return len(candidate_set(problem.study, parameters)) <= self.study.compare.table
+        return candidate_count(problem.study, parameters) <= self.study.compare.table
 
 
 def keys_of(

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.errors import RunError
-from bo_sysid.runs import read_frame, read_json, read_record
+from bo_sysid.runs import FITS, read_frame, read_json, read_record
 from bo_sysid.study.overview import Overview
 
 _FEW = 12  # notes that are shown; all are in the run folder
@@ -36,6 +36,9 @@ def run_text(folder: str | Path) -> str:
     recorded = sorted(p.name for p in folder.glob("*.parquet"))
     if record["command"] == "record" and recorded:
         return f"{head}\nRecordings of the plant: {', '.join(recorded)}. Study: {_study(folder)}."
+    fits = len(list((folder / FITS).glob("*.npz")))
+    if fits:
+        return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
     return f"{head}\nNothing was computed yet."
 
 

@@ -5,9 +5,10 @@ disk, and moved there. A command that is killed at any moment goes on from what 
 """
 
 from bo_sysid.runs.files import atomic, finite, plain, read_frame, read_json
-from bo_sysid.runs.run import FORMAT, Run, read_record, versions
+from bo_sysid.runs.run import FITS, FORMAT, Run, read_record, versions
 
 __all__ = [
+    "FITS",
     "FORMAT",
     "Run",
     "atomic",

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 FORMAT = 1
 """Version of the layout of run folders."""
 
+FITS = "fits"
+"""Folder of a run with the fits that an unfinished diagnosis goes on with, as `*.npz`."""
+
 PACKAGES = ("botorch", "dm-control", "gpytorch", "mujoco", "numpy", "pandas", "scipy", "torch")
 """Packages whose versions can change a result."""
 

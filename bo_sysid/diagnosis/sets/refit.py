@@ -40,12 +40,14 @@ class Effort:
         gain: stop where a step gains less of the squared residual than this many variances.
         final: go on to full precision.
         rival: best rms of other fits; a fit far above gives up early.
+        resting: where `final`, whether joints that friction may hold are tried at rest.
     """
 
     iterations: int = 8
     gain: float = 2.0
     final: bool = False
     rival: float = np.inf
+    resting: bool = True
 
 
 FINAL = Effort(iterations=5, gain=1.0, final=True)
@@ -149,7 +151,8 @@ def _fitted(
         point, S = _descend(frame, space, point, S if columns is not None else None, effort)
     point = _settled(frame, space, point)
     at = space.hypothesis(point.theta)
-    if can_touch(problem.machine.model) or (effort.final and held_joints(problem, at)):
+    resting = effort.final and effort.resting and held_joints(problem, at)
+    if can_touch(problem.machine.model) or resting:
         point, S = _caught_up(frame, space, point, S, effort)
     return point, S
 

@@ -85,7 +85,12 @@ def _stepped(
     step: Float[np.ndarray, " s"],
     effort: Effort,
 ) -> Fit:
-    """Return the fit after a step on its shapes, the fit itself where none leaves less."""
+    """Return the fit after a step on its shapes, the fit itself where none leaves less.
+
+    Starts follow as far as slopes lead: those of joints at rest were tried before, and a step that
+    changes a bend by a few percent is no reason to try them again, which takes most of a fit.
+    """
+    effort = replace(effort, resting=False)
     for halving in range(_HALVINGS):
         values = {
             at: float(np.clip(_shape(fit, at) + 0.5**halving * d, *bounds[at]))

@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from bo_sysid.runs import Run
+from bo_sysid.runs import FITS, Run
 from bo_sysid.runs.files import atomic
 
-FOLDER = "fits"
 _STAMP = "made_from.json"
 _LONG = 0.3  # [s] that a fit takes from which on it is kept
 
@@ -40,8 +39,8 @@ class Kept:
     @classmethod
     def of(cls, run: Run, made_from: Mapping[str, Any]) -> "Kept":
         """Return what a run kept, which is dropped where it was made from something else."""
-        stamp = f"{FOLDER}/{_STAMP}"
-        kept = cls(run.path(FOLDER), made_from)
+        stamp = f"{FITS}/{_STAMP}"
+        kept = cls(run.path(FITS), made_from)
         if not run.has(stamp) or run.read_json(stamp) != made_from:
             kept.clear()
         return kept
