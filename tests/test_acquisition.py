@@ -3,6 +3,8 @@
 import math
 import subprocess
 import sys
+from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,6 +143,25 @@ class TestEveryAcquisition:
             nested = acquisition(context.choices[:12].reshape(3, 4, 1, 2))
         torch.testing.assert_close(together, apart)
         torch.testing.assert_close(together.reshape(3, 4), nested)
+
+    @pytest.mark.filterwarnings("ignore:Negative variance")  # single precision
+    def test_all_of_it_moves_as_a_module_does(self, context, name):
+        """As to a GPU; every candidate here is the same number in single precision.
+
+        Evaluated ones are left out: nothing can improve there, and rounding decides by how little.
+        """
+        own = replace(context, surrogate=deepcopy(context.surrogate))
+        left = np.setdiff1d(np.arange(len(context.candidates)), context.evaluated)
+        points = context.choices[left].unsqueeze(-2)
+        moved = build_acquisition(name, own).to(torch.float32)
+        stayed = build_acquisition(name, context)
+        for pending in (None, context.choices[[8, 20]]):
+            stayed.set_X_pending(pending)
+            moved.set_X_pending(None if pending is None else pending.float())
+            with torch.no_grad():
+                values, expected = moved(points.float()), stayed(points)
+            assert values.dtype == torch.float32
+            torch.testing.assert_close(values.double(), expected, rtol=0.02, atol=0.02)
 
     def test_pick_leaves_out_what_was_evaluated(self, context, name):
         acquisition = build_acquisition(name, context)

@@ -27,8 +27,8 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
         """Take the models of the surrogate and the least value so far."""
         surrogate = context.surrogate
         super().__init__(model=surrogate.models[0])
-        self._models = surrogate.models
-        self._best = torch.tensor(surrogate.values.min())
+        self._models = torch.nn.ModuleList(surrogate.models)
+        self.register_buffer("_best", torch.tensor(surrogate.values.min()))
         self._seed = context.seed
         self.register_buffer("_log_weights", torch.tensor(surrogate.weights).log())
         self.set_X_pending(None)
@@ -37,20 +37,20 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
         """Take note of points `m x d` that are being evaluated; None for none."""
         super().set_X_pending(X_pending)
         if self.X_pending is None:
-            self._members = [
+            self._members = torch.nn.ModuleList(
                 LogExpectedImprovement(model, self._best, maximize=False) for model in self._models
-            ]
+            )
             return
-        self._members = [
+        self._members = torch.nn.ModuleList(
             qLogExpectedImprovement(
                 model,
                 -self._best,
                 sampler=SobolQMCNormalSampler(torch.Size([SAMPLES]), seed=self._seed),
-                objective=LinearMCObjective(torch.tensor([-1.0], dtype=torch.float64)),
+                objective=LinearMCObjective(-torch.ones(1).to(self._best)),
                 X_pending=self.X_pending,
             )
             for model in self._models
-        ]
+        )
 
     @t_batch_mode_transform(expected_q=1, assert_output_shape=False)  # type: ignore[untyped-decorator]
     def forward(self, X: Tensor) -> Tensor:

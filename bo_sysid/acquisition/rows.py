@@ -46,6 +46,7 @@ class RowAcquisition(AcquisitionFunction):
         super().__init__(model=model)
         self.register_buffer("candidates", candidates)
         self.register_buffer("values", values.to(candidates))
+        self.register_buffer("_present", self.values)
         self._index = RowIndex.of(candidates.detach().cpu().double().numpy())
         self._pending = pending
         self.set_X_pending(None)

@@ -64,5 +64,5 @@ class Encoded(InputTransform):
         ordered = [k for k in range(X.shape[-1]) if k not in self._categories]
         parts = [scaled[..., ordered]]
         for column, values in self._categories.items():
-            parts.append(APART * (X[..., [column]] == values).to(X))
+            parts.append(APART * (X[..., [column]] == values.to(X)).to(X))
         return torch.cat(parts, dim=-1)
