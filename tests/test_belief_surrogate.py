@@ -83,7 +83,7 @@ def test_models_are_single_task_gps_with_the_same_posterior(points):
     surrogate = fit_surrogate(points, deviations_at(points), BOUNDS, members=4, seed=0)
     query = BOUNDS[0] + np.random.default_rng(4).random((6, 2)) * (BOUNDS[1] - BOUNDS[0])
     means, variances = [], []
-    for model in surrogate.models:
+    for model in surrogate.models():
         posterior = model.posterior(torch.tensor(query))
         assert posterior.mean.dtype == torch.float64
         means.append(posterior.mean.detach().numpy()[:, 0])

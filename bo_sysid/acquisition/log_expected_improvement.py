@@ -26,8 +26,9 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
     def __init__(self, context: SelectionContext) -> None:
         """Take the models of the surrogate and the least value so far."""
         surrogate = context.surrogate
-        super().__init__(model=surrogate.models[0])
-        self._models = torch.nn.ModuleList(surrogate.models)
+        models = surrogate.models()
+        super().__init__(model=models[0])
+        self._models = torch.nn.ModuleList(models)
         self.register_buffer("_best", torch.tensor(surrogate.values.min()))
         self._seed = context.seed
         self.register_buffer("_log_weights", torch.tensor(surrogate.weights).log())

@@ -8,7 +8,6 @@ stationary process follows, while Δ itself is a cone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -125,9 +124,11 @@ class Surrogate:
             weights=weights / weights.sum(),
         )
 
-    @cached_property
     def models(self) -> "tuple[SingleTaskGP, ...]":
-        """The members as BoTorch models of y over B's own units, in float64."""
+        """Return the members as BoTorch models of y over B's own units, in float64.
+
+        They are built with each call: to move one to a GPU moves nobody else's.
+        """
         from bo_sysid.belief.models import as_single_task_gp
 
         return tuple(as_single_task_gp(self, member) for member in self.members)
