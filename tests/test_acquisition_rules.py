@@ -205,7 +205,7 @@ def test_conditioned_surrogate_is_the_one_given_all_values(scattered):
 
 def test_models_of_a_conditioned_surrogate_follow_it(scattered):
     grown = scattered.surrogate.conditioned(scattered.candidates[[9]], np.array([-0.3]))
-    posterior = grown.models[0].posterior(scattered.choices[10:14])
+    posterior = grown.models()[0].posterior(scattered.choices[10:14])
     state = SelectionContext(grown, scattered.belief, scattered.candidates, scattered.evaluated)
     np.testing.assert_allclose(
         posterior.mean.detach().numpy()[:, 0], state.moments()[0][0, 10:14], rtol=1e-5

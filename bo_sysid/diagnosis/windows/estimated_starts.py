@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
-_WORTH = 1e-3  # of what a window leaves beyond noise, for which starts to judge by are moved
+_WORTH = 1e-3  # of what a window leaves beyond noise, for which starts are moved
 _FEW = 0.4  # share of the windows that may be near the recordings where the others are far
 _MORE = 1.5  # times what the window in the middle leaves, from which joints are tried at rest
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
@@ -62,11 +62,12 @@ def caught_up(
         hypothesis: simulates.
         start: starts so far.
     """
-    found = FittedStarts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
+        found = FittedStarts(problem, hypothesis, start, 1)
         found.grown()
         found.scattered()
     else:
+        found = FittedStarts(problem, hypothesis, start, 1, worth=_WORTH)
         found.begun_anew()
     far = _far(found, problem)
     unexplained = np.median(found.cost) > LEFT_BEHIND * problem.count
