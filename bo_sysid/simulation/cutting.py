@@ -93,19 +93,11 @@ def _cut_one(
     orientations = quaternions(compiled)
     require_orientations(orientations, recording.name, channels, time, table)
     complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
-    heard = [
-        n
-        for n, deaf in zip(model.ctrl_channels, deaf_controls(compiled), strict=True)
-        if not deaf and n.removeprefix("ctrl.") not in controlled
-    ]
+    heard = _heard(model, compiled, controlled)
     inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
     first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
     rows = first[:, None] + np.arange(1, horizon + 1)
-    instants = time[rows] - time[first][:, None]
-    on_step = _ON_STEP + rounding(time) / dt
-    step = np.floor(instants / dt + on_step).astype(int)
-    fraction = instants / dt - step
-    fraction[np.abs(fraction) < on_step] = 0.0
+    step, fraction = _on_steps(time, rows, time[first], dt)
     steps = int((step + (fraction > 0)).max()) + _feels(compiled, layout, channels)
     ctrl = controls(model, compiled, recording, time[first], steps, dt, controlled)
     start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
@@ -132,6 +124,33 @@ def _cut_one(
         left_out=left_out + delayed,
         quaternions=orientations,
     )
+
+
+def _heard(model: Model, compiled: mujoco.MjModel, controlled: Sequence[str]) -> list[str]:
+    """Return the channels of the controls that act and that no controller writes."""
+    return [
+        n
+        for n, deaf in zip(model.ctrl_channels, deaf_controls(compiled), strict=True)
+        if not deaf and n.removeprefix("ctrl.") not in controlled
+    ]
+
+
+def _on_steps(
+    time: Float[np.ndarray, " T"],
+    rows: Int[np.ndarray, "W H"],
+    begin: Float[np.ndarray, " W"],
+    dt: float,
+) -> tuple[Int[np.ndarray, "W H"], Float[np.ndarray, "W H"]]:
+    """Return the step before each instant of a window, and the share of the next until it.
+
+    An instant that lies on a step, up to how times are rounded, is on it.
+    """
+    steps = (time[rows] - begin[:, None]) / dt
+    on_step = _ON_STEP + rounding(time) / dt
+    step = np.floor(steps + on_step).astype(int)
+    fraction = steps - step
+    fraction[np.abs(fraction) < on_step] = 0.0
+    return step, fraction
 
 
 def _feels(compiled: mujoco.MjModel, layout: Layout, channels: Sequence[str]) -> bool:
