@@ -227,7 +227,7 @@ def estimators(name: str, steps: list[list[int]], seed: int, quick: bool) -> dic
     ):
         p, seconds = total(SAMPLES, draw, seed)
         found[label] = {"tv": variation(p, truth), "seconds": seconds}
-    models = surrogate.models
+    models = surrogate.models()
 
     def paths(field: Field, samples: int, size: int, seed: int) -> np.ndarray:
         return pathwise(field, samples, size, seed, models[field.number], surrogate)

@@ -107,7 +107,7 @@ def test_botorch_models_are_the_members() -> None:
         categories=candidates.categories,
         members=3,
     )
-    for number, model in enumerate(surrogate.models):
+    for number, model in enumerate(surrogate.models()):
         with torch.no_grad():
             posterior = model.posterior(torch.tensor(candidates.points))
         mean, variance = surrogate.only(number).moments(candidates.points)

@@ -11,10 +11,10 @@ from test_cli_diagnose import MODEL, STUDY
 from bo_sysid.cli import main
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.kept import FOLDER, Kept, digest
+from bo_sysid.diagnosis.windows.kept import Kept, digest
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE
-from bo_sysid.runs import Run, read_json
+from bo_sysid.runs import FITS, Run, read_json
 
 RUBS = [("dry_friction", "joint", "elbow", [0.05])]
 
@@ -109,10 +109,10 @@ def test_a_killed_diagnosis_goes_on_to_the_same_answer(
     with monkeypatch.context() as patch:
         patch.setattr("bo_sysid.diagnosis.answer.explain.examine", killed)
         assert main(["diagnose", "pendulum.yaml", "--out", "killed"]) == 130
-    assert list(Path("killed", FOLDER).glob("*.npz"))
+    assert list(Path("killed", FITS).glob("*.npz"))
     assert main(["diagnose", "pendulum.yaml", "--out", "killed"]) == 0
     assert main(["diagnose", "pendulum.yaml", "--out", "whole"]) == 0
-    assert not Path("killed", FOLDER).exists()
+    assert not Path("killed", FITS).exists()
     assert read_json("killed", "diagnosis.json") == read_json("whole", "diagnosis.json")
 
 
@@ -120,8 +120,8 @@ def test_a_killed_diagnosis_goes_on_to_the_same_answer(
 def test_fits_of_other_files_are_dropped(tmp_path: Path) -> None:
     with Run.open(tmp_path / "run", {"name": "a"}, "diagnose") as run:
         Kept.of(run, {"files": "old"}).arrays(("a",), lambda: {"x": np.zeros(1)})
-        assert list((run.folder / FOLDER).glob("*.npz"))
+        assert list((run.folder / FITS).glob("*.npz"))
         Kept.of(run, {"files": "old"})
-        assert list((run.folder / FOLDER).glob("*.npz"))
+        assert list((run.folder / FITS).glob("*.npz"))
         Kept.of(run, {"files": "new"})
-        assert not list((run.folder / FOLDER).glob("*.npz"))
+        assert not list((run.folder / FITS).glob("*.npz"))

@@ -42,7 +42,7 @@ def polished(
         leader: a set that was fitted on some of them, or on others.
         prepared: the windows with starts fitted to the leader.
         doing: told what is fitted, before it is; one time may take minutes.
-        once: whether one time is enough: of no explanation, or to see whether more is worth it.
+        once: whether one time is enough, since the leader is no explanation.
     """
     times = min(_times(leader, problem), 1 if once else _MOST)
     for k in range(times):
@@ -89,10 +89,10 @@ def stepped_finer(
         step = prepared.problem.windows.timestep / 2
         problem = windows_of(evidence, horizon, step, everything=True)
         finer = prepare(problem, leader.hypothesis)
-        made, finer = polished(problem, leader, finer, doing, once=True)
+        made, finer = polished(problem, leader, finer, doing)
         if made.excess > _STRAIGHTER * leader.excess:
             break
-        leader, prepared = polished(problem, made, finer, doing)
+        leader, prepared = made, finer
     return leader, prepared
 
 

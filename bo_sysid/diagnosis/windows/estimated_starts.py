@@ -7,15 +7,14 @@ where friction may hold a joint, in contact from a window's first part on and fr
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.diagnosis.windows.fitted_starts import LEFT_BEHIND, FittedStarts
+from bo_sysid.diagnosis.windows.fitted_starts import FittedStarts
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
-_WORTH = 1e-3  # of what a window leaves beyond noise, for which starts are moved
+_WORTH = 1e-3  # of what a window leaves beyond noise, for which starts to judge by are moved
 _FEW = 0.4  # share of the windows that may be near the recordings where the others are far
-_MORE = 1.5  # times what the window in the middle leaves, from which joints are tried at rest
 _IN_A_GAP = 4  # first starts of each window, where a joint moves in a gap
 
 
@@ -53,25 +52,22 @@ def caught_up(
     impacts to another; what is left there asks for names that are not there. Each such window
     begins anew at the smoother's start and is fitted to its first part, then to more of it, and
     from starts drawn about the smoother's. Elsewhere those begin anew that leave much more than
-    others. Slow joints that friction may hold are tried at rest; where most windows leave more than
-    noise something is missing that no start makes up for, and only those are tried that leave more
-    than most.
+    others. Slow joints that friction may hold are tried at rest,
+    far from the recordings in half of the windows: all of them leave more than noise there.
 
     Args:
         problem: the windows.
         hypothesis: simulates.
         start: starts so far.
     """
+    found = FittedStarts(problem, hypothesis, start, 1)
     if can_touch(problem.machine.model):
-        found = FittedStarts(problem, hypothesis, start, 1)
         found.grown()
         found.scattered()
     else:
-        found = FittedStarts(problem, hypothesis, start, 1, worth=_WORTH)
         found.begun_anew()
     far = _far(found, problem)
-    unexplained = np.median(found.cost) > LEFT_BEHIND * problem.count
-    found.rested(1.0 if far else _MORE if unexplained else 0.0)
+    found.rested(half=far)
     if far and not _far(found, problem):  # only the starts were
         found.rested()
     return found.start, found.residual

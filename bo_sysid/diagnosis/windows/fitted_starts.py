@@ -22,15 +22,13 @@ from bo_sysid.simulation import State
 DIVERGING = 1e9
 """Response to the start above which a window's simulation diverges."""
 
-LEFT_BEHIND = 1.5
-"""Times the noise, squared, from which a window leaves more than that."""
-
 _ROUNDS = 5  # every other one linearises anew
 _SHARES = (1.0, 0.3, 0.06)  # of a step
 _SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
 _GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, one after the other
 _DRAWS, _DRAWN = 32, 2  # starts that are drawn for a window in contact; how many of them are fitted
 _HOPEFUL = 20.0  # times what a window leaves, up to which one is
+_LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
 _ASTRAY = 2.0  # times what the window in the middle leaves, from which one begins anew
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
 _DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
@@ -126,7 +124,7 @@ class FittedStarts:
         left, count = (self.residual.reshape(seen.shape) ** 2).sum(axis=1), seen.sum(axis=1)
         if not anywhere:
             left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
-        return np.flatnonzero((left > LEFT_BEHIND * count).any(axis=1))
+        return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
 
     def begun_anew(self) -> None:
         """Fit windows that leave much more than others from the smoother on, joints at rest or not.
@@ -143,19 +141,19 @@ class FittedStarts:
             other.rested()
             self._adopt(rows, other)
 
-    def rested(self, beyond: float = 0.0) -> None:
+    def rested(self, *, half: bool = False) -> None:
         """Try slow joints that friction may hold at rest, where windows leave more than noise.
 
         From the smoother's starts, then from these; with the joint kept at rest as well, since the
         slopes of one that slips, taken beside it, mislead those that move it.
 
         Args:
-            beyond: times what the window in the middle leaves, from which a window is tried.
+            half: only in the half of the windows that leaves more.
         """
         smooth = self._problem.windows.start
         for joint in held_joints(self._problem, self._hypothesis):
             rows = self.left_behind(anywhere=True)
-            rows = rows[self.cost[rows] >= beyond * np.median(self.cost)]
+            rows = rows[self.cost[rows] >= np.median(self.cost)] if half else rows
             slow = rows[np.abs(smooth.qvel[rows, joint.dof]) < _SLOW * joint.speed]
             if slow.size:
                 self.tried(slow, _at_rest(smooth.rows(slow), joint))
