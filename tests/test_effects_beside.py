@@ -51,7 +51,7 @@ def beside(machine) -> Beside:
         machine,
         (Placed("asymmetric_damping", ELBOW, (0.02,)),
          Placed("actuator_deadzone", Site("actuator", "elbow"), (0.05,))),
-        (LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}, hold=0.001),),
+        (LearnedLaw("shoulder", {"position 3 of 48": 0.4, "speed 2": -0.1}, hold=0.001),),
     )  # fmt: skip
 
 
@@ -163,7 +163,7 @@ def test_the_goal_of_a_servo_that_integrates_is_in_what_its_encoder_reads(recut,
 
 
 def test_a_force_is_held_as_in_the_search(machine, tmp_path) -> None:
-    law = LearnedLaw("shoulder", {"position 3": 0.4, "speed 2": -0.1}, hold=0.01)
+    law = LearnedLaw("shoulder", {"position 3 of 48": 0.4, "speed 2": -0.1}, hold=0.01)
     made = Beside(machine, (), (law,))
     made.write(tmp_path / "arm.json")
     stepper = Stepper(ARM, tmp_path / "arm.json")
@@ -312,7 +312,7 @@ def test_what_was_edited_wrongly_is_named_with_its_file(
         ([("asymmetric_damping", ELBOW, (0.02,))], [], "no joint 'elbow'; did you mean 'ellbow'"),
         ([("actuator_deadzone", Site("actuator", "elbow"), (0.05,))], [], "no actuator 'elbow'"),
         ([("sensor_scale", Site("channel", "qpos.elbow"), (0.1,))], [], "no channel 'qpos.elbow'"),
-        ([], [("elbow", {"position 3": 0.4})], "no joint 'elbow'"),
+        ([], [("elbow", {"position 3 of 48": 0.4})], "no joint 'elbow'"),
         ([], [("shoulder", {"elbow 3": 0.4})], "no joint 'elbow'"),
         ([], [("shoulder", {"shoulder^1": 0.4})], "no actuator 'shoulder'; did you mean 'sholder'"),
         ([], [("shoulder", {"elbow 3": 0.0, "force at time 2": 0.1})], None),

@@ -1,5 +1,6 @@
 """The learned force law and an effect of a user's own."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 from effect_bench import SLIDE, Bench, pendulum
 
-from bo_sysid.effects import CATALOGUE, Force, Site, applicable, load_effects
+from bo_sysid.effects import CATALOGUE, Force, Machine, Site, applicable, load_effects
 from bo_sysid.effects.learned import ELAPSED, Feature, features, learned_force
 from bo_sysid.simulation.lockstep import LawInputs
 
@@ -138,3 +139,25 @@ def test_beyond_what_was_recorded_a_law_stays_as_it_is_at_the_end() -> None:
         np.testing.assert_allclose(
             force(edge + share * outwards), at_the_ends, atol=1e-2 * scale.force
         )
+
+
+def turned(rod: Bench, turns: float) -> Machine:
+    """Return the machine of a pendulum that was recorded over so many turns."""
+    joint = replace(rod.machine.joints["hinge"], span=turns * 2 * np.pi, middle=0.7)
+    return replace(rod.machine, joints={"hinge": joint})
+
+
+@pytest.mark.parametrize("turns", [0.4, 1.5, 40.0])
+def test_a_narrow_place_is_seen_however_far_a_hinge_turned(turns) -> None:
+    machine = turned(pendulum(), turns)
+    terms = [t for t in features("hinge", machine) if t.name.startswith("position")]
+    half = 0.5 * machine.joints["hinge"].span
+    q = np.linspace(0.7 - half, 0.7 + half, 40_000)
+    at = (q - 1.0 + np.pi) % (2 * np.pi) - np.pi if turns > 2 else q - 1.0
+    magnet = at * np.exp(-((at / 0.15) ** 2))
+    m = LawInputs(0 * q, {"hinge": q}, {"hinge": 0 * q}, {}, {}, 0.001)
+    table = np.stack([t.value(m) for t in terms], axis=1)
+    w = np.linalg.lstsq(table, magnet, rcond=1e-6)[0]
+    assert np.var(magnet - table @ w) < 0.01 * np.var(magnet)
+    felt = learned_force(terms, w, 1.0)(m)
+    assert np.var(magnet - felt) < 0.01 * np.var(magnet)

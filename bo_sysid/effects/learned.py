@@ -29,6 +29,8 @@ ELAPSED = "aux.elapsed"
 """Signal that features of time read: the time since a recording began, in [s]."""
 
 _POSITIONS, _SPEEDS, _TIMES, _OTHERS = 48, 10, 8, 12  # bumps over the range of each
+_TURN, _IN_A_TURN = 2 * np.pi, 2  # [rad]; times as many bumps, where a hinge moves by a turn
+_WINDS = 2.5  # turns above which what a hinge feels can only depend on its angle within one
 _FASTEST = 2.5  # of a joint's root-mean-square speed: the outermost bumps
 _NODES, _BEYOND = 4096, 0.5  # of the table that stands for many bumps; share of the range beyond
 _REVERSAL = 0.02  # of that speed: where a smooth sign turns
@@ -77,7 +79,7 @@ def features(joint: str, machine: Machine) -> tuple[Feature, ...]:
     """
     scale = machine.joints[joint]
     return (
-        *_own(scale),
+        *_own(scale, _over_positions(scale, _POSITIONS)),
         *_of_drive(scale, machine),
         *_of_time(scale, machine),
         *_of_others(scale, machine),
@@ -135,8 +137,33 @@ def _bumps(count: int, low: float, high: float) -> list[Shape]:
     return [bump(float(c)) for c in np.linspace(low, high, count)]
 
 
+def _winds(joint: JointScale) -> bool:
+    """Whether a hinge turns on and on, as a wheel does."""
+    return joint.hinge and joint.span > _WINDS * _TURN
+
+
 def _over_positions(joint: JointScale, count: int) -> list[Shape]:
+    """Return at least `count` bumps over the range of a joint, or around the circle if it winds.
+
+    Those of a hinge are never so far apart that a narrow place is lost between them, as it was of
+    an arm that had spun once.
+    """
+    around = _IN_A_TURN * count
+    if _winds(joint):
+        return _round_bumps(around)
+    if joint.hinge:
+        count = max(count, int(np.ceil(around * joint.span / _TURN)))
     return _bumps(count, joint.middle - 0.5 * joint.span, joint.middle + 0.5 * joint.span)
+
+
+def _round_bumps(count: int) -> list[Shape]:
+    """Return Gaussians at even distances around a circle, which overlap as `_bumps` do."""
+    width = _TURN / count
+
+    def bump(centre: float) -> Shape:
+        return lambda x: np.exp(-0.5 * (((x - centre + np.pi) % _TURN - np.pi) / width) ** 2)
+
+    return [bump(k * width) for k in range(count)]
 
 
 def _direction(joint: JointScale) -> Shape:
@@ -145,8 +172,10 @@ def _direction(joint: JointScale) -> Shape:
 
 
 def _position(joint: JointScale) -> Variable:
-    half, name = 0.5 * joint.span, joint.name
+    half, name = 0.5 * (_TURN if _winds(joint) else joint.span), joint.name
     low, high = joint.middle - half, joint.middle + half
+    if _winds(joint):
+        return Variable(f"qpos.{name}", lambda m: low + (m.qpos[name] - low) % _TURN, low, high)
     return Variable(f"qpos.{name}", lambda m: m.qpos[name], low, high)
 
 
@@ -160,16 +189,15 @@ def _turning(joint: JointScale) -> tuple[str, Term]:
     return "direction", lambda m: sign(m.qvel[joint.name])
 
 
-def _own(joint: JointScale) -> list[Feature]:
+def _own(joint: JointScale, over: Sequence[Shape]) -> list[Feature]:
     """Bumps over position, over speed, and over position times the direction of motion."""
     at, speed, sign = _position(joint), _velocity(joint), _turning(joint)
-    over = _over_positions(joint, _POSITIONS)
     speeds = _bumps(_SPEEDS, speed.low, speed.high)
     return [
-        *(Feature("position", f"position {k}", at, f) for k, f in enumerate(over)),
+        *(Feature("position", f"position {k} of {len(over)}", at, f) for k, f in enumerate(over)),
         *(Feature("speed", f"speed {k}", speed, f) for k, f in enumerate(speeds)),
         *(
-            Feature("position", f"friction at position {k}", at, f, sign)
+            Feature("position", f"friction at position {k} of {len(over)}", at, f, sign)
             for k, f in enumerate(over)
         ),
     ]
@@ -222,17 +250,19 @@ def _of_time(joint: JointScale, machine: Machine) -> list[Feature]:
 
 def _of_others(joint: JointScale, machine: Machine) -> list[Feature]:
     """Bumps over the positions of the other joints."""
+    others = [o for o in machine.joints.values() if o.name != joint.name]
     return [
-        Feature("other_joint", f"{other.name} {k}", _position(other), f)
-        for other in machine.joints.values()
-        if other.name != joint.name
-        for k, f in enumerate(_over_positions(other, _OTHERS))
+        Feature("other_joint", f"{other.name} {k} of {len(over)}", _position(other), f)
+        for other in others
+        for over in [_over_positions(other, _OTHERS)]
+        for k, f in enumerate(over)
     ]
 
 
 def _unknown_force(site: Site, x: Magnitudes, machine: Machine) -> Term:
     joint = machine.joints[site.name]
-    return learned_force(_own(joint), x, joint.force)
+    at = _position(joint)
+    return learned_force(_own(joint, _bumps(_POSITIONS, at.low, at.high)), x, joint.force)
 
 
 _TERMS = 2 * _POSITIONS + _SPEEDS
