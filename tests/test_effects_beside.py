@@ -313,9 +313,9 @@ def test_what_was_edited_wrongly_is_named_with_its_file(
         ([("actuator_deadzone", Site("actuator", "elbow"), (0.05,))], [], "no actuator 'elbow'"),
         ([("sensor_scale", Site("channel", "qpos.elbow"), (0.1,))], [], "no channel 'qpos.elbow'"),
         ([], [("elbow", {"position 3 of 48": 0.4})], "no joint 'elbow'"),
-        ([], [("shoulder", {"elbow 3": 0.4})], "no joint 'elbow'"),
+        ([], [("shoulder", {"elbow 3 of 12": 0.4})], "no joint 'elbow'"),
         ([], [("shoulder", {"shoulder^1": 0.4})], "no actuator 'shoulder'; did you mean 'sholder'"),
-        ([], [("shoulder", {"elbow 3": 0.0, "force at time 2": 0.1})], None),
+        ([], [("shoulder", {"elbow 3 of 12": 0.0, "force at time 2": 0.1})], None),
     ],
 )
 def test_what_another_model_has_is_named_with_the_nearest(machine, placed, laws, said) -> None:
