@@ -3,12 +3,8 @@
 Names are imported when they are first used, so that the command line answers at once.
 """
 
-import os
 from importlib import import_module
 from typing import Any
-
-# Nothing is rendered unless a command asks for it; dm_control warns without this.
-os.environ.setdefault("MUJOCO_GL", "disable")
 
 __version__ = "0.1.0"
 

@@ -1,6 +1,11 @@
 """What every test begins with: the catalogue as it is, and types that are checked."""
 
+import os
 from collections.abc import Iterator
+
+os.environ.setdefault(
+    "MUJOCO_GL", "disable"
+)  # before MuJoCo is imported: it would ask for a display
 
 import pytest
 import typechecking

@@ -9,6 +9,7 @@ import pytest
 import torch
 from botorch.acquisition import AcquisitionFunction
 from botorch.optim import optimize_acqf_discrete
+from botorch.sampling.stochastic_samplers import StochasticSampler
 from botorch.utils.testing import MockModel, MockPosterior
 
 from bo_sysid.acquisition import (
@@ -59,7 +60,9 @@ class TestArgminEntropyOnAMock:
         draws = torch.tensor(self.DRAWS, dtype=dtype).unsqueeze(-1)
         posterior = MockPosterior(samples=draws, base_shape=torch.Size([4, 1]))
         model = MockModel(posterior)
-        return candidates, ArgminEntropyContribution(model, candidates, samples=8)
+        return candidates, ArgminEntropyContribution(
+            model, candidates, sampler=StochasticSampler(torch.Size([8]))
+        )
 
     def expected(self, dtype):
         p = (0.5, 0.25, 1.5 / 8, 0.5 / 8)

@@ -219,6 +219,9 @@ def test_problem_is_the_deviation_in_torch() -> None:
     np.testing.assert_array_equal(values.ravel(), deviation(candidates.points).deviation)
     low, high = problem.bounds
     np.testing.assert_array_equal(torch.stack([low, high]), candidates.bounds)
+    turned = DeviationProblem(deviation, candidates, negate=True)
+    assert not turned.is_minimization_problem
+    np.testing.assert_array_equal(turned(problem.candidates), -values.ravel())
 
 
 BRICK = """<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody>

@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 from dm_control import suite
+from dm_control.mujoco import wrapper
+from dm_control.rl import control
 from dm_control.suite import base
 
 from bo_sysid.errors import StudyError, UserError
@@ -39,6 +41,48 @@ class Reach(base.Task):
 
     def get_termination(self, physics):
         return 0.0 if abs(physics.data.qvel[0]) > 8 else None
+
+
+class Arrive(Reach):
+    """A user's task whose reward says what the end and the observation go by."""
+
+    def initialize_episode(self, physics):
+        self.near, self.count = False, 0
+        super().initialize_episode(physics)
+
+    def get_reward(self, physics):
+        self.count += 1
+        self.near = self.count >= 3
+        return float(self.count)
+
+    def get_observation(self, physics):
+        return {"z": np.array([self.count]), "a": physics.data.qpos.copy()}
+
+    def get_termination(self, physics):
+        return 0.0 if self.near else None
+
+
+def test_a_users_task_is_asked_in_the_order_of_dm_control():
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(Arrive, model.compile())
+    model = compiled(model, task)
+    ours = make_environment(task, model, 1)
+    first = ours.reset()
+    physics = task.physics.from_model(wrapper.MjModel(model))
+    other = control.Environment(
+        physics, Arrive(random=0), control_timestep=0.04, flat_observation=True
+    )
+    other.reset()
+    state = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+    physics.set_state(ours._machines[0].physics.get_state(state), state)
+    physics.forward()
+    for k in range(1, 4):
+        action = np.full(ours.action_size, 0.1 * k)
+        step, theirs = ours.step(action[None]), other.step(action)
+        np.testing.assert_allclose(step.final[0], theirs.observation["observations"])
+        assert step.reward[0] == theirs.reward == k
+        assert step.terminated[0] == theirs.last() == (k == 3)
+    assert first.shape == step.final.shape
 
 
 def test_a_task_that_is_not_vectorised_is_dm_controls_own():

@@ -516,3 +516,14 @@ def test_a_line_of_words_below_the_header_is_no_line_of_units(tmp_path):
     path.write_text("time,qpos.a,qpos.b\ns,angle,other\n0,1,2\n1,2,3\n")
     with pytest.raises(RecordingError, match="row 0: 'angle' is not a number"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("shape", [(3, 6), (6, 3)])
+def test_time_is_the_axis_that_is_as_long_as_the_clock(shape, tmp_path):
+    samples = np.arange(18.0).reshape(3, 6)
+    matrix = samples if shape == (3, 6) else samples.T
+    np.savez(tmp_path / "log.npz", time=np.arange(3.0), q=matrix)
+    rules = {f"qpos.j{i}": {"from": f"q.{i}"} for i in range(6)}
+    recording = read_recording(tmp_path / "log.npz", rules)
+    for i in range(6):
+        np.testing.assert_array_equal(recording.channels[f"qpos.j{i}"].values, samples[:, i])

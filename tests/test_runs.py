@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -235,3 +236,11 @@ def test_a_damaged_study_of_a_run_is_named(tmp_path: Path, content: bytes) -> No
     (tmp_path / "run" / "study.yaml").write_bytes(content)
     with pytest.raises(RunError, match=r"study\.yaml: damaged, not YAML"):
         Run.open(tmp_path / "run", {"name": "arm"}, "identify")
+
+
+def test_numbers_of_other_packages_are_not_mixed(tmp_path: Path, monkeypatch) -> None:
+    with opened(tmp_path / "run") as run:
+        run.require_same_packages()
+    monkeypatch.setattr(metadata, "version", lambda name: "0.0.1" if name == "mujoco" else "9")
+    with opened(tmp_path / "run") as run, pytest.raises(RunError, match=r"mujoco .*here 0.0.1"):
+        run.require_same_packages()

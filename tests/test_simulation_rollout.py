@@ -1,5 +1,6 @@
 """The simulation core against MuJoCo's own loop and against analytic solutions."""
 
+import threading
 from pathlib import Path
 
 import mujoco
@@ -17,6 +18,7 @@ from bo_sysid.simulation import (
     tangent_difference,
 )
 from bo_sysid.simulation.of_study import study_laws
+from bo_sysid.simulation.rollout import quietly
 from bo_sysid.study import Study
 
 PENDULUM = """<mujoco><option timestep="0.001" integrator="{integrator}"/><worldbody>
@@ -347,3 +349,21 @@ def test_after_a_divergence_nothing_moves(hold: float) -> None:
     assert t.diverged[1]
     np.testing.assert_array_equal(t.diverged, [False, True])
     assert len(np.unique(t.qpos[1, 40:])) == 1
+
+
+def test_warnings_are_heard_again_once_the_last_thread_has_left() -> None:
+    before, inside, leave = mujoco.get_mju_user_warning(), threading.Event(), threading.Event()
+
+    def other() -> None:
+        with quietly():
+            inside.set()
+            leave.wait(10)
+
+    thread = threading.Thread(target=other)
+    with quietly():
+        thread.start()
+        assert inside.wait(10)
+    assert mujoco.get_mju_user_warning() != before  # the other is still inside
+    leave.set()
+    thread.join()
+    assert mujoco.get_mju_user_warning() == before

@@ -7,10 +7,13 @@ References:
     improvement for Bayesian optimization.
 """
 
+from collections.abc import Sequence
+
 import torch
 from botorch.acquisition import AcquisitionFunction, LogExpectedImprovement
 from botorch.acquisition.logei import qLogExpectedImprovement
 from botorch.acquisition.objective import LinearMCObjective
+from botorch.models.model import Model
 from botorch.sampling import SobolQMCNormalSampler
 from botorch.utils.transforms import t_batch_mode_transform
 from torch import Tensor
@@ -23,16 +26,29 @@ SAMPLES = 256  # where points are pending
 class EnsembleLogExpectedImprovement(AcquisitionFunction):
     """`log Σ w EI` of BoTorch's analytic EI; with pending points of its Monte Carlo form."""
 
-    def __init__(self, context: SelectionContext) -> None:
-        """Take the models of the surrogate and the least value so far."""
-        surrogate = context.surrogate
-        models = surrogate.models()
+    def __init__(
+        self,
+        models: Sequence[Model],
+        weights: Tensor,
+        best_f: Tensor | float,
+        X_pending: Tensor | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Keep the ensemble.
+
+        Args:
+            models: the M members, each of the function that is to be minimised.
+            weights: `M` weights of the members, which add up to 1.
+            best_f: the least value so far.
+            X_pending: points `m x d` that are being evaluated.
+            seed: of the samples where points are pending.
+        """
         super().__init__(model=models[0])
         self._models = torch.nn.ModuleList(models)
-        self.register_buffer("_best", torch.tensor(surrogate.values.min()))
-        self._seed = context.seed
-        self.register_buffer("_log_weights", torch.tensor(surrogate.weights).log())
-        self.set_X_pending(None)
+        self.register_buffer("_best", torch.as_tensor(best_f).to(weights))
+        self._seed = seed
+        self.register_buffer("_log_weights", weights.log())
+        self.set_X_pending(X_pending)
 
     def set_X_pending(self, X_pending: Tensor | None = None) -> None:  # noqa: N802 - BoTorch's name
         """Take note of points `m x d` that are being evaluated; None for none."""
@@ -62,4 +78,10 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
 
 def build(context: SelectionContext) -> EnsembleLogExpectedImprovement:
     """Return the acquisition for the surrogate of the context."""
-    return EnsembleLogExpectedImprovement(context)
+    surrogate = context.surrogate
+    return EnsembleLogExpectedImprovement(
+        surrogate.models(),
+        torch.tensor(surrogate.weights),
+        float(surrogate.values.min()),
+        seed=context.seed,
+    )

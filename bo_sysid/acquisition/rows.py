@@ -33,7 +33,7 @@ class RowAcquisition(AcquisitionFunction):
         candidates: Tensor,
         values: Tensor,
         model: Model | None = None,
-        pending: Callable[[Rows], Tensor] | None = None,
+        values_given_pending: Callable[[Rows], Tensor] | None = None,
     ) -> None:
         """Keep the table.
 
@@ -41,14 +41,15 @@ class RowAcquisition(AcquisitionFunction):
             candidates: `N x d`, the set B.
             values: `N` values of the acquisition.
             model: the model behind the values, where there is one.
-            pending: returns the `N` values while rows of B are pending; by default `values`.
+            values_given_pending: returns the `N` values while rows of B are pending; by default
+                `values`.
         """
         super().__init__(model=model)
         self.register_buffer("candidates", candidates)
         self.register_buffer("values", values.to(candidates))
         self.register_buffer("_present", self.values)
         self._index = RowIndex.of(candidates.detach().cpu().double().numpy())
-        self._pending = pending
+        self._values_given_pending = values_given_pending
         self.set_X_pending(None)
 
     def set_X_pending(self, X_pending: Tensor | None = None) -> None:  # noqa: N802 - BoTorch's name
@@ -58,8 +59,8 @@ class RowAcquisition(AcquisitionFunction):
         if self.X_pending is None:
             return
         rows = self.rows(self.X_pending)
-        if self._pending is not None:
-            self._present = self._pending(rows.cpu().numpy()).to(self.values)
+        if self._values_given_pending is not None:
+            self._present = self._values_given_pending(rows.cpu().numpy()).to(self.values)
         self._present = self._present.index_fill(0, rows, -torch.inf)
 
     def rows(self, X: Tensor) -> Tensor:
@@ -89,11 +90,11 @@ def fantasised(
 ) -> Callable[[Rows], Tensor]:
     """Return what gives the table while rows are pending: its mean over what they may turn out."""
 
-    def pending(rows: Rows) -> Tensor:
+    def values(rows: Rows) -> Tensor:
         tables = [table(context.after(rows, seed)) for seed in range(FANTASIES)]
         return torch.tensor(np.mean(tables, axis=0))
 
-    return pending
+    return values
 
 
 def from_table(
@@ -101,7 +102,7 @@ def from_table(
 ) -> RowAcquisition:
     """Return the acquisition whose values at all rows follow from the context."""
     values = torch.tensor(table(context))
-    return RowAcquisition(context.choices, values, pending=fantasised(context, table))
+    return RowAcquisition(context.choices, values, values_given_pending=fantasised(context, table))
 
 
 def pick(acquisition: AcquisitionFunction, candidates: Points, excluded: Rows) -> int:

@@ -28,4 +28,6 @@ def build(context: SelectionContext) -> RowAcquisition:
     def pending(rows: Rows) -> Tensor:
         return nearness(len(context.evaluated) + len(rows))
 
-    return RowAcquisition(context.choices, nearness(len(context.evaluated)), pending=pending)
+    return RowAcquisition(
+        context.choices, nearness(len(context.evaluated)), values_given_pending=pending
+    )

@@ -91,6 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done; 2 the input is wrong, with one message; 130 interrupted, by Ctrl-C or
         by a SIGTERM to the process; 1 anything else, with a traceback where it is a defect.
     """
+    # nothing is rendered unless a command asks for it, and dm_control warns without this
+    os.environ.setdefault("MUJOCO_GL", "disable")
     if argv is None:  # a whole process: a scheduler that ends it is told what Ctrl-C is told
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):

@@ -122,6 +122,7 @@ def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
     Raises:
         RunError: the message names the problem, and what of it changed.
     """
+    run.require_same_packages()
     there = run.read_json(PROBLEMS) if run.has(PROBLEMS) else {}
     now = {}
     for name, study in ((p.name, p.study) for p in problems):

@@ -13,17 +13,25 @@ class DeviationProblem(BaseTestProblem):
 
     Args:
         deviation: evaluates Δ.
-        candidates: the set B.
+        candidates: the set B. Categories are points of their range, as every other value is.
+        noise_std: standard deviation of noise that is added to Δ; None for none.
+        negate: return -Δ, for acquisitions that maximise.
 
     Attributes:
         candidates: `N x d` tensor of the candidates, float64; a candidate's identity is its row.
     """
 
-    def __init__(self, deviation: Deviation, candidates: CandidateSet) -> None:
+    def __init__(
+        self,
+        deviation: Deviation,
+        candidates: CandidateSet,
+        noise_std: float | None = None,
+        negate: bool = False,
+    ) -> None:
         self.dim = len(candidates.parameters)
         self.continuous_inds = list(range(self.dim))
         self._bounds = [(p.low, p.high) for p in candidates.parameters]
-        super().__init__(dtype=torch.float64)
+        super().__init__(noise_std, negate, dtype=torch.float64)
         self.deviation = deviation
         self.register_buffer("candidates", torch.tensor(candidates.points, dtype=torch.float64))
 

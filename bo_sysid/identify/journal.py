@@ -21,7 +21,8 @@ class Journal:
         fingerprint: hash of the recordings, the model and the files that the study names.
 
     Raises:
-        RunError: the folder holds evaluations on other recordings, another model or other files.
+        RunError: the folder holds evaluations on other recordings, another model or other files,
+            or by other packages.
     """
 
     def __init__(self, run: Run | None, fingerprint: str) -> None:
@@ -29,6 +30,7 @@ class Journal:
         self._frame = pd.DataFrame()
         if run is None:
             return
+        run.require_same_packages()
         if run.has(PROBLEM) and run.read_json(PROBLEM)["fingerprint"] != fingerprint:
             raise RunError(
                 f"{run.folder}: the recordings, the model or a file that the study names changed "

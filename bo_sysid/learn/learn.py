@@ -121,6 +121,7 @@ def _require_unchanged(study: Study, run: Run) -> None:
     Raises:
         RunError: the message names what changed.
     """
+    run.require_same_packages()
     now = fingerprints(study, recorded=False)
     what = changed(run.read_json(INPUTS), now) if run.has(INPUTS) else ""
     if what:

@@ -5,7 +5,8 @@ dm_control's plain physics, and may say `control_timestep` and `time_limit` in [
 """
 
 import inspect
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,10 +172,11 @@ class PythonMachine:
         return self.observe()
 
     def observe(self) -> np.ndarray:
-        """Return the `1 x o` observation, all entries in a row."""
+        """Return the `1 x o` observation, all entries in a row as dm_control flattens them."""
         entries = self.task.get_observation(self.physics)
-        if hasattr(entries, "values"):
-            entries = np.concatenate([np.ravel(v) for v in entries.values()])
+        if isinstance(entries, Mapping):
+            names = entries if isinstance(entries, OrderedDict) else sorted(entries)
+            entries = np.concatenate([np.ravel(entries[name]) for name in names])
         return np.asarray(entries, float).reshape(1, -1)
 
     def controls(self, actions: np.ndarray) -> np.ndarray:
@@ -207,11 +209,14 @@ class PythonMachine:
             diverged = True
             rows.append(self.present())
         self.task.after_step(self.physics)
-        discount = self.task.get_termination(self.physics)  # None goes on, as in dm_control
+        # a task may keep what one of these finds for the next: the order is dm_control's
+        reward = 0.0 if diverged else self._reward()
+        observation = self.observe()
+        discount = self.task.get_termination(self.physics)  # None goes on
         return Applied(
             {field: np.concatenate([r[field] for r in rows]) for field in rows[0]},
-            self.observe(),
-            0.0 if diverged else self._reward(),
+            observation,
+            reward,
             discount == 0.0,
             diverged,
             cut=discount not in (None, 0.0),

@@ -7,6 +7,7 @@ import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -101,6 +102,26 @@ class Run:
     def record(self) -> Mapping[str, Any]:
         """What `run.json` holds: command, seed, arguments, versions, hash of the study, status."""
         return self._record
+
+    def require_same_packages(self) -> None:
+        """Refuse to go on with numbers that other packages computed.
+
+        This package's own changes are allowed: a defect may be repaired while a run waits.
+
+        Raises:
+            RunError: the message names the packages.
+        """
+        first, now = self._record["sessions"][0]["versions"], versions()
+        others = [
+            f"{p} {first[p]} (here {now[p]})"
+            for p in PACKAGES
+            if p in first and p in now and first[p] != now[p]
+        ]
+        if others:
+            raise RunError(
+                f"{self.folder}: began with {', '.join(others)}; results of both would be mixed: "
+                "install those, use another --out, or remove the folder"
+            )
 
     def path(self, name: str) -> Path:
         """Return where a file of the run is.
@@ -205,12 +226,25 @@ def read_record(folder: str | Path) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package, Python and what results depend on."""
-    found = {"bo-sysid": __version__, "python": platform.python_version()}
+    """Return the versions of this package, Python and what results depend on.
+
+    That of this package goes by its code: two states of a clone are no more the same than two
+    releases.
+    """
+    found = {"bo-sysid": f"{__version__}+{_source()}", "python": platform.python_version()}
     for package in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             found[package] = metadata.version(package)
     return found
+
+
+@cache
+def _source() -> str:
+    """Return the first digits of a hash over the package's Python files."""
+    root, found = Path(__file__).parents[1], hashlib.sha256()
+    for file in sorted(root.rglob("*.py")):
+        found.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def differences(old: Any, new: Any, key: str = "") -> list[str]:

@@ -1,7 +1,8 @@
 """The simulation core: many starts, many models, one call on all cores."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -19,15 +20,33 @@ _CONTROL = mujoco.mjtState.mjSTATE_CTRL
 _CONTROL_AND_FORCE = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
-@contextlib.contextmanager
-def quietly() -> Iterator[None]:
-    """Keep MuJoCo's warnings from the terminal and from MUJOCO_LOG.TXT; they are counted anyway."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+class _Quiet:
+    """Keeps MuJoCo's warnings from the terminal and from MUJOCO_LOG.TXT; they are counted anyway.
+
+    MuJoCo has one handler for the whole process: the last thread that leaves puts it back.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._before: Callable[[str], None] | None = None
+
+    @contextlib.contextmanager
+    def __call__(self) -> Iterator[None]:
+        with self._lock:
+            if not self._inside:
+                self._before = mujoco.get_mju_user_warning()
+                mujoco.set_mju_user_warning(lambda _: None)
+            self._inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                if not self._inside:
+                    mujoco.set_mju_user_warning(self._before)
+
+
+quietly = _Quiet()
 
 
 class Engine:

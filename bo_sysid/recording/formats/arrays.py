@@ -1,6 +1,6 @@
 """Files of named arrays: NumPy archives and MATLAB files."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,12 @@ def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]
 def split(
     arrays: Mapping[str, np.ndarray], source: str, units: Mapping[str, str] | None = None
 ) -> RawTable:
-    """Return vectors by name; the longer axis of a matrix is time, the other one an index."""
+    """Return vectors by name: one axis of a matrix is time, the other one an index.
+
+    Time is the axis that is as long as a vector of the file, such as its clock. Where neither or
+    both are, it is the longer one.
+    """
+    lengths = {len(a) for a in map(np.squeeze, arrays.values()) if a.ndim == 1}
     units = units or {}
     known: dict[str, str] = {}
     columns: dict[str, np.ndarray] = {}
@@ -70,10 +75,17 @@ def split(
             columns[name] = np.atleast_1d(array)
             known |= {name: units[name]} if name in units else {}
         elif array.ndim == 2:
-            samples = array if array.shape[0] >= array.shape[1] else array.T
+            samples = _along_time(array, lengths)
             parts = {f"{name}.{i}": samples[:, i] for i in range(samples.shape[1])}
             columns |= parts
             known |= dict.fromkeys(parts, units[name]) if name in units else {}
         else:
             notes.append(f"Array {name!r} has {array.ndim} dimensions and was not read.")
     return RawTable(source, columns, units=known, notes=tuple(notes))
+
+
+def _along_time(matrix: np.ndarray, lengths: Collection[int]) -> np.ndarray:
+    """Return a matrix whose first axis is time, which vectors of some lengths stand beside."""
+    rows, columns = (size in lengths for size in matrix.shape)
+    across = columns if rows != columns else matrix.shape[0] < matrix.shape[1]
+    return matrix.T if across else matrix
