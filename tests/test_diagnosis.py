@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.diagnosis.answer.holdout import judge
-from bo_sysid.diagnosis.diagnose import _nowhere, _outside, gather
+from bo_sysid.diagnosis.diagnose import effects_without_site, gather, parameters_out_of_bounds
 from bo_sysid.diagnosis.windows.evidence import rates_note
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
@@ -65,7 +65,7 @@ def test_an_effect_that_is_asked_for_and_can_act_nowhere_is_said(tmp_path: Path)
     """The arm has motors, and no position servo."""
     for asked, words in ((["servo_kp", "dry_friction"], "servo_kp can act nowhere"), ("all", "")):
         study = write_study(tmp_path, diagnosis={"effects": asked})
-        (note,) = _nowhere(study, gather(study, load_train(study))) or ("",)
+        (note,) = effects_without_site(study, gather(study, load_train(study))) or ("",)
         assert words in note
         assert "dry_friction" not in note
 
@@ -74,7 +74,7 @@ def test_the_time_step_is_no_candidate_and_that_is_said(tmp_path: Path) -> None:
     study = write_study(tmp_path, diagnosis={"effects": ["timestep", "dry_friction"]})
     evidence = gather(study, load_train(study))
     assert {c.effect.id for c in evidence.candidates} == {"dry_friction"}
-    (note,) = _nowhere(study, evidence)
+    (note,) = effects_without_site(study, evidence)
     assert "every fit takes a finer one along" in note
 
 
@@ -122,7 +122,7 @@ def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
 def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:
     heavy = {"name": "m", "address": "body[forearm].mass", "low": 2.0, "high": 3.0, "steps": 5}
     study = write_study(tmp_path, parameters=[heavy])
-    (note,) = _outside(study, gather(study, load_train(study)))
+    (note,) = parameters_out_of_bounds(study, gather(study, load_train(study)))
     assert note.startswith("The model as it is lies outside the bounds of m (")
 
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.argmin import argmin_sets
-from bo_sysid.diagnosis.answer.experiment import _still, next_experiment
+from bo_sysid.diagnosis.answer.experiment import next_experiment, recording_at_rest
 from bo_sysid.diagnosis.answer.explain import Unexplained, explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
@@ -162,7 +162,7 @@ def test_a_motion_that_is_proposed_holds_joints_that_never_moved() -> None:
     evidence = make_evidence(arm(), [log], effects=[CATALOGUE["dry_friction"]], threads=1)
     problem = windows_of(evidence, 30, 0.002)
     assert problem.windows.channels == ("qpos.shoulder",)
-    still = _still(problem, np.zeros((50, 2)))
+    still = recording_at_rest(problem, np.zeros((50, 2)))
     np.testing.assert_array_equal(still.channels["qpos.elbow"].values, np.zeros(50))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_helpers import candidate, posed, record
 
-from bo_sysid.diagnosis.search.final import _finalists
+from bo_sysid.diagnosis.search.final import finalists
 from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, lost, required, sizes
@@ -341,8 +341,8 @@ def test_a_part_that_leaves_clearly_more_than_the_leader_is_no_finalist(machine)
     one, two = (candidate(machine, e, "elbow") for e in ("dry_friction", "viscous_damping"))
     pair, nominal = fit((one, two), 1.0), fit((), 5.0)
     needed, nearly = fit((one,), 1.3), fit((one,), 1.05)
-    assert needed not in _finalists([pair, needed, nominal], nominal)
-    assert nearly in _finalists([pair, nearly, nominal], nominal)
+    assert needed not in finalists([pair, needed, nominal], nominal)
+    assert nearly in finalists([pair, nearly, nominal], nominal)
     # far from the recordings no such size is known
     far, rest, nothing = fit((one, two), 4.0), fit((one,), 4.5), fit((), 50.0)
-    assert rest in _finalists([far, rest, nothing], nothing)
+    assert rest in finalists([far, rest, nothing], nothing)

@@ -7,7 +7,7 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
-from bo_sysid.diagnosis.search.final import _from_nearer
+from bo_sysid.diagnosis.search.final import refit_from_nearer
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import extend_first, stripped
 from bo_sysid.diagnosis.search.search import Search
@@ -167,5 +167,5 @@ def test_a_leader_far_off_is_fitted_from_what_does_the_same_and_came_nearer(left
     known = replace(emf, cost=left**2 * emf.cost, rms=left * emf.rms)
     search.fits[emf.key] = known
     assert known.rms > LOOSE
-    _from_nearer(search, known)
+    refit_from_nearer(search, known)
     assert search.fits[emf.key].rms < 1.001 * min(left, 1.0) * drag.rms

@@ -6,7 +6,7 @@ import pytest
 from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
 from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable, survey, unit_at
-from bo_sysid.effects.actuation import _supply
+from bo_sysid.effects.actuation import supply_of
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
@@ -196,7 +196,7 @@ def test_a_supply_belongs_to_the_actuator_that_it_names_as_a_whole(aux, supply) 
     motors = "".join(f'<motor name="{n}" joint="hinge"/>' for n in ("arm", "fore_arm"))
     xml = PENDULUM.format(actuator=f"<actuator>{motors}</actuator>", damping=0)
     machine = Bench(xml, {n: VOLTS - k for k, n in enumerate(aux)}).machine
-    assert _supply(Site("actuator", "arm"), machine) == supply
+    assert supply_of(Site("actuator", "arm"), machine) == supply
 
 
 def filtered(bench: Bench, id: str, x: float, channel: Channel, dt: float = 0.001) -> Channel:

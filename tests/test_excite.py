@@ -12,7 +12,7 @@ from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError
 from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.evolution import minimise
-from bo_sysid.excite.excite import _catalogue, excite
+from bo_sysid.excite.excite import catalogue_parameters, excite
 from bo_sysid.excite.fourier import Series
 from bo_sysid.excite.limits import Limits
 from bo_sysid.excite.multisine import multisines
@@ -466,7 +466,7 @@ def test_a_parameter_of_the_study_is_not_looked_for_twice_however_it_is_written(
         '<mujoco><worldbody><body><joint name="j"/><geom size=".1"/></body></worldbody></mujoco>'
     )
     known = [Parameter("d", ("joint[j].damping[0]",), 0.0, 1.0, 11)]
-    assert {p.name for p in _catalogue(model, known)} == {
+    assert {p.name for p in catalogue_parameters(model, known)} == {
         "joint[j].frictionloss", "joint[j].armature", "joint[j].stiffness",
     }  # fmt: skip
 

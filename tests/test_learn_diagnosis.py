@@ -17,7 +17,7 @@ import bo_sysid.excite.beside
 from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import StudyError, UserError
-from bo_sysid.learn.iterate import _valued
+from bo_sysid.learn.iterate import value_candidates
 from bo_sysid.learn.machine_source import MachineSource
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.values import Values, values
@@ -136,7 +136,7 @@ def test_a_policy_is_valued_by_the_commands_that_it_learned(
     policy = LearnedPolicy(network, theta, Normaliser(np.zeros(3), np.ones(3)), own)
     seen = np.random.default_rng(1).normal(size=(50, 3))
     scene = Scene.of(Study.from_dict(pendulum(limits={"hinge": {"effort": 0.5}})))
-    _valued(scene, policy, np.arange(2), 1)
+    value_candidates(scene, policy, np.arange(2), 1)
     act = asked.call_args.args[2]
     np.testing.assert_allclose(0.5 * act(seen), 0.2 * policy.act(seen), atol=1e-7)
 

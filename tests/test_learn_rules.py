@@ -18,7 +18,7 @@ from bo_sysid.learn.floor import Floor, floor_of, lacks_physics
 from bo_sysid.learn.hand_over import share_beyond
 from bo_sysid.learn.identified import Identified
 from bo_sysid.learn.iteration import Iteration
-from bo_sysid.learn.learn import _doubts
+from bo_sysid.learn.learn import doubts
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
 from bo_sysid.learn.values import Estimate, Values, values
@@ -322,7 +322,7 @@ def test_the_first_and_the_last_category_are_no_end_of_b() -> None:
     last = Mock(
         Iteration, scene=scene, found=found, figures={"chosen": {"mass": 1.5, "damping": 0.5}}
     )
-    assert _doubts(last) == ["mass = 1.5 is an end of B; widen it if it may lie beyond"]
+    assert doubts(last) == ["mass = 1.5 is an end of B; widen it if it may lie beyond"]
 
 
 def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:

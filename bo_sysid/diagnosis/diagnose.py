@@ -193,7 +193,7 @@ def diagnose(
     said = [note for recording in evidence.recordings for note in recording.notes]
     left_out = located.prepared.problem.windows.left_out
     short = [f"The hold-out {name} is too short for a forecast." for name in holdout.short]
-    told = (*_nowhere(study, evidence), *_outside(study, evidence))
+    told = (*effects_without_site(study, evidence), *parameters_out_of_bounds(study, evidence))
     told = (*told, *notes, *held_notes(study), *rates_note(unseen, evidence.model), *short)
     result = Diagnosis(
         study.name,
@@ -222,7 +222,7 @@ def _kept(study: Study, run: Run | None, strict: bool) -> Kept:
     return NOTHING_KEPT if run is None else Kept.of(run, made_from(study, strict=strict))
 
 
-def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
+def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
     """Return which effects a study asks for by name that none of the candidates is."""
     asked = study.diagnosis.effects
     if asked == "all":
@@ -242,7 +242,7 @@ def _nowhere(study: Study, evidence: Evidence) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _outside(study: Study, evidence: Evidence) -> tuple[str, ...]:
+def parameters_out_of_bounds(study: Study, evidence: Evidence) -> tuple[str, ...]:
     """Return the parameters whose bounds leave out the model's own value, and what is done then."""
     parameters = study.parameter_set(evidence.given)
     own = np.array([nominal(evidence.given, p) for p in parameters])

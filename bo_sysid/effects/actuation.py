@@ -203,7 +203,7 @@ def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
     a.biasprm[2] = a.biasprm[2] - float(x[0]) / actuator_at(site, machine).gear ** 2
 
 
-def _supply(site: Site, machine: Machine) -> str | None:
+def supply_of(site: Site, machine: Machine) -> str | None:
     """Return the recorded supply voltage of an actuator: its own, else one that names none."""
     volts = [n for n, c in machine.scales.items() if n.startswith("aux.") and _sags(c)]
     owners = {n: _owner(n, machine) for n in volts}
@@ -232,7 +232,7 @@ def _sags(channel: ChannelScale) -> bool:
 
 
 def _sag_extent(site: Site, machine: Machine) -> Extent | None:
-    supply = _supply(site, machine)
+    supply = supply_of(site, machine)
     if supply is None or not affine(site, machine) or not actuator_at(site, machine).follows:
         return None
     sag = machine.scales[supply].high - machine.scales[supply].low
@@ -240,7 +240,7 @@ def _sag_extent(site: Site, machine: Machine) -> Extent | None:
 
 
 def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motion], Signal]:
-    a, supply = actuator_at(site, machine), _supply(site, machine) or ""
+    a, supply = actuator_at(site, machine), supply_of(site, machine) or ""
     c, joint = machine.scales[supply], a.joint or ""
 
     def law(m: Motion) -> Signal:
@@ -252,7 +252,7 @@ def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motio
 
 
 def _sag_share(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:
-    c = machine.scales[_supply(site, machine) or ""]
+    c = machine.scales[supply_of(site, machine) or ""]
     return {"share of the recorded sag": (float(x[0]) / (c.high - c.low), "relative")}
 
 

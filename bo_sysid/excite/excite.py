@@ -91,7 +91,7 @@ def excite(
     laws, notes = _beside(study, model)
     parameters = study.parameter_set(model)
     if effects:
-        parameters = (*parameters, *_catalogue(model, parameters))
+        parameters = (*parameters, *catalogue_parameters(model, parameters))
     if not parameters:
         raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
     noise = _noise(study, model)
@@ -185,7 +185,7 @@ def _resting(model: Model, trial: Trial) -> str:
     )
 
 
-def _catalogue(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
+def catalogue_parameters(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
     """Return effects that are one number of a joint, as parameters that are not known yet."""
     compiled = model.compile()
     taken = {t for p in known for a in p.addresses for t in _numbers(model, a)}

@@ -45,13 +45,20 @@ class RayEngine:
                         key, job = waiting.popleft()
                         busy[remote.remote(function, job)] = key
                     (ended,), _ = ray.wait(list(busy), num_returns=1)
-                    yield _outcome(ray, busy.pop(ended), ended)
+                    yield job_outcome(ray, busy.pop(ended), ended)
             finally:
                 for reference in busy:
                     ray.cancel(reference, force=True)
 
 
-def _outcome(ray: Any, key: str, reference: Any) -> Outcome:
+def job_outcome(ray: Any, key: str, reference: Any) -> Outcome:
+    """Return what a job gave, or what became of it.
+
+    Args:
+        ray: the module.
+        key: of the job.
+        reference: Ray's, of its result.
+    """
     try:
         found = ray.get(reference)
     except ray.exceptions.RayError as lost:  # every retry lost its process, or nothing came back

@@ -99,7 +99,7 @@ def _believed(
         return stored
     learn, settled = scene.study.learn, None
     if STOP_RULES[learn.stop].guided and before is not None:
-        valued = partial(_valued, scene, before.policy)
+        valued = partial(value_candidates, scene, before.policy)
 
         def settled(probabilities: np.ndarray) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
@@ -191,7 +191,17 @@ def _learned(
     return policy
 
 
-def _valued(scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"], times: int) -> Values:
+def value_candidates(
+    scene: Scene, policy: LearnedPolicy, rows: Int[np.ndarray, " K"], times: int
+) -> Values:
+    """Return the returns of a policy on candidates.
+
+    Args:
+        scene: the candidates and the task.
+        policy: what acts.
+        rows: of the candidates.
+        times: episodes on each, from the same starts.
+    """
     models = [scene.compiled(scene.candidates.points[row]) for row in rows]
     act = policy.acting(*command_range(scene))  # it may be of before a repair
     return values(scene, models, act, threads=threads(), times=times)
@@ -209,7 +219,7 @@ def _judged(
     learn = scene.study.learn
     verdict = Verdict(False, "The loop goes on until its trajectories are spent.")
     if STOP_RULES[learn.stop].near:
-        valued = partial(_valued, scene, policy)
+        valued = partial(value_candidates, scene, policy)
         verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
         if not verdict.stop and _repeats(found, row, policy, before):
             text = (
@@ -258,7 +268,7 @@ def _figures(
     verdict: Verdict,
     repair: Repair | None,
 ) -> dict[str, Any]:
-    value = _valued(scene, policy, np.array([row]), 1).value(0)
+    value = value_candidates(scene, policy, np.array([row]), 1).value(0)
     plant = source.evaluate(policy)
     return {
         "trajectories": len(source.trajectories),

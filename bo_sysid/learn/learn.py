@@ -202,7 +202,7 @@ def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
 
 def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> tuple[str, ...]:
     notes = [s for i in done if i.figures["diagnosis"] for s in i.figures["diagnosis"]]
-    notes += _doubts(done[-1])
+    notes += doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
     if scene.study.search.refine:
@@ -212,7 +212,7 @@ def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> t
     return tuple(dict.fromkeys(notes))
 
 
-def _doubts(last: Iteration) -> list[str]:
+def doubts(last: Iteration) -> list[str]:
     """Return why the last policy may not be the machine's: what B and the model do not hold."""
     floor, said = last.found.floor, []
     for p in last.scene.parameters:

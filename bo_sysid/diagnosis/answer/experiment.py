@@ -224,7 +224,7 @@ def _kept(
     """Return controls so small that the motion keeps the limits, and the motion; None if none."""
     middle = controls.mean(axis=0)
     for _ in range(_TRIES):
-        one = _posed(problem, _still(problem, controls), len(controls) - 1)
+        one = _posed(problem, recording_at_rest(problem, controls), len(controls) - 1)
         told = one.simulate(best.hypothesis, one.windows.start)
         over = bounds.limits.violation([bounds.whole], told.trajectory, told.ctrl, 1.0)[0]
         if over == 0.0 and _within_reach(problem, bounds.stated, told.trajectory):
@@ -248,7 +248,7 @@ def _posed(problem: Problem, recording: Recording, horizon: int) -> Problem:
     )
 
 
-def _still(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> Recording:
+def recording_at_rest(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> Recording:
     """Return a recording of a machine that rests at its first recorded pose under controls."""
     first = problem.recordings[0]
     time = np.arange(len(controls)) * problem.machine.sampling

@@ -31,7 +31,7 @@ _NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are pol
 def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
     """Fit the leading sets again, on all windows, with the correction taken at the leader."""
     order = ranked(search.fits.values(), search.prior)
-    chosen = _finalists(order, search.nominal)
+    chosen = finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
     once = lost(order[0], search.nominal)
@@ -79,7 +79,7 @@ def compare(final: Search, first: Fit) -> None:
             return
         substitute(final, leader)
         _shaped_alike(final, leader)
-        _from_nearer(final, leader)
+        refit_from_nearer(final, leader)
         _polish(final, leader, finished)
         eliminate(final)
 
@@ -113,7 +113,7 @@ def _shaped_alike(final: Search, leader: Fit) -> None:
             final.refit(members, f.x, start=f.start, guess=f.hypothesis, effort=FINAL)
 
 
-def _from_nearer(final: Search, leader: Fit) -> None:
+def refit_from_nearer(final: Search, leader: Fit) -> None:
     """Fit a leader that is far off from a set that differs in one member and is nearer.
 
     Where both do the same, what they share may lie where only that one came to: a drag left 201 σ
@@ -224,7 +224,7 @@ def _leader(search: Search) -> Fit:
     return next(f for f in order if admissible(f, search.nominal, fits))
 
 
-def _finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
+def finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     """Return the leading sets, and the best that are admissible or groups.
 
     Of sets that differ in shapes alone only the first, since they are fitted again. Parts of a

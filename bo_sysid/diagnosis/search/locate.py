@@ -86,7 +86,7 @@ def _located(
     if not lost(search.best, search.nominal):
         sharpened(search)
         stripped(search)
-    search = _meshed(evidence, search, horizon)
+    search = with_meshed_sets(evidence, search, horizon)
     tell(f"final fits: {_said(search.best)}")
     step = _step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
@@ -205,7 +205,7 @@ def _bends(leader: Fit) -> bool:
     return leader.rms < ROUGH and rubbing(leader, bent=clean(leader))
 
 
-def _meshed(evidence: Evidence, search: Search, length: int) -> Search:
+def with_meshed_sets(evidence: Evidence, search: Search, length: int) -> Search:
     """Search on with a gap where that is what makes a motor late, at the step that it needs."""
     leader, machine = search.best, search.prepared.problem.machine
     joints = meshing(leader, machine)
