@@ -477,7 +477,4 @@ def test_a_comparison_does_not_go_on_with_another_model_or_other_logs(
             compare(study, run)
         (tmp_path / changed).write_text(files[changed])
         os.utime(tmp_path / changed, (0, 0))  # MuJoCo keeps a mesh whose file is of the same second
-        told = run.read_json("problems.json")["small"]
-        run.write_json("problems.json", {"small": told["the study"]})  # of an earlier version
         pd.testing.assert_frame_equal(compare(study, run).paths, first.paths)
-        assert run.read_json("problems.json") == {"small": told}
