@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Points
 from bo_sysid.parameters import Parameter
+from bo_sysid.recording import kind_of
 from bo_sysid.simulation.simulator import Prediction
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.windows import Windows
@@ -40,7 +41,7 @@ class Oscillator:
             q = decay * (a * c + b * s)
             v = decay * ((b * w - d * a) * c - (a * w + d * b) * s)
             values = {"qpos": q, "qvel": v}
-            columns = [values[name.split(".", 1)[0]] for name in windows.channels]
+            columns = [values[kind_of(name)] for name in windows.channels]
             yield Prediction(np.stack(columns, axis=-1), np.zeros(len(windows), bool))
 
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:

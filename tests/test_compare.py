@@ -22,12 +22,14 @@ from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
 from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
 from bo_sysid.compare.compare import Comparison, compare, so_far
+from bo_sysid.compare.gathered import Key, inner_paths
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
 from bo_sysid.deviation import Deviation, Evaluation
 from bo_sysid.errors import RecordingError, RunError, StudyError
-from bo_sysid.identify.search import History, Rules, search
+from bo_sysid.identify.search import History, Rules, initial_rows, search
+from bo_sysid.parameters import CandidateSet
 from bo_sysid.policy.trainer import Trainer, TrainingIteration
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
@@ -106,6 +108,30 @@ def test_arms_share_plant_and_initial_design_and_seeds_do_not(
     for mass, damping in truths.values():
         assert 0.65 <= mass <= 1.35
         assert 0.045 <= damping <= 0.255
+
+
+@pytest.mark.parametrize("arm", ["greedy", "random"])
+@pytest.mark.parametrize("size", [None, 3, 8])
+def test_what_an_arm_chose_begins_where_the_design_of_its_search_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: str, size: int | None
+) -> None:
+    """Whatever design a search has: 2 d + 2 candidates now, others some day."""
+    _, table = seeded(tmp_path, 0)
+    designs = []
+
+    def designed(candidates: CandidateSet, rules: Rules) -> np.ndarray:
+        rows = initial_rows(candidates, rules) if size is None else 5 * np.arange(size)
+        designs.append(np.sort(rows))
+        return rows
+
+    monkeypatch.setattr("bo_sysid.identify.search.initial_rows", designed)
+    data = ComparedProblem("small", Study.from_dict(small(), tmp_path)).seeded(0)
+    how = Arm(arm, arm, "argmax", "timeout", 1)
+    record = run_search(SearchJob(data, str(tmp_path), how, 0, 0, table))
+    path = inner_paths({Key("small", arm, 0): record})
+    (design,) = designs
+    assert path.loc[~path["chosen"], "row"].tolist() == design.tolist()
+    assert path["chosen"].tolist() == [False] * len(design) + [True] * (10 - len(design))
 
 
 @pytest.mark.parametrize(("seed", "threshold", "settles"), [(0, 0.03, False), (2, 0.3, True)])
@@ -451,7 +477,4 @@ def test_a_comparison_does_not_go_on_with_another_model_or_other_logs(
             compare(study, run)
         (tmp_path / changed).write_text(files[changed])
         os.utime(tmp_path / changed, (0, 0))  # MuJoCo keeps a mesh whose file is of the same second
-        told = run.read_json("problems.json")["small"]
-        run.write_json("problems.json", {"small": told["the study"]})  # of an earlier version
         pd.testing.assert_frame_equal(compare(study, run).paths, first.paths)
-        assert run.read_json("problems.json") == {"small": told}

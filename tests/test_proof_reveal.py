@@ -10,8 +10,8 @@ from bo_sysid.errors import RunError, StudyError
 from bo_sysid.proof.answer import answer, freeze
 from bo_sysid.proof.conceal import concealed_run, seals_of
 from bo_sysid.proof.reveal import reveal
-from bo_sysid.proof.seal import Seal, canonical, digest, file_digest, write_json
-from bo_sysid.runs import Run
+from bo_sysid.proof.seal import Seal, file_digest, write_json
+from bo_sysid.runs import Run, canonical, digest
 
 SHOWN = ("model.xml", "study.yaml", "train.parquet", "holdout.parquet")
 
@@ -65,6 +65,13 @@ def test_a_seal_is_the_hash_of_nonce_and_canonical_json():
     assert len(bytes.fromhex(seal.nonce)) == 16
     assert Seal.of(seal.answer).commitment != seal.commitment
     assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1})
+
+
+def test_a_commitment_that_was_published_stays_what_it_was():
+    seal = Seal("00ff" * 8, {"b": [1, 0.1, -2.5e-9], "a": {"é": None, "known": True}})
+    text = b'{"a":{"known":true,"\\u00e9":null},"b":[1,0.1,-2.5e-09]}'
+    assert seal.commitment == hashlib.sha256(b"\x00\xff" * 8 + text).hexdigest()
+    assert digest(seal.answer) == hashlib.sha256(text).hexdigest()
 
 
 def test_an_honest_run_is_revealed_and_can_be_revealed_again(folder):

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from bo_sysid.errors import RecordingError
-from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording import Channel, Recording, kind_of, stated_for
 
 TIME = np.array([0.0, 0.1, 0.3, 0.4])
 VALUES = np.array([1.0, -2.0, 3.0, 0.5])
@@ -54,6 +54,13 @@ def test_the_value_held_is_that_of_the_last_stamp():
 def test_channel_names_follow_the_convention(name, match):
     with pytest.raises(RecordingError, match=match):
         Recording("r", {name: Channel(TIME, VALUES)})
+
+
+def test_a_channel_has_what_is_stated_by_its_name_before_that_of_its_kind():
+    assert [kind_of(c) for c in ("qpos.root.3", "aux.a.b", "time")] == ["qpos", "aux", "time"]
+    stated = {"qpos.elbow": 0.0, "qpos": 2.0, "elbow": 3.0}
+    channels = ("qpos.elbow", "qpos.elbow.0", "qpos.wrist", "qvel.elbow")
+    assert [stated_for(c, stated, "nothing") for c in channels] == [0.0, 2.0, 2.0, "nothing"]
 
 
 def test_a_recording_needs_a_channel():

@@ -1,5 +1,6 @@
 """Run folders: files are whole or absent, one process writes, the same command goes on."""
 
+import hashlib
 import json
 import os
 import signal
@@ -15,7 +16,17 @@ import pytest
 import yaml
 
 from bo_sysid.errors import RunError, StudyError
-from bo_sysid.runs import FORMAT, Run, atomic, plain, read_frame, read_json, read_record
+from bo_sysid.runs import (
+    FORMAT,
+    Run,
+    atomic,
+    canonical,
+    digest,
+    plain,
+    read_frame,
+    read_json,
+    read_record,
+)
 
 STUDY = {"name": "arm", "search": {"budget": 60, "seed": 0}}
 
@@ -46,7 +57,8 @@ def test_says_what_made_it(tmp_path: Path) -> None:
     assert record["command"] == "identify"
     assert record["status"] == "finished"
     assert record["seed"] == 3
-    assert len(record["study_sha256"]) == 64
+    text = b'{"name":"arm","search":{"budget":60,"seed":0}}'
+    assert record["study_sha256"] == hashlib.sha256(text).hexdigest()
     (session,) = record["sessions"]
     assert session["versions"]["numpy"] == np.__version__
     assert session["started"] <= session["ended"]
@@ -72,6 +84,16 @@ def test_json_takes_only_finite_numbers(run: Run, number: object) -> None:
     with pytest.raises(ValueError, match=r"answer.json\.holdout\.forecast.* is (nan|inf)"):
         run.write_json("answer.json", {"holdout": {"forecast": number}})
     assert not run.has("answer.json")
+
+
+def test_equal_values_have_one_canonical_json() -> None:
+    value = {"b": np.arange(2), "a": (np.float64(0.1), None, "é"), 3: True}
+    same = {"3": True, "a": [0.1, None, "é"], "b": [0, 1]}
+    assert canonical(value) == b'{"3":true,"a":[0.1,null,"\\u00e9"],"b":[0,1]}'
+    assert digest(value) == digest(same) == hashlib.sha256(canonical(same)).hexdigest()
+    assert digest({**same, "b": [1, 0]}) != digest(same)
+    with pytest.raises(ValueError, match=r"value\.a\.1 is inf"):
+        digest({"a": [1.0, float("inf")]})
 
 
 def test_nothing_leaves_the_folder(run: Run) -> None:

@@ -26,7 +26,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import MOST_CANDIDATES, Parameter
-from bo_sysid.recording import Recording, sensor_noise
+from bo_sysid.recording import Recording, sensor_noise, stated_for
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
@@ -152,10 +152,7 @@ def _noise(study: Study, recordings: Sequence[Recording]) -> dict[str, float]:
             floor = _LEAST * float(r.channels[name].values.std())
             estimates.setdefault(name, []).append(max(sigma, floor))
     stated = study.recordings.noise
-    return {
-        n: stated.get(n, stated.get(n.split(".", 1)[0], float(np.median(s))))
-        for n, s in estimates.items()
-    }
+    return {n: stated_for(n, stated, float(np.median(s))) for n, s in estimates.items()}
 
 
 def _windows(

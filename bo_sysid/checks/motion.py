@@ -11,7 +11,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import HINGE, SLIDE
-from bo_sysid.recording import Channel, Recording, Sampling, noise_sigma
+from bo_sysid.recording import Channel, Recording, Sampling, kind_of, noise_sigma
 from bo_sysid.recording.alignment import GAP, stretches
 from bo_sysid.recording.noise import MOVES
 
@@ -201,7 +201,7 @@ def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
     flags: list[Flag] = []
     for r in recordings:
         for name, channel in r.channels.items():
-            kind = name.split(".", 1)[0]
+            kind = kind_of(name)
             if kind == "ctrl":
                 flags += _saturated(r.name, name, channel, limits.get(name))
             elif channel.hold == "none":

@@ -8,6 +8,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FREE, Hypothesis, Wire
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.speeds import ALIKE
+from bo_sysid.recording import kind_of
 
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 
@@ -64,7 +65,7 @@ def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
     """Return kind and title of each fault of one channel."""
     faults = []
     if wire.source != name:
-        same = wire.source.split(".", 1)[0] == name.split(".", 1)[0]
+        same = kind_of(wire.source) == kind_of(name)
         faults.append(("order", "Order") if same else ("swap", "Commands and measurements swapped"))
     if wire.unit == FREE:
         faults.append(("scale", "Scale"))

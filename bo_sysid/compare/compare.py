@@ -128,10 +128,7 @@ def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
     for name, study in ((p.name, p.study) for p in problems):
         files = fingerprints(study, recorded=study.plant is None)
         now[name] = {_STUDY: study.sha256, **files}
-        before = there.get(name, now[name])
-        if isinstance(before, str):  # a run that began before files were hashed
-            before = {**files, _STUDY: before}
-        what = changed(before, now[name])
+        what = changed(there.get(name, now[name]), now[name])
         if what:
             raise RunError(
                 f"{run.folder}: the problem {name!r} changed since this run began ({what} is "

@@ -40,7 +40,7 @@ def inner_paths(records: Records) -> pd.DataFrame:
         deviation = np.array(record["deviation"])
         so_far = np.minimum.accumulate(deviation)
         count = len(deviation)
-        design = 2 * len(record["parameters"]) + 2
+        design = _designed(record)
         part = pd.DataFrame(
             {
                 "problem": key.problem,
@@ -58,6 +58,11 @@ def inner_paths(records: Records) -> pd.DataFrame:
         part["right"] = pd.Series(record["right"], dtype="boolean")
         parts.append(part)
     return pd.concat(parts, ignore_index=True)
+
+
+def _designed(record: Mapping[str, Any]) -> int:
+    """Return how many evaluations were the initial design: nobody believes before its end."""
+    return next(n for n, entropy in enumerate(record["entropy"], 1) if entropy is not None)
 
 
 def _scales(records: Records) -> dict[tuple[str, int], tuple[float, float]]:

@@ -59,7 +59,8 @@ def run_search(job: SearchJob) -> dict[str, Any]:
     Returns:
         One value an evaluation: row, deviation, steps and seconds so far, entropy, max_p, and
         right (whether the row of the largest P is an arg-min of Δ on B); these three None where
-        the belief was not computed or Δ is not known on B. And at the end: stopped; settled, after
+        the belief was not computed or Δ is not known on B. The belief is first computed when the
+        initial design ends, also for blind acquisitions. And at the end: stopped; settled, after
         how many evaluations the study's rule on the entropy would have stopped, had it been asked
         whenever the belief was computed; lowest and median Δ on B; truth, low95 and high95 of each
         parameter.

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Points
 from bo_sysid.deviation.starts import fit_starts
+from bo_sysid.recording import stated_for
 from bo_sysid.simulation import Prediction, Simulator, Windows
 
 PENALTY = 10.0  # a diverged window deviates by this many times the recorded range
@@ -56,7 +57,7 @@ class Whitening:
         floor = np.finfo(float).tiny
         scale, source = [], []
         for k, name in enumerate(windows.channels):
-            known = noise.get(name, noise.get(name.split(".", 1)[0]))
+            known = stated_for(name, noise, None)
             scale.append(float(known) if known else max(float(spread[k]), floor))
             source.append("sensor noise" if known else "recorded spread")
         still = np.array(scale) <= floor  # a channel that never moved has no scale of its own

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from bo_sysid.mjcf.commands import ALONG_JOINT
 from bo_sysid.mjcf.joints import SLIDE
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Recording, kind_of
 
 Signal = Float[np.ndarray, "..."]
 
@@ -212,7 +212,7 @@ class Machine:
 
 def inputs_of(channels: Iterable[str]) -> tuple[str, ...]:
     """Return the names of goals and auxiliary channels among channels."""
-    held = [n for n in channels if n.split(".", 1)[0] in ("goal", "aux")]
+    held = [n for n in channels if kind_of(n) in ("goal", "aux")]
     return tuple(n for n in held if not n.startswith("aux.qacc_warmstart"))
 
 

@@ -15,7 +15,7 @@ from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Recording, stated_for
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
@@ -123,8 +123,7 @@ def excite(
 def _noise(study: Study, model: Model) -> dict[str, float]:
     """Return the standard deviation of each position, as stated or assumed."""
     stated = study.recordings.noise
-    usual = stated.get("qpos", NOISE)
-    return {n: stated.get(n, usual) or NOISE for n in model.qpos_channels}
+    return {n: stated_for(n, stated, NOISE) or NOISE for n in model.qpos_channels}
 
 
 def _assumed(study: Study, model: Model, trial: Trial) -> list[str]:

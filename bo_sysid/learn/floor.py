@@ -24,7 +24,7 @@ from bo_sysid.belief.stopping import StopReason
 from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.identify.problem import Problem
 from bo_sysid.mjcf.joints import SCALAR
-from bo_sysid.recording import sensor_noise
+from bo_sysid.recording import sensor_noise, stated_for
 from bo_sysid.simulation import Prediction
 
 ABOVE = 1.15  # times the expected floor; where nothing lacked the ratio was .95 to 1.05
@@ -97,7 +97,7 @@ def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, 
     found = [sensor_noise(r) for r in problem.recordings]
     sigma = {}
     for name in problem.deviation.windows.channels:
-        told = given.get(name, given.get(name.split(".", 1)[0]))
+        told = stated_for(name, given, None)
         estimated = float(np.median([f[name] for f in found if name in f] or [0.0]))
         sigma[name] = estimated if told is None else float(told)
     return sigma

@@ -279,7 +279,7 @@ def _figures(
         "probability": float(found.probabilities[row]),
         **found.figures(),
         "diagnosis": None if repair is None else list(repair.sentences),
-        "training_steps": policy.about.get("training_steps"),
+        "training_steps": policy.about["training_steps"],
         "model_return": finite(value._asdict()),
         "plant_return": None if plant is None else finite(plant._asdict()),
         "stop": verdict.stop,

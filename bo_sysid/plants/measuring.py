@@ -10,7 +10,7 @@ from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import joint_units
-from bo_sysid.recording.value import Recording
+from bo_sysid.recording.value import Recording, stated_for
 
 KINDS = ("qpos", "qvel", "act")
 
@@ -62,7 +62,7 @@ class Measuring:
             group = {}
             for channel, column in self._columns(kind).items():
                 error = rng.standard_normal(len(rows["time"]))
-                sigma = noise.get(channel, noise.get(kind, 0.0))
+                sigma = stated_for(channel, noise, 0.0)
                 group[channel.split(".", 1)[1]] = rows[kind][:, column] + sigma * error
             if group:
                 kinds[kind] = group

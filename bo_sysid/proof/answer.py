@@ -22,8 +22,8 @@ from typing import Any
 from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import Engine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
-from bo_sysid.proof.seal import digest, file_digest, write_json
-from bo_sysid.runs import Run, read_json, versions
+from bo_sysid.proof.seal import file_digest, write_json
+from bo_sysid.runs import Run, digest, read_json, versions
 from bo_sysid.study import Study
 
 ANSWERS, OPENED = "answers", "opened.json"

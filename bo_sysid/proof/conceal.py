@@ -27,10 +27,10 @@ from bo_sysid.errors import RunError, StudyError
 from bo_sysid.execution import LocalEngine, OnProgress, Progress, map_jobs, silent, threads
 from bo_sysid.proof.case import Case, NoCase, draw_case
 from bo_sysid.proof.plan import Draw, plan
-from bo_sysid.proof.seal import Seal, digest, file_digest, write_json
+from bo_sysid.proof.seal import Seal, file_digest, write_json
 from bo_sysid.proof.suite import LoadedSuite, load_suite
 from bo_sysid.recording.writers import write_recording
-from bo_sysid.runs import Run, atomic, read_json, read_record, versions
+from bo_sysid.runs import Run, atomic, digest, read_json, read_record, versions
 
 COMMITMENTS, CASES = "commitments.json", "cases"
 

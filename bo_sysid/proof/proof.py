@@ -14,8 +14,8 @@ from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, reveal
 from bo_sysid.proof.score import Scores, score
-from bo_sysid.proof.seal import digest, file_digest
-from bo_sysid.runs import Run
+from bo_sysid.proof.seal import file_digest
+from bo_sysid.runs import Run, digest
 
 CASE_TABLE, EFFECT_TABLE, PAGE = "cases.parquet", "effects.parquet", "proof.html"
 _ORACLE = "oracle.json"

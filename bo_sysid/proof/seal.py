@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError
-from bo_sysid.runs import atomic, plain
+from bo_sysid.runs import atomic, canonical, plain
 
 _NONCE = 16  # bytes
 
@@ -61,18 +61,6 @@ class Seal:
         except (ValueError, KeyError, TypeError) as error:
             raise RunError(f"{path}: damaged, not a seal ({error})") from None
         return seal
-
-
-def canonical(value: Any) -> bytes:
-    """Return JSON of which there is only one: keys sorted, no spaces, ASCII, no NaN."""
-    return json.dumps(
-        plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
-    ).encode()
-
-
-def digest(value: Any) -> str:
-    """Return SHA-256 of canonical JSON."""
-    return hashlib.sha256(canonical(value)).hexdigest()
 
 
 def write_json(path: Path, value: Any) -> None:

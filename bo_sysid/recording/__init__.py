@@ -7,7 +7,15 @@ from bo_sysid.recording.formats import READERS, reader
 from bo_sysid.recording.noise import noise_sigma, sensor_noise
 from bo_sysid.recording.readers import read_recording, read_recordings, read_table, read_tables
 from bo_sysid.recording.table import RawTable
-from bo_sysid.recording.value import HELD_KINDS, KINDS, Channel, Hold, Recording
+from bo_sysid.recording.value import (
+    HELD_KINDS,
+    KINDS,
+    Channel,
+    Hold,
+    Recording,
+    kind_of,
+    stated_for,
+)
 from bo_sysid.recording.writers import WRITERS, write_recording
 
 __all__ = [
@@ -25,6 +33,7 @@ __all__ = [
     "Recording",
     "Sampling",
     "control_steps",
+    "kind_of",
     "load_dataset",
     "noise_sigma",
     "read_recording",
@@ -34,5 +43,6 @@ __all__ = [
     "reader",
     "sampling",
     "sensor_noise",
+    "stated_for",
     "write_recording",
 ]

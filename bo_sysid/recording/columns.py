@@ -12,7 +12,7 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.recording.units import require_scale, unit_of_kind
-from bo_sysid.recording.value import KINDS, Hold, wrong_name
+from bo_sysid.recording.value import KINDS, Hold, kind_of, wrong_name
 
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
@@ -72,7 +72,7 @@ class ColumnRule:
                 value is wrong.
         """
         where = f"columns: {channel}"
-        kind = channel.split(".", 1)[0]
+        kind = kind_of(channel)
         if channel != "time" and (wrong := wrong_name(channel)):
             raise RecordingError(f"{where}: a channel is called 'time' or <kind>.<name>; {wrong}")
         if not isinstance(rule, ColumnRule):
@@ -123,7 +123,7 @@ class ClockRule:
             RecordingError: the kind is unknown, a key is unknown or a value is wrong.
         """
         where = f"clocks: {key}"
-        kind = key.split(".", 1)[0]
+        kind = kind_of(key)
         if kind not in KINDS:
             raise RecordingError(f"{where}: names no kind of channel; {nearest(kind, KINDS)}")
         if isinstance(rule, ClockRule):

@@ -23,7 +23,16 @@ from bo_sysid.recording.cleaning import (
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.units import UNITS, is_unit, require_scale, unit_of_kind
-from bo_sysid.recording.value import HELD_KINDS, KINDS, UNUSED, Channel, Hold, Recording
+from bo_sysid.recording.value import (
+    HELD_KINDS,
+    KINDS,
+    UNUSED,
+    Channel,
+    Hold,
+    Recording,
+    kind_of,
+    stated_for,
+)
 
 _SEVERAL = 20  # stamps, from which their distance is looked at
 _FAST, _SLOW = 5e-5, 0.5  # [s] between which motions are sampled
@@ -53,7 +62,7 @@ def to_recording(
     rules = {k: ColumnRule.parse(k, r) for k, r in (columns or {}).items()}
     clock_rules = {k: ClockRule.parse(k, r) for k, r in (clocks or {}).items()}
     for column in table.columns:
-        if column.split(".", 1)[0] in KINDS and "." in column:
+        if kind_of(column) in KINDS and "." in column:
             rules.setdefault(column, ColumnRule())
     mapper = _Mapper(table, rules, clock_rules)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
@@ -87,7 +96,7 @@ class _Mapper:
         self._dropped: dict[ColumnRule, np.ndarray] = {}
         self._measured: set[ColumnRule] = set()
         for key in clock_rules:
-            if not any(channel == key or _kind(channel) == key for channel in rules):
+            if not any(channel == key or kind_of(channel) == key for channel in rules):
                 raise RecordingError(
                     f"{table.source}: clocks: {key!r} fits no channel; {nearest(key, rules)}"
                 )
@@ -141,7 +150,7 @@ class _Mapper:
     def _hold(self, name: str, rule: ColumnRule, column: str) -> Hold:
         clock_rule = self._clock_rule(name)
         stated = rule.hold or (clock_rule.hold if clock_rule else None)
-        default: Hold = "zero" if _kind(name) in HELD_KINDS else "none"
+        default: Hold = "zero" if kind_of(name) in HELD_KINDS else "none"
         if stated == "linear" and default == "none":
             raise RecordingError(
                 f"{self.table.source}: {name}: hold is 'linear', which is for inputs "
@@ -150,14 +159,14 @@ class _Mapper:
         return stated or self.table.holds.get(column, default)
 
     def _clock_rule(self, name: str) -> ClockRule | None:
-        return self.clock_rules.get(name, self.clock_rules.get(_kind(name)))
+        return stated_for(name, self.clock_rules, None)
 
     def _stated_clock(self, name: str, rule: ColumnRule, column: str) -> ColumnRule:
         """Return the rule for a channel's clock; the most specific statement about it wins."""
         table, clock_rule = self.table, self._clock_rule(name)
         timed = self.rules.get("time", ColumnRule("time"))
         own = next(
-            (c for c in (f"time.{name}", f"time.{_kind(name)}") if c in table.columns),
+            (c for c in (f"time.{name}", f"time.{kind_of(name)}") if c in table.columns),
             table.clocks.get(column),
         )
         if rule.clock is not None:
@@ -245,7 +254,7 @@ class _Mapper:
         written = rule.unit if rule.unit is not None else self.table.units.get(column, "")
         if written and (rule.unit is not None or is_unit(written)):
             where += "" if rule.unit is not None else ", as the file says"
-            found = unit_of_kind(written, _kind(name), where)
+            found = unit_of_kind(written, kind_of(name), where)
             require_scale(found, written, rule.scale, where)
             si, factor = found.si, found.factor or 1.0
         else:
@@ -282,7 +291,3 @@ def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
 
 def _jumps(values: np.ndarray, unwrapped: np.ndarray, period: float) -> int:
     return int(np.count_nonzero(np.diff(np.rint((unwrapped - values) / period))))
-
-
-def _kind(channel: str) -> str:
-    return channel.split(".", 1)[0]

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,8 @@ _NAMED = {
     **dict.fromkeys(("act", "ctrl", "goal"), "actuator"),
     "sensor": "sensor",
 }  # what of a model a channel is named after
+_Value = TypeVar("_Value")
+_Otherwise = TypeVar("_Otherwise")
 _INDEX = re.compile(r"\.\d+$")
 _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 
@@ -188,7 +190,7 @@ class Recording:
             key = str(column)
             if key == "time":
                 continue
-            hold: Hold = "zero" if key.split(".", 1)[0] in HELD_KINDS else "none"
+            hold: Hold = "zero" if kind_of(key) in HELD_KINDS else "none"
             where = f"{name}: {key}"
             channels[key] = Channel(time, numbers(frame[column], where), "", where, hold)
         return cls(name, channels)
@@ -252,6 +254,29 @@ class Recording:
 def _span(channels: Iterable[Channel]) -> tuple[float, float]:
     times = [c.time for c in channels]
     return min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+
+
+def kind_of(channel: str) -> str:
+    """Return the kind of a channel, qpos of ``qpos.elbow``; a kind is its own."""
+    return channel.split(".", 1)[0]
+
+
+def stated_for(
+    channel: str, stated: Mapping[str, _Value], otherwise: _Otherwise
+) -> _Value | _Otherwise:
+    """Return what is stated for a channel: by its name, else for its kind.
+
+    Args:
+        channel: its name, as ``qpos.elbow``.
+        stated: what holds for channels and for kinds, by name of either.
+        otherwise: returned where neither is there.
+
+    Example:
+        >>> noise = {"qpos": 1e-3, "qpos.elbow": 5e-4}
+        >>> [stated_for(c, noise, None) for c in ("qpos.elbow", "qpos.wrist", "qvel.elbow")]
+        [0.0005, 0.001, None]
+    """
+    return stated.get(channel, stated.get(kind_of(channel), otherwise))
 
 
 def wrong_name(name: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from bo_sysid.errors import RecordingError, nearest
-from bo_sysid.recording.value import HELD_KINDS, UNNAMED, Recording
+from bo_sysid.recording.value import HELD_KINDS, UNNAMED, Recording, kind_of
 from bo_sysid.runs import atomic
 
 Writer = Callable[[Recording, Path], None]
@@ -67,7 +67,7 @@ def _write_csv(recording: Recording, path: Path) -> None:
     import pandas as pd
 
     for name, channel in recording.channels.items():
-        if channel.hold != ("zero" if name.split(".", 1)[0] in HELD_KINDS else "none"):
+        if channel.hold != ("zero" if kind_of(name) in HELD_KINDS else "none"):
             raise RecordingError(
                 f"{recording.name}: channel {name!r} has hold {channel.hold!r}, which its kind "
                 "does not imply and CSV cannot say; write Parquet"
@@ -104,7 +104,7 @@ def _clock_names(recording: Recording, names: list[str]) -> list[str]:
     """Return the names of the columns that hold the clock which the channels `names` share."""
     clocks = []
     for name in names:
-        kind = name.split(".", 1)[0]
+        kind = kind_of(name)
         whole = all(f"{kind}.{other}" in names for other in recording.of_kind(kind))
         clocks.append(f"time.{kind}" if whole else f"time.{name}")
     return list(dict.fromkeys(clocks))

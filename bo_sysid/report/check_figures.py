@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording import Channel, Recording, kind_of
 from bo_sysid.report.look import GREY, IDENTIFIED, NOMINAL, RECORDED, in_lines
 
 _WIDTH = 7.2  # inches
@@ -39,7 +39,7 @@ def recording_figure(
     for axis, name in zip(axes, names, strict=True):
         channel = recording.channels[name]
         time, values = _thinned(channel, recording.span[0])
-        colour = _COLOURS.get(name.split(".", 1)[0], RECORDED)
+        colour = _COLOURS.get(kind_of(name), RECORDED)
         where = {"drawstyle": "steps-post"} if channel.hold == "zero" else {}
         axis.plot(time, values, color=colour, linewidth=0.8, **where)
         label = in_lines(name) + (f"\n[{channel.unit}]" if channel.unit else "")
@@ -62,7 +62,7 @@ def recording_figure(
 
 
 def _kind(name: str) -> int:
-    kind = name.split(".")[0]
+    kind = kind_of(name)
     return _KINDS.index(kind) if kind in _KINDS else len(_KINDS)
 
 

@@ -4,7 +4,7 @@ A file is either there as a whole or not at all: it is written beside its place,
 disk, and moved there. A command that is killed at any moment goes on from what is there.
 """
 
-from bo_sysid.runs.files import atomic, finite, plain, read_frame, read_json
+from bo_sysid.runs.files import atomic, canonical, digest, finite, plain, read_frame, read_json
 from bo_sysid.runs.run import FITS, FORMAT, Run, read_record, versions
 
 __all__ = [
@@ -12,6 +12,8 @@ __all__ = [
     "FORMAT",
     "Run",
     "atomic",
+    "canonical",
+    "digest",
     "finite",
     "plain",
     "read_frame",

@@ -1,6 +1,7 @@
 """Files of run folders: each is there as a whole or not at all."""
 
 import contextlib
+import hashlib
 import json
 import math
 import os
@@ -51,6 +52,28 @@ def plain(value: Any, key: str = "value") -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{key} is {value}; JSON has no such number")
     return value
+
+
+def canonical(value: Any) -> bytes:
+    """Return JSON of which there is only one: keys sorted, no spaces, ASCII, no NaN.
+
+    Published commitments are hashes of it, see `proof.seal`: what it returns must never change.
+
+    Raises:
+        ValueError: a number is NaN or infinite; the message names its key.
+    """
+    return json.dumps(
+        plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False
+    ).encode()
+
+
+def digest(value: Any) -> str:
+    """Return SHA-256 of canonical JSON, as 64 hexadecimal digits.
+
+    Raises:
+        ValueError: a number is NaN or infinite; the message names its key.
+    """
+    return hashlib.sha256(canonical(value)).hexdigest()
 
 
 def finite(value: Any) -> Any:

@@ -1,7 +1,6 @@
 """A run folder, which a killed command goes on with."""
 
 import contextlib
-import hashlib
 import json
 import platform
 import shutil
@@ -17,7 +16,16 @@ import yaml
 
 from bo_sysid import __version__
 from bo_sysid.errors import RunError, UserError
-from bo_sysid.runs.files import UNFINISHED, atomic, inside, plain, read_frame, read_json, written
+from bo_sysid.runs.files import (
+    UNFINISHED,
+    atomic,
+    digest,
+    inside,
+    plain,
+    read_frame,
+    read_json,
+    written,
+)
 from bo_sysid.runs.lock import NAME as LOCK
 from bo_sysid.runs.lock import locked
 
@@ -258,12 +266,11 @@ def differences(old: Any, new: Any, key: str = "") -> list[str]:
 
 
 def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dict[str, Any]:
-    canonical = json.dumps(plain(study), sort_keys=True, separators=(",", ":"))
     return {
         "format": FORMAT,
         "command": command,
         "seed": seed,
-        "study_sha256": hashlib.sha256(canonical.encode()).hexdigest(),
+        "study_sha256": digest(study),
         "status": "running",
         "sessions": [],
     }

@@ -7,7 +7,7 @@ import numpy as np
 
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.recording import RawTable
-from bo_sysid.recording.value import KINDS
+from bo_sysid.recording.value import KINDS, kind_of
 from bo_sysid.starter.guess import Rules
 from bo_sysid.starter.matching import Guess
 
@@ -18,7 +18,7 @@ def skipping(rules: Rules, tables: Sequence[RawTable]) -> Rules:
     Raises:
         RecordingError: a cell is not a number.
     """
-    named = [c for c in tables[0].columns if "." in c and c.split(".", 1)[0] in KINDS]
+    named = [c for c in tables[0].columns if "." in c and kind_of(c) in KINDS]
     columns, guesses = dict(rules.columns), dict(rules.guesses)
     for channel in dict.fromkeys([*columns, *named]):
         rule = columns.get(channel, {})

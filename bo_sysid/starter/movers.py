@@ -14,7 +14,7 @@ from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable, Recording
-from bo_sysid.recording.value import KINDS
+from bo_sysid.recording.value import KINDS, kind_of
 from bo_sysid.starter.columns import describe
 from bo_sysid.starter.controls import fits_control
 from bo_sysid.starter.guess import Rules, read
@@ -42,7 +42,7 @@ def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules
     motion needs beside friction.
     """
     left = [c for c in describe(tables[0]) if c.name in rules.unused and c.kind != "foreign"]
-    columns = {c.name: c for c in left if c.name.split(".", 1)[0] not in KINDS}
+    columns = {c.name: c for c in left if kind_of(c.name) not in KINDS}
     channels = {n: f"aux.{k}" for k, n in enumerate(columns) if _moves(tables, n)}
     if not rules.unmatched or not channels:
         return rules

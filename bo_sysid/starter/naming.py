@@ -7,6 +7,7 @@ from typing import Literal
 
 from bo_sysid.recording.units import is_unit
 from bo_sysid.recording.units import unit as unit_called
+from bo_sysid.recording.value import kind_of
 
 Kind = Literal["time", "position", "velocity", "command", "effort", "foreign", "other"]
 """What a column may be: a foreign one is no channel at all, of another nothing is said."""
@@ -132,7 +133,7 @@ def _rate(parts: Sequence[str]) -> str:
 
 def named(name: str, unit: str) -> Column:
     """Return a column as its name and the unit that the file states describe it."""
-    by_channel = _CONVENTION.get(name.split(".", 1)[0]) if "." in name else None
+    by_channel = _CONVENTION.get(kind_of(name)) if "." in name else None
     if by_channel is not None:  # the rest is the name of an element, and says nothing
         return Column(name, by_channel, words(name), unit, "its name")
     plain, told = named_unit(name)

@@ -12,7 +12,7 @@ from bo_sysid.errors import ModelError, RecordingError, nearest
 from bo_sysid.mjcf import Address, Loops, Model, nominal
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.parameters import MOST_CANDIDATES, CandidateSet, Parameter
-from bo_sysid.recording import Recording, Sampling
+from bo_sysid.recording import Recording, Sampling, kind_of
 from bo_sysid.recording.noise import noise_sigma
 from bo_sysid.recording.value import UNUSED
 from bo_sysid.study.inputs import load_model, load_train
@@ -104,7 +104,7 @@ def require_known(model: Model, recording: Recording) -> None:
     """
     known = _known(model)
     for name in recording.channels:
-        kind = name.split(".", 1)[0]
+        kind = kind_of(name)
         if kind in known and name not in known[kind]:
             raise RecordingError(
                 f"{recording.name}: channel {name!r} is not in the model {model.source}; "
@@ -297,7 +297,7 @@ def _channels(
         found = [r.channels[name] for r in recordings if name in r.channels]
         row: dict[str, object] = {
             "channel": name,
-            "use": "in the model" if name.split(".", 1)[0] in known else "auxiliary",
+            "use": "in the model" if kind_of(name) in known else "auxiliary",
             "recordings": f"{len(found)} of {len(recordings)}",
             "samples": sum(len(c.time) for c in found),
         }

@@ -1,7 +1,5 @@
 """The study: one declarative YAML file, from which everything runs."""
 
-import hashlib
-import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, PrivateAttr, ValidationError
 
 from bo_sysid.errors import ModelError, StudyError, nearest
+from bo_sysid.runs import digest
 from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
@@ -245,8 +244,7 @@ class Study(Section):
     @property
     def sha256(self) -> str:
         """Hash of the resolved study, as canonical JSON."""
-        canonical = json.dumps(self.resolved(), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        return digest(self.resolved())
 
     def error(self, key: KeyPath, message: str) -> StudyError:
         """Return an error about a key, with the file and the line that sets it."""

@@ -1,7 +1,5 @@
 """The answer of a diagnosis: frozen and hashed before the hold-out is read."""
 
-import hashlib
-import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -16,7 +14,7 @@ from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import Family
-from bo_sysid.runs import plain
+from bo_sysid.runs import digest
 
 Verdict = Literal["unknown-physics", "missing-physics", "sensing", "numerics", "nothing-missing"]
 
@@ -68,8 +66,7 @@ class Answer:
     @property
     def sha256(self) -> str:
         """Hash of the answer as canonical JSON."""
-        canonical = json.dumps(plain(self.as_json()), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        return digest(self.as_json())
 
     @property
     def table(self) -> pd.DataFrame:

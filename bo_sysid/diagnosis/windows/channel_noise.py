@@ -7,7 +7,7 @@ import numpy as np
 from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.joints import quaternions
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Recording, stated_for
 from bo_sysid.recording.noise import MOVES, noise_sigma, underrated
 
 _LEAST = 1e-9
@@ -30,14 +30,14 @@ def channel_noise(
     for name in (n for n in machine.channels if n.startswith("qpos.")):
         series = [r.channels[name] for r in recordings if name in r.channels]
         sigma = float(np.median([noise_sigma(c.time, c.values) for c in series]))
-        sigma = float(given.get(name, given.get("qpos", sigma)))
+        sigma = float(stated_for(name, given, sigma))
         moved = max(float(np.ptp(c.values)) for c in series)
         if moved > 0:
             found[name] = max(sigma, _LEAST, 1e-6 * moved)
             most = max(most, (moved / found[name], name))
     poses = [q for q in quaternions(machine.model) if set(q) <= set(found)]
     for name, factor in _of_poses(recordings, poses).items():
-        found[name] *= 1.0 if name in given or "qpos" in given else factor
+        found[name] *= factor if stated_for(name, given, None) is None else 1.0
     recorded = ", ".join(r.name for r in recordings)
     if not found:
         raise RecordingError(
