@@ -11,7 +11,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.windows.linear import project
-from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
@@ -39,7 +39,7 @@ class Sizes:
         channels = {n: sigma for n in recording.channels if n.startswith("qpos.")}
         window = _TOUCHING if can_touch(machine.model) else _WINDOW
         horizon = round(window / machine.sampling)
-        problem = pose(
+        problem = cut_problem(
             model, machine, [recording], channels, (), horizon=horizon, stride=3, engine=Engine(1)
         )
         self._prepared = prepare(problem)

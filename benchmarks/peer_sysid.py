@@ -29,7 +29,7 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.parameters import Parameter
 
 WINDOW = 0.3  # [s]
@@ -138,7 +138,7 @@ class _Case:
         self.evidence, self.members, self.nuisances = evidence, members, nuisances
         self.late = {k: c for k, c in enumerate(members) if c.effect.id in _DELAYS}
         horizon = max(round(WINDOW / evidence.machine.sampling), 6)
-        problem = pose(
+        problem = cut_problem(
             evidence.model, evidence.machine, evidence.recordings, evidence.sigma, (),
             horizon=horizon, timestep=float(evidence.machine.model.opt.timestep),
             engine=evidence.engine,

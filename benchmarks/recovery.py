@@ -83,7 +83,7 @@ def at_random(candidates: CandidateSet, table: Evaluation, rules: Rules) -> Hist
     rows = np.random.default_rng(rules.seed).permutation(len(candidates))[:BUDGET]
     history = History.empty(table.contributions.shape[1])
     for row in rows.tolist():
-        history = history.told(row, row_of(table, row))
+        history = history.with_evaluation(row, row_of(table, row))
     return history
 
 

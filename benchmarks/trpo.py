@@ -27,7 +27,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment
 from bo_sysid.plants.tasks import find_task
 from bo_sysid.policy.network import GaussianPolicy
-from bo_sysid.policy.normalisation import Moments, Normaliser
+from bo_sysid.policy.normalisation import Normaliser, RunningMoments
 from bo_sysid.policy.rollout import collect
 from bo_sysid.policy.trainer import Trainer
 
@@ -155,7 +155,7 @@ def collection(robot: str, repeats: int) -> float:
     observation = environment.reset()
     policy = GaussianPolicy.of_size(environment.observation_size, environment.action_size, (64, 64))
     theta = policy.initial(np.random.default_rng(0))
-    normaliser = Normaliser.of(Moments.of_size(environment.observation_size))
+    normaliser = Normaliser.of(RunningMoments.of_size(environment.observation_size))
     steps = BATCH // ENVIRONMENTS
     settling = task.settle_time / task.control_timestep * ENVIRONMENTS * steps
     settling /= environment.episode_steps

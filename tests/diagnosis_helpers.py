@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, candidates
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
@@ -80,7 +80,7 @@ def posed(recording: Recording, horizon: int = 100) -> tuple[Problem, Machine]:
     model = arm()
     machine = survey(model.compile(), [recording])
     sigma = {"qpos.shoulder": SIGMA, "qpos.elbow": SIGMA}
-    problem = pose(model, machine, [recording], sigma, (), horizon=horizon, engine=Engine(1))
+    problem = cut_problem(model, machine, [recording], sigma, (), horizon=horizon, engine=Engine(1))
     return problem, machine
 
 

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.belief import hyperparameters
-from bo_sysid.belief.gp import MEAN_VARIANCE, Evidence
+from bo_sysid.belief.gp import MEAN_VARIANCE, MarginalLikelihood
 from bo_sysid.belief.surrogate import KERNELS, POWERS, default_prior, fit_surrogate
 from bo_sysid.belief.warp import ZERO, Warp
 
@@ -46,7 +46,7 @@ def test_evidence_is_the_density_of_the_values(kernel):
     x, y, noise = rng.random((7, 2)), rng.normal(size=7), np.full(7, 1e-2)
     theta = np.log([0.4, 0.9, 1.7])
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
-    evidence = Evidence(kernel, squared, y, noise)
+    evidence = MarginalLikelihood(kernel, squared, y, noise)
     covariance = 1.7 * correlation_matrix(kernel, x, x, np.array([0.4, 0.9]))
     covariance += np.diag(noise) + MEAN_VARIANCE
     value, gradient = evidence(np.stack([theta, theta + 0.3]))
@@ -112,7 +112,8 @@ def test_hyperparameters_are_averaged_over_their_posterior():
     grid = np.stack([a.ravel() for a in axes], axis=1)
     prior = default_prior(1)(grid)[0]
     densities = [
-        Evidence(k, ((x.T[:, :, None] - x.T[:, None]) ** 2), z, surrogate.noise)(grid)[0] + prior
+        MarginalLikelihood(k, ((x.T[:, :, None] - x.T[:, None]) ** 2), z, surrogate.noise)(grid)[0]
+        + prior
         for k in KERNELS
     ]
     top = max(d.max() for d in densities)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
-from bo_sysid.checks.hypothesis import FREE, Evidence, Wire
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence
 from bo_sysid.checks.motion import channel_flags, turned_inside
 from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns
@@ -269,7 +269,7 @@ def test_a_rotor_that_the_model_lacks_is_no_constant_of_a_motor() -> None:
     log = Recording.from_arrays(
         time, qpos={"hinge": run.qpos[0, ::4, 0][:-1] + noise}, ctrl={"m": ctrl}
     )
-    evidence = Evidence(model.compile(), Traces([log], ["qpos.hinge"]))
+    evidence = WiringEvidence(model.compile(), Traces([log], ["qpos.hinge"]))
     assert (evidence.shares(evidence.identity(), [0.0]) > SUSPICIOUS).all()
     assert list(scaled(evidence, evidence.identity(), [0.0])) == []
 

@@ -11,7 +11,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates
 from bo_sysid.diagnosis.windows.linear import linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Machine, Reading, survey
@@ -79,7 +79,7 @@ def test_signatures_of_commands_beyond_their_range_are_those_of_what_acts(effect
     assert np.abs(recording.channels["ctrl.elbow"].values).max() > 0.15
     machine = survey(model.compile(), [recording])
     sigma = dict.fromkeys(("qpos.shoulder", "qpos.elbow"), SIGMA)
-    problem = pose(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
+    problem = cut_problem(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
     c, start = candidate(machine, effect, site), problem.windows.start
     linear = linearise(problem, Hypothesis(), start)
     signature = signatures(linear, [c])[..., 0].astype(float)
@@ -161,7 +161,7 @@ def test_signature_beside_a_soft_gear_in_a_servos_loop_is_that_of_the_effect() -
     recording = _commanded(model)
     machine = survey(model.compile(), [recording])
     sigma = dict.fromkeys(("qpos.shoulder", "qpos.elbow"), SIGMA)
-    problem = pose(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
+    problem = cut_problem(model, machine, [recording], sigma, (), horizon=100, engine=Engine(1))
     c = candidate(machine, "encoder_offset", "shoulder")
     assert _missed_beside_a_gear(problem, machine, c) < 0.2
 
@@ -299,7 +299,7 @@ def test_a_quaternion_follows_its_start() -> None:
     recording = Recording.from_arrays(time, qpos=motion, ctrl={"tau": tau})
     sigma = {f"qpos.{n}": 1e-3 for n in motion}
     machine = survey(plant, [recording])
-    problem = pose(model, machine, [recording], sigma, (), horizon=20, engine=Engine(1))
+    problem = cut_problem(model, machine, [recording], sigma, (), horizon=20, engine=Engine(1))
     start = problem.windows.start
     linear, here = linearise(problem, Hypothesis(), start), problem.residual(Hypothesis(), start)
     for k in range(2 * plant.nv):

@@ -6,7 +6,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.answer.sessions import between, by_recording, by_stretch
 from bo_sysid.diagnosis.sets.refit import refit
-from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import survey
 from bo_sysid.simulation import Engine
@@ -19,7 +19,7 @@ def fitted(dampings: tuple[float, float]):
     ]
     machine = survey(arm().compile(), recordings)
     sigma = {"qpos.shoulder": SIGMA, "qpos.elbow": SIGMA}
-    problem = pose(arm(), machine, recordings, sigma, (), horizon=100, engine=Engine(1))
+    problem = cut_problem(arm(), machine, recordings, sigma, (), horizon=100, engine=Engine(1))
     ready = prepare(problem)
     member = candidate(machine, "viscous_damping", "elbow")
     return ready.problem, refit(ready.linear, [member], [member.probe])

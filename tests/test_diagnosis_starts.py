@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.windows.fitted_starts import FittedStarts, prior, start_
 from bo_sysid.diagnosis.windows.forecast import forecast
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise
-from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
@@ -157,7 +157,7 @@ def landing(step, duration, sigma, seed=0):
         qpos=dict(zip(names, qpos.T, strict=True)),
         ctrl=dict(zip(actuators, ctrl.T, strict=True)),
     )
-    return pose(
+    return cut_problem(
         model, survey(model.compile(), [recording]), [recording],
         {f"qpos.{n}": sigma for n in names}, (), horizon=held, timestep=step, engine=Engine(1),
     )  # fmt: skip

@@ -9,7 +9,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
 from bo_sysid.diagnosis.unexplained.law import law_candidate
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
-from bo_sysid.diagnosis.windows.problem import pose
+from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.effects import Machine, survey
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.effects.learned import features
@@ -53,8 +53,10 @@ def differ(
     seen = as_commanded_and_measured(recording, parts, STEP)
     scales = survey(repaired.compile(), [seen])
     how = {"horizon": HORIZON, "engine": Engine(1)}
-    fitted = pose(arm(), machine, [recording], NOISE, (), laws=laws, **how)
-    files = pose(repaired, scales, [seen], NOISE, (), laws=(*laws, *force_laws(parts)), **how)
+    fitted = cut_problem(arm(), machine, [recording], NOISE, (), laws=laws, **how)
+    files = cut_problem(
+        repaired, scales, [seen], NOISE, (), laws=(*laws, *force_laws(parts)), **how
+    )
     # what a late actuator does in the first windows, no command of the log tells
     fitted = fitted.rows(np.isin(fitted.windows.time, files.windows.time))
     assert len(fitted.windows) > 5

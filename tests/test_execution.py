@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_info
 from bo_sysid.errors import StudyError
 from bo_sysid.execution import LocalEngine, cores, limit_threads, map_jobs, threads, use_threads
 from bo_sysid.execution.cluster import job_outcome
-from bo_sysid.execution.jobs import Outcome
+from bo_sysid.execution.jobs import JobOutcome
 
 
 def square(x: float) -> float:
@@ -231,4 +231,4 @@ def test_the_environment_says_how_many_cores(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_job_that_a_cluster_lost_without_a_word_is_told(said: str, told: str) -> None:
     ray = SimpleNamespace(exceptions=SimpleNamespace(RayError=RuntimeError), get=Mock())
     ray.get.side_effect = RuntimeError(said)
-    assert job_outcome(ray, "a", None) == Outcome("a", error=f"lost on the cluster: {told}")
+    assert job_outcome(ray, "a", None) == JobOutcome("a", error=f"lost on the cluster: {told}")

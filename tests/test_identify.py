@@ -126,7 +126,7 @@ def test_zooming_keeps_the_minimum_and_what_is_known(grid: CandidateSet) -> None
     mass = np.exp(-(table - table.min()) / 0.02)
     history = History.empty(8)
     for row in (0, 5, int(table.argmin()), 100):
-        history = history.told(row, bowl(grid)(row))
+        history = history.with_evaluation(row, bowl(grid)(row))
     finer = zoomed(grid, history, mass / mass.sum(), 0)
     assert finer is not None
     candidates, known = finer
@@ -145,13 +145,13 @@ def test_zooming_keeps_the_minimum_and_what_is_known(grid: CandidateSet) -> None
 
 def test_zooming_stops_where_the_box_does_not_shrink(grid: CandidateSet) -> None:
     flat = np.full(len(grid), 1 / len(grid))
-    assert zoomed(grid, History.empty(8).told(0, bowl(grid)(0)), flat, 0) is None
+    assert zoomed(grid, History.empty(8).with_evaluation(0, bowl(grid)(0)), flat, 0) is None
 
 
 def test_a_box_reaches_to_the_neighbours_in_every_parameter() -> None:
     uneven = CandidateSet.from_grid([replace(X, steps=101), replace(X, name="y", steps=3)])
     here = np.flatnonzero(np.isclose(uneven.points, 0.5).all(axis=1))
-    history = History.empty(8).told(int(here[0]), bowl(uneven)(int(here[0])))
+    history = History.empty(8).with_evaluation(int(here[0]), bowl(uneven)(int(here[0])))
     finer = zoomed(uneven, history, np.eye(len(uneven))[here[0]], 0)
     assert finer is not None
     np.testing.assert_allclose(finer[0].bounds, [[0.49, 0.0], [0.51, 1.0]])
@@ -160,7 +160,7 @@ def test_a_box_reaches_to_the_neighbours_in_every_parameter() -> None:
 def test_no_candidate_is_there_twice_after_zooming(grid: CandidateSet) -> None:
     history = History.empty(8)
     for row in range(len(grid)):
-        history = history.told(row, bowl(grid)(row))
+        history = history.with_evaluation(row, bowl(grid)(row))
     middle = len(grid) // 2
     finer = zoomed(grid, history, np.eye(len(grid))[middle], 0)
     assert finer is not None
@@ -176,7 +176,7 @@ def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet)
     middle = len(grid) // 2
     history = History.empty(8)
     for row in (0, middle, 3):
-        history = history.told(row, bowl(grid)(row))
+        history = history.with_evaluation(row, bowl(grid)(row))
     finer = zoomed(grid, history, np.eye(len(grid))[middle], 0)
     assert finer is not None
     candidates, known = finer
@@ -195,7 +195,7 @@ def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet)
 
 
 def test_the_initial_design_keeps_to_the_budget(grid: CandidateSet) -> None:
-    known = History.empty(8).told(7, bowl(grid)(7))
+    known = History.empty(8).with_evaluation(7, bowl(grid)(7))
     outcome = search(grid, bowl(grid), Rules("random", StopRule(2)), known)
     assert len(outcome.history) == 2
     assert outcome.reason is StopReason.BUDGET
@@ -204,7 +204,7 @@ def test_the_initial_design_keeps_to_the_budget(grid: CandidateSet) -> None:
 def test_the_journal_gives_back_what_was_written(grid: CandidateSet, tmp_path: Path) -> None:
     history = History.empty(8)
     for row in (3, 77, 120):
-        history = history.told(row, bowl(grid)(row)).with_entropy(1.0 / row)
+        history = history.with_evaluation(row, bowl(grid)(row)).with_entropy(1.0 / row)
     with Run.open(tmp_path / "run", {"name": "s"}, "identify") as run:
         Journal(run, "abc").write(0, grid, history)
         back = Journal(run, "abc").history(0, 8)

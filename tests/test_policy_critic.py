@@ -6,7 +6,7 @@ import torch
 
 from bo_sysid.policy.critic import Critic
 from bo_sysid.policy.network import GaussianPolicy, Network
-from bo_sysid.policy.normalisation import Moments, Normaliser, ReturnScale
+from bo_sysid.policy.normalisation import Normaliser, ReturnScale, RunningMoments
 from bo_sysid.policy.settings import CriticFit
 
 NETWORK = Network((4, 10, 8, 1))
@@ -88,7 +88,7 @@ def test_initial_layers_are_orthogonal_with_their_gain():
 
 def test_moments_of_parts_are_those_of_the_whole():
     x = np.random.default_rng(0).normal(3.0, 2.0, (1000, 3))
-    moments = Moments.of_size(3)
+    moments = RunningMoments.of_size(3)
     for part in np.split(x, [10, 11, 400]):
         moments.add(part)
     np.testing.assert_allclose(moments.mean, x.mean(axis=0), rtol=1e-6)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.estimate import Estimate, delay
-from bo_sysid.checks.hypothesis import Evidence
+from bo_sysid.checks.hypothesis import WiringEvidence
 from bo_sysid.checks.traces import Traces
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
@@ -51,7 +51,7 @@ def recorded(seed: int, seconds: float = 12.0, noise: float = NOISE) -> Recordin
 
 
 def clock(recording: Recording) -> Estimate:
-    evidence = Evidence(
+    evidence = WiringEvidence(
         mujoco.MjModel.from_xml_string(SERVO), Traces([recording], ["qpos.bucket"]), 1200
     )
     return delay(evidence, evidence.identity(), "ctrl.servo")

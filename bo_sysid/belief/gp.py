@@ -61,7 +61,7 @@ def scaled_squared_distances(
 
 
 @dataclass(frozen=True)
-class Evidence:
+class MarginalLikelihood:
     """The evidence of hyperparameters θ for fixed data.
 
     Attributes:

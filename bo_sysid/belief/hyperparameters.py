@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from scipy.stats import multivariate_t
 
-from bo_sysid.belief.gp import Evidence, Kernel
+from bo_sysid.belief.gp import Kernel, MarginalLikelihood
 from bo_sysid.execution import limit_threads
 
 STUDENT_DOF = 5
@@ -58,14 +58,14 @@ class Draw:
 class _Mode:
     """A local maximum of the posterior of θ, with the scale of its Laplace approximation."""
 
-    evidence: Evidence
+    evidence: MarginalLikelihood
     theta: Float[np.ndarray, " p"]
     log_density: float
     scale: Float[np.ndarray, "p p"]
 
 
 def _log_posterior(
-    evidence: Evidence, prior: Prior, theta: Float[np.ndarray, "b p"]
+    evidence: MarginalLikelihood, prior: Prior, theta: Float[np.ndarray, "b p"]
 ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, "b p"]]:
     value, gradient = evidence(theta)
     log_prior, slope = prior(theta)
@@ -73,7 +73,7 @@ def _log_posterior(
 
 
 def _climb(
-    evidence: Evidence, prior: Prior, start: Float[np.ndarray, " p"]
+    evidence: MarginalLikelihood, prior: Prior, start: Float[np.ndarray, " p"]
 ) -> tuple[Float[np.ndarray, " p"], float]:
     """Return the maximum of the posterior reached from `start`, and its log density."""
 
@@ -91,7 +91,7 @@ def _climb(
 
 
 def _laplace_scale(
-    evidence: Evidence, prior: Prior, theta: Float[np.ndarray, " p"]
+    evidence: MarginalLikelihood, prior: Prior, theta: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, "p p"]:
     """Return the inverse of the negative Hessian at a mode, at most √2 as wide as the prior."""
     p = len(theta)
@@ -107,10 +107,10 @@ def _laplace_scale(
 
 
 def _find_modes(
-    evidences: Sequence[Evidence], prior: Prior, starts: Float[np.ndarray, "k p"]
+    evidences: Sequence[MarginalLikelihood], prior: Prior, starts: Float[np.ndarray, "k p"]
 ) -> list[_Mode]:
     """Return the distinct local maxima that hold a share of the posterior worth sampling."""
-    tops: list[tuple[Evidence, Float[np.ndarray, " p"], float]] = []
+    tops: list[tuple[MarginalLikelihood, Float[np.ndarray, " p"], float]] = []
     with limit_threads(1):  # matrices are small, and BLAS threads would spin while they wait
         for evidence, start in product(evidences, starts):
             theta, density = _climb(evidence, prior, start)
@@ -155,7 +155,7 @@ def _mixture_draws(
 
 
 def sample_hyperparameters(
-    evidences: Sequence[Evidence],
+    evidences: Sequence[MarginalLikelihood],
     prior: Prior,
     *,
     members: int,
@@ -167,7 +167,7 @@ def sample_hyperparameters(
     importance weights.
 
     Args:
-        evidences: one `Evidence` a kernel family; families compete by their evidence.
+        evidences: one `MarginalLikelihood` a kernel family; families compete by their evidence.
         prior: of θ, the same for all families.
         members: how many to resample; equal ones are merged, so fewer may come back.
         seed: of the draws.

@@ -39,7 +39,7 @@ TIED = 1e-9  # of standardised values: those that are known and nearer differ by
 
 
 @dataclass(frozen=True)
-class Moments:
+class PosteriorMoments:
     """Posterior mean and variance of one member at the candidates.
 
     Attributes:
@@ -57,7 +57,7 @@ def posterior_moments(
     values: Float[np.ndarray, " n"],
     known: Int[np.ndarray, " k"],
     known_values: Float[np.ndarray, " k"],
-) -> Moments:
+) -> PosteriorMoments:
     """Return the posterior moments at `x`; rows `known` have exactly `known_values`."""
     residual = member.residual(values)
     mean, variance = np.empty(len(x)), np.empty(len(x))
@@ -67,11 +67,11 @@ def posterior_moments(
         mean[block] = member.mean + residual @ V
         variance[block] = member.variance(V)
     mean[known], variance[known] = known_values, 0.0
-    return Moments(mean, variance)
+    return PosteriorMoments(mean, variance)
 
 
 def contenders(
-    member: Conditional, x: Points, moments: Moments, mass: float
+    member: Conditional, x: Points, moments: PosteriorMoments, mass: float
 ) -> tuple[Int[np.ndarray, " s"], Float[np.ndarray, " s"], float]:
     """Return the rows that may be the arg-min, their bounds, and the sum of all other bounds.
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Categories, Deviations, Points
 from bo_sysid.belief.encoding import encoded
-from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Evidence, Kernel
+from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Kernel, MarginalLikelihood
 from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
 from bo_sysid.belief.warp import Warp
 
@@ -182,7 +182,7 @@ def _fit(
     x = encoded(points, bounds, categories)
     noise = np.full(len(y), NOISE)
     squared = (x.T[:, :, None] - x.T[:, None, :]) ** 2
-    evidences = {k: Evidence(k, squared, (y - shift) / scale, noise) for k in KERNELS}
+    evidences = {k: MarginalLikelihood(k, squared, (y - shift) / scale, noise) for k in KERNELS}
     draws, weights, log_evidence = sample_hyperparameters(
         tuple(evidences.values()), default_prior(x.shape[1]), members=members, seed=seed
     )
@@ -210,7 +210,7 @@ def default_prior(d: int) -> Prior:
 
 
 def condition(
-    evidence: Evidence,
+    evidence: MarginalLikelihood,
     theta: Float[np.ndarray, " p"],
     x: Float[np.ndarray, "n d"],
     rng: np.random.Generator,

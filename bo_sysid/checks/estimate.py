@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.checks.hypothesis import Evidence, Hypothesis, Wire
+from bo_sysid.checks.hypothesis import Wire, WiringEvidence, WiringHypothesis
 from bo_sysid.checks.traces import blocks
 
 _BLOCKS = 8
@@ -34,7 +34,7 @@ class Estimate:
     sigma: float
 
 
-def delay(evidence: Evidence, h: Hypothesis, control: str) -> Estimate:
+def delay(evidence: WiringEvidence, h: WiringHypothesis, control: str) -> Estimate:
     """Return how much later than stamped one control acts, in [s]."""
     j, terms = evidence.dof(control), evidence.terms(h)
     speed = np.abs(terms.velocity[:, j])
@@ -52,7 +52,11 @@ def delay(evidence: Evidence, h: Hypothesis, control: str) -> Estimate:
 
 
 def _delayed(
-    evidence: Evidence, h: Hypothesis, j: int, late: float, moving: Bool[np.ndarray, " n"]
+    evidence: WiringEvidence,
+    h: WiringHypothesis,
+    j: int,
+    late: float,
+    moving: Bool[np.ndarray, " n"],
 ) -> tuple[Float[np.ndarray, "m p"], Float[np.ndarray, " m"]]:
     """Return regressors (the delay's first) and the actuators' force along a degree of freedom."""
     terms = evidence.terms(h)
@@ -64,7 +68,11 @@ def _delayed(
 
 
 def _by_noise(
-    evidence: Evidence, h: Hypothesis, j: int, late: float, moving: Bool[np.ndarray, " n"]
+    evidence: WiringEvidence,
+    h: WiringHypothesis,
+    j: int,
+    late: float,
+    moving: Bool[np.ndarray, " n"],
 ) -> float:
     """Return how far noise in what is regressed on may have moved a delay, in [s].
 
@@ -85,7 +93,7 @@ def _by_noise(
     return abs(without - late)
 
 
-def zero(evidence: Evidence, h: Hypothesis, names: Sequence[str]) -> Estimate:
+def zero(evidence: WiringEvidence, h: WiringHypothesis, names: Sequence[str]) -> Estimate:
     """Return by how much the zero of some channels, together, is still wrong, in [rad] or [m]."""
     offset, sigma = 0.0, np.inf
     for _ in range(_STEPS):
@@ -101,7 +109,7 @@ def zero(evidence: Evidence, h: Hypothesis, names: Sequence[str]) -> Estimate:
     return Estimate(offset, sigma)
 
 
-def with_zero(h: Hypothesis, names: Sequence[str], value: float) -> Hypothesis:
+def with_zero(h: WiringHypothesis, names: Sequence[str], value: float) -> WiringHypothesis:
     """Return a hypothesis with the zero of some channels moved by `value`."""
     wires: dict[str, Wire] = {
         n: replace(h.wires[n], offset=h.wires[n].offset + value) for n in names
@@ -109,14 +117,14 @@ def with_zero(h: Hypothesis, names: Sequence[str], value: float) -> Hypothesis:
     return replace(h, wires={**h.wires, **wires})
 
 
-def _excess(evidence: Evidence, h: Hypothesis) -> Float[np.ndarray, "n nv"]:
+def _excess(evidence: WiringEvidence, h: WiringHypothesis) -> Float[np.ndarray, "n nv"]:
     """Return the force needed less the actuators' force."""
     terms = evidence.terms(h)
     return np.asarray(terms.needed - terms.actuated(evidence.controls(h, h.delay)))
 
 
 def _stacked(
-    evidence: Evidence, h: Hypothesis, base: np.ndarray, slope: np.ndarray
+    evidence: WiringEvidence, h: WiringHypothesis, base: np.ndarray, slope: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return regressors (the slope first) and target of all degrees of freedom, scaled alike."""
     used = np.flatnonzero(evidence.weights)

@@ -57,7 +57,7 @@ class Wire:
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class WiringHypothesis:
     """What all channels are.
 
     Attributes:
@@ -70,7 +70,7 @@ class Hypothesis:
     delay: float = 0.0
     causes: tuple[str, ...] = field(default=())
 
-    def with_wires(self, changed: Mapping[str, Wire], cause: str) -> "Hypothesis":
+    def with_wires(self, changed: Mapping[str, Wire], cause: str) -> "WiringHypothesis":
         """Return the hypothesis with one more fault."""
         return replace(self, wires={**self.wires, **changed}, causes=(*self.causes, cause))
 
@@ -80,7 +80,7 @@ class Hypothesis:
         return (*sorted(self.wires.items()), round(self.delay, 6))
 
 
-class Evidence:
+class WiringEvidence:
     """Scores hypotheses about the recordings of one machine.
 
     The score is Σ_j log(J_j + 0.001) over the degrees of freedom that moved; lower is better.
@@ -133,7 +133,7 @@ class Evidence:
         self._physics: dict[tuple[Wire | None, ...], np.ndarray] = {}
 
     @cached_property
-    def halves(self) -> tuple["Evidence", ...]:
+    def halves(self) -> tuple["WiringEvidence", ...]:
         """The same from each half of the samples; see `Traces.halves`."""
         made = []
         for traces in self.traces.halves:
@@ -142,23 +142,27 @@ class Evidence:
             made.append(half)
         return tuple(made)
 
-    def identity(self) -> Hypothesis:
+    def identity(self) -> WiringHypothesis:
         """Return the hypothesis that every channel is what it is called."""
         positions = [f"qpos.{j}" for j in self.joints if f"qpos.{j}" in self.recorded]
         names = [*positions, *sorted(self.inputs)]
-        return Hypothesis({n: Wire(n) for n in names})
+        return WiringHypothesis({n: Wire(n) for n in names})
 
-    def scores(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, " D"]:
+    def scores(
+        self, hypothesis: WiringHypothesis, delays: Sequence[float]
+    ) -> Float[np.ndarray, " D"]:
         """Return the score of a hypothesis with each of some delays instead of its own."""
         return np.asarray(np.log(self.shares(hypothesis, delays) + FLOOR) @ self.weights)
 
-    def shares(self, hypothesis: Hypothesis, delays: Sequence[float]) -> Float[np.ndarray, "D nv"]:
+    def shares(
+        self, hypothesis: WiringHypothesis, delays: Sequence[float]
+    ) -> Float[np.ndarray, "D nv"]:
         """Return J of each degree of freedom with each of some delays."""
         terms = self.terms(hypothesis)
         forces = [terms.actuated(self.controls(hypothesis, d)) for d in delays]
         return unexplained(terms, np.stack(forces))
 
-    def noise(self, hypothesis: Hypothesis) -> Float[np.ndarray, " nv"]:
+    def noise(self, hypothesis: WiringHypothesis) -> Float[np.ndarray, " nv"]:
         """Return how much of J is noise in the motion, as two halves of the samples differ.
 
         A stiff servo of speed gives the small difference of two large terms, of which one is as
@@ -175,14 +179,14 @@ class Evidence:
         )
         return np.asarray(((one - other) ** 2).sum(axis=0) / (4 * np.maximum(total, 1e-300)))
 
-    def terms(self, hypothesis: Hypothesis) -> Terms:
+    def terms(self, hypothesis: WiringHypothesis) -> Terms:
         """Return the balance's terms that follow from the measured channels."""
         wires = self._measured(hypothesis)
         if wires not in self._terms:
             self._terms[wires] = self.dynamics.terms(*(self._motion(wires, k) for k in range(3)))
         return self._terms[wires]
 
-    def physics(self, hypothesis: Hypothesis) -> Float[np.ndarray, "n nv p"]:
+    def physics(self, hypothesis: WiringHypothesis) -> Float[np.ndarray, "n nv p"]:
         """Return what may scale without a fault in the wiring.
 
         The force that each body's mass needs, armature, viscous and dry friction, and a constant.
@@ -197,7 +201,7 @@ class Evidence:
             self._physics[wires] = np.concatenate([bodies, own], axis=2)
         return self._physics[wires]
 
-    def controls(self, hypothesis: Hypothesis, delay: float) -> Float[np.ndarray, "n nu"]:
+    def controls(self, hypothesis: WiringHypothesis, delay: float) -> Float[np.ndarray, "n nu"]:
         """Return the controls at the instants less a delay."""
         out = np.zeros((int(self.rows.sum()), len(self.actuators)))
         for k, name in enumerate(self.actuators):
@@ -210,7 +214,7 @@ class Evidence:
 
     def value(
         self,
-        hypothesis: Hypothesis,
+        hypothesis: WiringHypothesis,
         name: str,
         *,
         held: bool = False,
@@ -223,7 +227,7 @@ class Evidence:
         return np.asarray(wire.sign * wire.scale * raw + wire.offset)
 
     def _computed(
-        self, actuator: str, hypothesis: Hypothesis, delay: float
+        self, actuator: str, hypothesis: WiringHypothesis, delay: float
     ) -> Float[np.ndarray, " n"]:
         """Return what a law makes of the smoothed channels, each instant by itself."""
         law, uses = self.laws[actuator]
@@ -260,7 +264,7 @@ class Evidence:
         """Whether the force of a control channel's actuator depends on the joint's position."""
         return self._servo[name]
 
-    def _measured(self, hypothesis: Hypothesis) -> tuple[Wire | None, ...]:
+    def _measured(self, hypothesis: WiringHypothesis) -> tuple[Wire | None, ...]:
         return tuple(hypothesis.wires.get(f"qpos.{j}") for j in self.joints)
 
     def _motion(self, wires: Sequence[Wire | None], order: int) -> np.ndarray:

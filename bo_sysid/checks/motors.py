@@ -11,13 +11,15 @@ from math import exp
 import numpy as np
 
 from bo_sysid.checks.balance import GAIN, free_gain
-from bo_sysid.checks.hypothesis import FREE, Evidence, Hypothesis
+from bo_sysid.checks.hypothesis import FREE, WiringEvidence, WiringHypothesis
 from bo_sysid.recording import Recording
 
 _TOLD = exp(-0.8)  # of what physics alone leaves, that a constant leaves at most
 
 
-def scaled(evidence: Evidence, h: Hypothesis, delays: Sequence[float]) -> Iterator[Hypothesis]:
+def scaled(
+    evidence: WiringEvidence, h: WiringHypothesis, delays: Sequence[float]
+) -> Iterator[WiringHypothesis]:
     """Yield hypotheses in which a motor, and all motors, have constants of their own.
 
     A constant below zero is a wrong sign beside it, and counts as one fault more.
@@ -34,7 +36,7 @@ def scaled(evidence: Evidence, h: Hypothesis, delays: Sequence[float]) -> Iterat
         yield _with_gains(h, {n: found[n] for n in names})
 
 
-def refined(evidence: Evidence, h: Hypothesis) -> Hypothesis:
+def refined(evidence: WiringEvidence, h: WiringHypothesis) -> WiringHypothesis:
     """Return the hypothesis with the constants that suit its delay, of three digits."""
     for name, wire in h.wires.items():
         if wire.unit == FREE and name in evidence.motors:
@@ -45,7 +47,7 @@ def refined(evidence: Evidence, h: Hypothesis) -> Hypothesis:
 
 
 def in_words(
-    evidence: Evidence, h: Hypothesis, recordings: Sequence[Recording]
+    evidence: WiringEvidence, h: WiringHypothesis, recordings: Sequence[Recording]
 ) -> Mapping[str, str]:
     """Return by channel what one unit gives, of those with a constant of their own."""
     told = {}
@@ -59,7 +61,7 @@ def in_words(
     return told
 
 
-def _with_gains(h: Hypothesis, gains: Mapping[str, float]) -> Hypothesis:
+def _with_gains(h: WiringHypothesis, gains: Mapping[str, float]) -> WiringHypothesis:
     wires, turned = {}, []
     for name, gain in gains.items():
         wire = h.wires[name]
@@ -70,7 +72,9 @@ def _with_gains(h: Hypothesis, gains: Mapping[str, float]) -> Hypothesis:
     return replace(h, wires={**h.wires, **wires}, causes=(*h.causes, *turned, constant))
 
 
-def _gain(evidence: Evidence, h: Hypothesis, name: str, delays: Sequence[float]) -> float:
+def _gain(
+    evidence: WiringEvidence, h: WiringHypothesis, name: str, delays: Sequence[float]
+) -> float:
     """Return the factor of a control at the delay that suits; 0 where physics does as well."""
     terms, j = evidence.terms(h), evidence.dof(name)
     per_unit = _per_unit(evidence, h, name)
@@ -80,7 +84,7 @@ def _gain(evidence: Evidence, h: Hypothesis, name: str, delays: Sequence[float])
     return gain if left < _TOLD else 0.0
 
 
-def _per_unit(evidence: Evidence, h: Hypothesis, name: str) -> np.ndarray:
+def _per_unit(evidence: WiringEvidence, h: WiringHypothesis, name: str) -> np.ndarray:
     """Return the force along its joint that the model gives for one unit of a control."""
     terms, a = evidence.terms(h), evidence.actuators.index(name.split(".", 1)[1])
     return np.asarray(terms.gain[:, a] * terms.moment[:, a, evidence.dof(name)])

@@ -19,10 +19,10 @@ from bo_sysid.checks.hypothesis import (
     INPUTS,
     LENGTHS,
     UNDONE,
-    Evidence,
-    Hypothesis,
     Units,
     Wire,
+    WiringEvidence,
+    WiringHypothesis,
 )
 from bo_sysid.checks.motors import scaled
 from bo_sysid.execution import OnProgress, Progress, silent
@@ -41,8 +41,8 @@ _MOST = 4  # faults at once
 
 
 def search(
-    evidence: Evidence, first: Hypothesis, progress: OnProgress = silent
-) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    evidence: WiringEvidence, first: WiringHypothesis, progress: OnProgress = silent
+) -> tuple[WiringHypothesis, tuple[WiringHypothesis, ...]]:
     """Return the hypothesis that the recordings support, with the fewest faults, and its twins.
 
     Twins are others with as many faults that the recordings support as well: those of a machine
@@ -53,7 +53,7 @@ def search(
         first: what is supposed before any fault.
         progress: is called with each number of faults that is tried.
     """
-    twins: tuple[Hypothesis, ...] = ()
+    twins: tuple[WiringHypothesis, ...] = ()
     width = _WIDE if len(evidence.joints) <= _FEW else _BEAM
     best = _timed(evidence, first)
     seen = {best[1].key}
@@ -80,7 +80,9 @@ def search(
     return _pruned(evidence, best, first), twins
 
 
-def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesis]:
+def _timed(
+    evidence: WiringEvidence, hypothesis: WiringHypothesis
+) -> tuple[float, WiringHypothesis]:
     """Return score (faults paid for) and hypothesis, at the delay of the controls that suits."""
     best, delay = np.inf, 0.0
     for step in _STEPS:
@@ -92,7 +94,7 @@ def _timed(evidence: Evidence, hypothesis: Hypothesis) -> tuple[float, Hypothesi
     return best + _paid(evidence, hypothesis), replace(hypothesis, delay=delay)
 
 
-def _paid(evidence: Evidence, hypothesis: Hypothesis) -> float:
+def _paid(evidence: WiringEvidence, hypothesis: WiringHypothesis) -> float:
     """Return what the faults of a hypothesis cost."""
     # a command's sign is likelier wrong than an encoder's, where both say the same
     turned = sum(w.sign < 0 and n not in evidence.inputs for n, w in hypothesis.wires.items())
@@ -100,7 +102,7 @@ def _paid(evidence: Evidence, hypothesis: Hypothesis) -> float:
     return MARGIN * len(hypothesis.causes) + 0.1 * _TIE * turned + _FITTED * fitted
 
 
-def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
+def _doubtful(evidence: WiringEvidence, hypothesis: WiringHypothesis) -> bool:
     """Whether a joint's forces are not explained, however late its own control may act."""
     shares = evidence.shares(hypothesis, [hypothesis.delay, *_DELAYS]).min(axis=0)
     if (shares * evidence.weights > SUSPICIOUS).any():
@@ -108,7 +110,9 @@ def _doubtful(evidence: Evidence, hypothesis: Hypothesis) -> bool:
     return bool((shares * evidence.weights > SUSPICIOUS).any())
 
 
-def _pruned(evidence: Evidence, best: tuple[float, Hypothesis], first: Hypothesis) -> Hypothesis:
+def _pruned(
+    evidence: WiringEvidence, best: tuple[float, WiringHypothesis], first: WiringHypothesis
+) -> WiringHypothesis:
     """Return the hypothesis without channels whose change it does not need."""
     score, hypothesis = best
     for name, wire in sorted(hypothesis.wires.items()):
@@ -122,7 +126,7 @@ def _pruned(evidence: Evidence, best: tuple[float, Hypothesis], first: Hypothesi
     return hypothesis
 
 
-def moves(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+def moves(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield hypotheses with one more fault."""
     yield from _signs(h)
     yield from _units(evidence, h)
@@ -132,13 +136,13 @@ def moves(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
     yield from _zeros(evidence, h)
 
 
-def _signs(h: Hypothesis) -> Iterator[Hypothesis]:
+def _signs(h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     for name, wire in h.wires.items():
         turned = replace(wire, sign=-wire.sign, offset=0.0 - wire.offset)
         yield h.with_wires({name: turned}, f"sign of {name}")
 
 
-def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+def _units(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield other units of one channel, and of all channels that one logger writes alike."""
     for names, unit, factor in dict.fromkeys(_other_units(evidence, h)):
         wires = {
@@ -150,7 +154,9 @@ def _units(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
             yield h.with_wires(wires, f"unit of {', '.join(wires)}: {unit}")
 
 
-def _other_units(evidence: Evidence, h: Hypothesis) -> Iterator[tuple[tuple[str, ...], str, float]]:
+def _other_units(
+    evidence: WiringEvidence, h: WiringHypothesis
+) -> Iterator[tuple[tuple[str, ...], str, float]]:
     """Yield channels with a unit that they may be in, and the factor to SI from what they are."""
     turning = [f"qpos.{j}" for j in evidence.joints if j in evidence.hinges]
     turning = [n for n in turning if n in h.wires]
@@ -171,7 +177,7 @@ def _other_units(evidence: Evidence, h: Hypothesis) -> Iterator[tuple[tuple[str,
             yield from ((stated, unit, factor) for unit, factor in back)
 
 
-def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+def _orders(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield exchanges of two channels of a kind, and the orders that the data propose."""
     positions = [n for n in h.wires if n not in evidence.inputs]
     for kind, names in (("qpos", positions), ("ctrl", sorted(evidence.inputs))):
@@ -182,7 +188,7 @@ def _orders(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
             yield h.with_wires(order, f"order of {kind}")
 
 
-def _control_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
+def _control_order(evidence: WiringEvidence, h: WiringHypothesis) -> Mapping[str, Wire]:
     """Return the order of the controls that balances the degrees of freedom best."""
     names = [n for n in h.wires if n in evidence.inputs and evidence.driven(n)]
     if len(names) < 3:
@@ -195,7 +201,7 @@ def _control_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
     return _assigned(h, names, names, cost)
 
 
-def _joint_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
+def _joint_order(evidence: WiringEvidence, h: WiringHypothesis) -> Mapping[str, Wire]:
     """Return the order of the positions that follows the servos' goals best."""
     pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n in evidence.inputs]
     pairs = [(q, u) for q, u in pairs if q in h.wires and evidence.servo(u)]
@@ -212,7 +218,7 @@ def _joint_order(evidence: Evidence, h: Hypothesis) -> Mapping[str, Wire]:
 
 
 def _assigned(
-    h: Hypothesis, names: Sequence[str], sources: Sequence[str], cost: np.ndarray
+    h: WiringHypothesis, names: Sequence[str], sources: Sequence[str], cost: np.ndarray
 ) -> Mapping[str, Wire]:
     rows, columns = linear_sum_assignment(cost)
     if (rows == columns).all():
@@ -221,7 +227,7 @@ def _assigned(
     return {names[r]: h.wires[sources[c]] for r, c in pairs if r != c}
 
 
-def _confusions(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+def _confusions(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield exchanges of commands and positions, of one joint and of all."""
     pairs = [(f"qpos.{evidence.driven(n)}", n) for n in h.wires if n in evidence.inputs]
     pairs = [(q, u) for q, u in pairs if q in h.wires]
@@ -233,7 +239,7 @@ def _confusions(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
         yield h.with_wires(wires, "commands and positions swapped")
 
 
-def _zeros(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
+def _zeros(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
     """Yield encoders with another zero; the goal of a servo may or may not move along."""
     for names, starts in zero_groups(evidence, h):
         cause = f"zero of {', '.join(names)}"
@@ -251,13 +257,13 @@ def _zeros(evidence: Evidence, h: Hypothesis) -> Iterator[Hypothesis]:
 
 
 def _score_of_zero(
-    evidence: Evidence, h: Hypothesis, names: Sequence[str]
+    evidence: WiringEvidence, h: WiringHypothesis, names: Sequence[str]
 ) -> Callable[[float], float]:
     return lambda o: float(evidence.scores(with_zero(h, names, float(o)), [h.delay])[0])
 
 
 def zero_groups(
-    evidence: Evidence, h: Hypothesis
+    evidence: WiringEvidence, h: WiringHypothesis
 ) -> Iterator[tuple[tuple[str, ...], Sequence[float]]]:
     """Yield channels whose zeros may be wrong together, each with values to start from."""
     turn = [k * pi / 6 for k in range(-5, 7)]

@@ -5,7 +5,7 @@ from math import pi
 
 import numpy as np
 
-from bo_sysid.checks.hypothesis import Hypothesis, Units, Wire
+from bo_sysid.checks.hypothesis import Units, Wire, WiringHypothesis
 from bo_sysid.checks.traces import Traces
 from bo_sysid.recording.noise import MOVES, noise_sigma
 
@@ -23,7 +23,7 @@ _EXACT = 1.15  # ratio to a unit's factor within which it is that unit
 
 
 def speed_wires(
-    traces: Traces, hypothesis: Hypothesis, hinges: Sequence[str]
+    traces: Traces, hypothesis: WiringHypothesis, hinges: Sequence[str]
 ) -> tuple[Mapping[str, Wire], Mapping[str, float]]:
     """Return what each recorded speed is, and its correlation with the position's rate.
 

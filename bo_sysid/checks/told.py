@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import FREE, Hypothesis, Wire
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.speeds import ALIKE
 from bo_sysid.recording import kind_of
@@ -36,7 +36,7 @@ def wire_flags(
     return flags
 
 
-def twin_flags(twins: Sequence[Hypothesis]) -> list[Flag]:
+def twin_flags(twins: Sequence[WiringHypothesis]) -> list[Flag]:
     """Return other faults that would explain the recordings as well."""
     return [
         Flag(

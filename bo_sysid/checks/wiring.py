@@ -13,7 +13,7 @@ from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.clocks import clock_flags, clock_of
 from bo_sysid.checks.comparable import comparable
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import FLOOR, Evidence, Hypothesis, Laws, Wire
+from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, WiringHypothesis
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
@@ -71,7 +71,10 @@ def find_wiring(
     if isinstance(made, str):
         return _untested(made)
     free, traces = made
-    coarse, fine = Evidence(copy.copy(free), traces, laws=laws), Evidence(free, traces, _MOST, laws)
+    coarse, fine = (
+        WiringEvidence(copy.copy(free), traces, laws=laws),
+        WiringEvidence(free, traces, _MOST, laws),
+    )
     turned = turned_inside(model, recordings)
     before = fine.identity()
     found, twins = _searched(coarse, fine, _turned(fine, turned), progress)
@@ -106,7 +109,7 @@ def _untested(reason: str) -> Wiring:
 
 
 def _left(
-    evidence: Evidence, h: Hypothesis, late: Mapping[str, estimate.Estimate]
+    evidence: WiringEvidence, h: WiringHypothesis, late: Mapping[str, estimate.Estimate]
 ) -> Float[np.ndarray, " nv"]:
     """Return J of each degree of freedom but for noise, with its own control as late as it acts."""
     left = evidence.shares(h, [h.delay])[0].copy()
@@ -116,7 +119,7 @@ def _left(
     return np.asarray(np.maximum(left - evidence.noise(h), 0.0))
 
 
-def _turned(evidence: Evidence, joints: Iterable[str]) -> Hypothesis:
+def _turned(evidence: WiringEvidence, joints: Iterable[str]) -> WiringHypothesis:
     """Return the log as it is, encoders turned whose range says so and the forces do not deny."""
     h = evidence.identity()
     for name in (f"qpos.{j}" for j in joints):
@@ -128,8 +131,8 @@ def _turned(evidence: Evidence, joints: Iterable[str]) -> Hypothesis:
 
 
 def _searched(
-    coarse: Evidence, fine: Evidence, first: Hypothesis, progress: OnProgress
-) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    coarse: WiringEvidence, fine: WiringEvidence, first: WiringHypothesis, progress: OnProgress
+) -> tuple[WiringHypothesis, tuple[WiringHypothesis, ...]]:
     """Return the hypothesis that is believed, with its zeros, and what may be instead."""
     tried, twins = search(coarse, first, progress)
     tried = motors.refined(fine, tried)
@@ -141,7 +144,9 @@ def _searched(
     return motors.refined(fine, found), twins
 
 
-def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, estimate.Estimate]]:
+def _timed(
+    evidence: WiringEvidence, h: WiringHypothesis
+) -> tuple[WiringHypothesis, Mapping[str, estimate.Estimate]]:
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
     controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
     late = {n: _borne_out(evidence, h, n, estimate.delay(evidence, h, n)) for n in controls}
@@ -149,7 +154,7 @@ def _timed(evidence: Evidence, h: Hypothesis) -> tuple[Hypothesis, Mapping[str, 
 
 
 def _borne_out(
-    evidence: Evidence, h: Hypothesis, control: str, e: estimate.Estimate
+    evidence: WiringEvidence, h: WiringHypothesis, control: str, e: estimate.Estimate
 ) -> estimate.Estimate:
     """Return a delay, moved to where the model explains its joint's forces far better, if anywhere.
 
@@ -174,7 +179,9 @@ def _borne_out(
     return estimate.Estimate(moved, float(np.hypot(e.sigma, e.value - moved)))
 
 
-def _believed(evidence: Evidence, h: Hypothesis, first: Hypothesis) -> Hypothesis:
+def _believed(
+    evidence: WiringEvidence, h: WiringHypothesis, first: WiringHypothesis
+) -> WiringHypothesis:
     """Return the hypothesis without what it changes at joints that it does not explain.
 
     What leaves much at any joint is no more than a try, and nothing of it is believed: that is
@@ -192,19 +199,19 @@ def _believed(evidence: Evidence, h: Hypothesis, first: Hypothesis) -> Hypothesi
     return h
 
 
-def _doubted(evidence: Evidence, h: Hypothesis, most: float = SUSPICIOUS) -> set[str]:
+def _doubted(evidence: WiringEvidence, h: WiringHypothesis, most: float = SUSPICIOUS) -> set[str]:
     """Return the joints of which a hypothesis leaves more than a share unexplained."""
     shares = evidence.shares(h, [h.delay])[0]
     bad = (shares > most) & (evidence.weights > 0)
     return {j for j, doubted in zip(evidence.joints, bad, strict=True) if doubted}
 
 
-def _joint(evidence: Evidence, name: str) -> str:
+def _joint(evidence: WiringEvidence, name: str) -> str:
     """Return the joint that a position or a control is about."""
     return evidence.driven(name) if name in evidence.inputs else name.removeprefix("qpos.")
 
 
-def _linked(h: Hypothesis, names: set[str]) -> set[str]:
+def _linked(h: WiringHypothesis, names: set[str]) -> set[str]:
     """Return channels with all that were exchanged with them."""
     while True:
         sources = {h.wires[n].source for n in names}
@@ -214,12 +221,12 @@ def _linked(h: Hypothesis, names: set[str]) -> set[str]:
         names = more
 
 
-def _telling(evidence: Evidence, control: str) -> bool:
+def _telling(evidence: WiringEvidence, control: str) -> bool:
     """Whether a control drives a joint whose balance is known."""
     return bool(evidence.driven(control) and evidence.weights[evidence.dof(control)] > 0)
 
 
-def _zeroed(evidence: Evidence, h: Hypothesis) -> Hypothesis:
+def _zeroed(evidence: WiringEvidence, h: WiringHypothesis) -> WiringHypothesis:
     """Return the hypothesis with encoder zeros refined, and new ones where they are certain."""
     for _ in range(len(evidence.joints)):
         best, gain = h, _LEAST_GAIN

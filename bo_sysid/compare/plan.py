@@ -11,7 +11,7 @@ from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, tabulate
 from bo_sysid.errors import RunError
-from bo_sysid.execution import OnProgress, Outcome, Progress, map_jobs, open_engine
+from bo_sysid.execution import JobOutcome, OnProgress, Progress, map_jobs, open_engine
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -117,7 +117,7 @@ class Plan:
             return
         execution = self.study.execution
         engine = open_engine(execution.engine, execution.address)
-        failed: list[Outcome] = []
+        failed: list[JobOutcome] = []
         for outcome in map_jobs(work, jobs, engine=engine):
             if outcome.error is None:
                 keep(outcome.key, outcome.result)

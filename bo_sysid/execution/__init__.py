@@ -1,7 +1,7 @@
 """How many threads, which processes or cluster, and what is told about progress."""
 
 from bo_sysid.execution.cluster import RayEngine
-from bo_sysid.execution.jobs import Engine, Outcome
+from bo_sysid.execution.jobs import JobEngine, JobOutcome
 from bo_sysid.execution.local import LocalEngine, map_jobs
 from bo_sysid.execution.progress import OnProgress, Progress, silent
 from bo_sysid.execution.threads import cores, limit_threads, threads, use_threads
@@ -9,10 +9,10 @@ from bo_sysid.execution.where import ENGINES, open_engine
 
 __all__ = [
     "ENGINES",
-    "Engine",
+    "JobEngine",
+    "JobOutcome",
     "LocalEngine",
     "OnProgress",
-    "Outcome",
     "Progress",
     "RayEngine",
     "cores",

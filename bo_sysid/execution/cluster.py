@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bo_sysid.errors import StudyError
-from bo_sysid.execution.jobs import Outcome, answer
+from bo_sysid.execution.jobs import JobOutcome, answer
 
 RETRIES = 3  # of a job whose machine or process was lost
 _AHEAD = 2  # jobs handed over for every core of the cluster; the others wait here
@@ -31,7 +31,7 @@ class RayEngine:
     def __post_init__(self) -> None:
         _ray()
 
-    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[JobOutcome]:
         """Yield the outcome of ``function(job)`` for every job, in the order they end."""
         ray = _ray()
         with _connected(ray, self.address):
@@ -51,7 +51,7 @@ class RayEngine:
                     ray.cancel(reference, force=True)
 
 
-def job_outcome(ray: Any, key: str, reference: Any) -> Outcome:
+def job_outcome(ray: Any, key: str, reference: Any) -> JobOutcome:
     """Return what a job gave, or what became of it.
 
     Args:
@@ -63,8 +63,8 @@ def job_outcome(ray: Any, key: str, reference: Any) -> Outcome:
         found = ray.get(reference)
     except ray.exceptions.RayError as lost:  # every retry lost its process, or nothing came back
         why = (str(lost).strip() or type(lost).__name__).splitlines()[0]
-        return Outcome(key, error=f"lost on the cluster: {why}")
-    return Outcome(key, *found)
+        return JobOutcome(key, error=f"lost on the cluster: {why}")
+    return JobOutcome(key, *found)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from bo_sysid.execution.threads import use_threads
 
 
 @dataclass(frozen=True)
-class Outcome:
+class JobOutcome:
     """What came of a job.
 
     Attributes:
@@ -31,10 +31,10 @@ class Outcome:
 
 
 @runtime_checkable
-class Engine(Protocol):
+class JobEngine(Protocol):
     """Where jobs run: processes of this machine, or a cluster."""
 
-    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[JobOutcome]:
         """Yield the outcome of ``function(job)`` for every job, in the order they end."""
         ...
 

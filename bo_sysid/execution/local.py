@@ -15,7 +15,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import Any
 
 from bo_sysid.errors import JobError, StudyError
-from bo_sysid.execution.jobs import Engine, Outcome, answer
+from bo_sysid.execution.jobs import JobEngine, JobOutcome, answer
 from bo_sysid.execution.threads import threads
 
 _SAFE_PATH = "PYTHONSAFEPATH"
@@ -39,7 +39,7 @@ class LocalEngine:
         if self.processes < 1:
             raise StudyError(f"{self.processes} processes: at least 1")
 
-    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[Outcome]:
+    def run(self, function: Callable[[Any], Any], jobs: Mapping[str, Any]) -> Iterator[JobOutcome]:
         """Yield the outcome of ``function(job)`` for every job, in the order they end."""
         waiting = deque(jobs.items())
         busy: dict[Connection, _Worker] = {}
@@ -92,15 +92,15 @@ class _Worker:
         with contextlib.suppress(BrokenPipeError):
             self.connection.send_bytes(told)
 
-    def take(self) -> tuple[Outcome, bool]:
+    def take(self) -> tuple[JobOutcome, bool]:
         """Return the outcome of the job, and whether the process lives on."""
         try:
             found = self.connection.recv()
         except (EOFError, OSError):
             self.process.join()
             code = self.process.exitcode
-            return Outcome(self.key, error=f"its process ended with code {code}"), False
-        return Outcome(self.key, *found), True
+            return JobOutcome(self.key, error=f"its process ended with code {code}"), False
+        return JobOutcome(self.key, *found), True
 
     def stop(self) -> None:
         self.connection.close()
@@ -162,9 +162,9 @@ def map_jobs(
     function: Callable[[Any], Any],
     jobs: Mapping[str, Any],
     *,
-    engine: Engine | None = None,
+    engine: JobEngine | None = None,
     done: Set[str] = frozenset(),
-) -> Iterator[Outcome]:
+) -> Iterator[JobOutcome]:
     """Yield the outcome of ``function(job)`` for every job that is not in `done`.
 
     Args:

@@ -2,14 +2,14 @@
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.execution.cluster import RayEngine
-from bo_sysid.execution.jobs import Engine
+from bo_sysid.execution.jobs import JobEngine
 from bo_sysid.execution.local import LocalEngine
 from bo_sysid.execution.threads import threads
 
 ENGINES = ("local", "ray")
 
 
-def open_engine(name: str = "local", address: str | None = None) -> Engine:
+def open_engine(name: str = "local", address: str | None = None) -> JobEngine:
     """Return the engine called `name`.
 
     Args:

@@ -50,7 +50,7 @@ class History:
     def __len__(self) -> int:
         return len(self.rows)
 
-    def told(self, row: int, evaluation: Evaluation) -> "History":
+    def with_evaluation(self, row: int, evaluation: Evaluation) -> "History":
         """Return the history with one more evaluation, whose entropy is not known yet."""
         old = self.evaluation
         joined = Evaluation(
@@ -119,7 +119,7 @@ def search(
     design = initial_rows(candidates, rules)
     room = max(rules.stop.budget - len(history), 0)
     for row in np.sort(design[~np.isin(design, history.rows)][:room]).tolist():
-        history = history.told(row, evaluate(row))
+        history = history.with_evaluation(row, evaluate(row))
         on_step(history)
     while True:
         surrogate, belief = believing(candidates, history, rules)
@@ -131,7 +131,7 @@ def search(
         if reason is not None:
             return SearchOutcome(history, surrogate, belief, reason)
         row = ask(candidates, history, surrogate, belief, rules)
-        history = history.told(row, evaluate(row))
+        history = history.with_evaluation(row, evaluate(row))
 
 
 def initial_rows(candidates: CandidateSet, rules: Rules) -> Int[np.ndarray, " n"]:

@@ -6,7 +6,7 @@ import numpy as np
 
 
 @dataclass
-class Moments:
+class RunningMoments:
     """Mean and variance of all that was seen.
 
     Attributes:
@@ -20,7 +20,7 @@ class Moments:
     count: float = 1e-4
 
     @classmethod
-    def of_size(cls, *shape: int) -> "Moments":
+    def of_size(cls, *shape: int) -> "RunningMoments":
         """Return statistics of nothing yet: mean 0, variance 1."""
         return cls(np.zeros(shape), np.ones(shape))
 
@@ -67,7 +67,7 @@ class Normaliser:
     clip: float = 10.0
 
     @classmethod
-    def of(cls, moments: Moments, clip: float = 10.0, epsilon: float = 1e-8) -> "Normaliser":
+    def of(cls, moments: RunningMoments, clip: float = 10.0, epsilon: float = 1e-8) -> "Normaliser":
         """Return the statistics as they are now."""
         return cls(moments.mean.copy(), np.sqrt(moments.variance + epsilon), clip)
 
@@ -91,7 +91,7 @@ class ReturnScale:
     discount: float
     running: np.ndarray
     clip: float = 10.0
-    moments: Moments = field(default_factory=Moments.of_size)
+    moments: RunningMoments = field(default_factory=RunningMoments.of_size)
 
     def __call__(self, rewards: np.ndarray, ended: np.ndarray) -> np.ndarray:
         """Take in `T x n` rewards, and return them scaled by the spread of returns, float32."""

@@ -12,7 +12,7 @@ from bo_sysid.errors import StudyError, UserError
 from bo_sysid.plants.environment import Environment
 from bo_sysid.policy.critic import Critic
 from bo_sysid.policy.network import GaussianPolicy, Network
-from bo_sysid.policy.normalisation import Moments, Normaliser, ReturnScale
+from bo_sysid.policy.normalisation import Normaliser, ReturnScale, RunningMoments
 from bo_sysid.policy.rollout import Rollout, collect
 from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.trpo import Batch, Update, advantages, normalised, update
@@ -90,7 +90,7 @@ class Trainer:
         self.theta = self.policy.initial(rng, self.settings.log_std)
         value = Network((o, *hidden, 1))
         self.critic = Critic(value, value.initial(rng, last_gain=1.0))
-        self.moments = Moments.of_size(o)
+        self.moments = RunningMoments.of_size(o)
         self._scale = ReturnScale(
             self.settings.discount, np.zeros(environment.n), self.settings.clip
         )

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.errors import RunError, StudyError
-from bo_sysid.execution import Engine, OnProgress, Progress, map_jobs, silent
+from bo_sysid.execution import JobEngine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.seal import file_digest, write_json
 from bo_sysid.runs import Run, digest, read_json, versions
@@ -52,7 +52,7 @@ def answer(
     run: Run,
     *,
     first: int | None = None,
-    engine: Engine | None = None,
+    engine: JobEngine | None = None,
     limit: float = LIMIT,
     progress: OnProgress = silent,
 ) -> None:

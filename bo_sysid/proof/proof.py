@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bo_sysid.execution import Engine, OnProgress, Progress, map_jobs, silent
+from bo_sysid.execution import JobEngine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.answer import LIMIT, answer, answers_at_opening, openings_in
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
@@ -40,7 +40,7 @@ def prove(
     first: int | None = None,
     seals: str | Path | None = None,
     published: str | None = None,
-    engine: Engine | None = None,
+    engine: JobEngine | None = None,
     limit: float = LIMIT,
     progress: OnProgress = silent,
 ) -> Scores:
@@ -71,7 +71,7 @@ def prove(
 
 
 def _oracle(
-    run: Run, revealed: tuple[Revealed, ...], engine: Engine | None, progress: OnProgress
+    run: Run, revealed: tuple[Revealed, ...], engine: JobEngine | None, progress: OnProgress
 ) -> dict[str, float]:
     """Return the oracle's error by case, computed once; NaN where there is none."""
     kept: dict[str, float | None] = run.read_json(_ORACLE) if run.has(_ORACLE) else {}

@@ -1,6 +1,7 @@
 """A run folder, which a killed command goes on with."""
 
 import contextlib
+import hashlib
 import json
 import platform
 import shutil

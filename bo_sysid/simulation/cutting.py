@@ -68,8 +68,8 @@ def cut(
     channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
     steps = max(p.steps for p in pieces)
     joined = _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), dt)
-    told = tuple(recordings) if compiled.na and set_activations(model, parameters) else ()
-    return replace(joined, told=told)
+    sources = tuple(recordings) if compiled.na and set_activations(model, parameters) else ()
+    return replace(joined, sources=sources)
 
 
 def _cut_one(

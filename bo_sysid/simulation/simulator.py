@@ -148,7 +148,7 @@ class MujocoSimulator:
         """Simulate `len(models)` candidates at once and take their predictions apart."""
         count, times = len(windows), len(models)
         start = windows.start.repeat(times) if starts is None else State.concatenated(starts)
-        if windows.told:
+        if windows.sources:
             start = replace(start, act=self._activations(models, windows))
         run = models[0] if times == 1 else [m for m in models for _ in range(count)]
         if self._one_shot(windows, layout):
@@ -171,7 +171,9 @@ class MujocoSimulator:
         self, models: Sequence[mujoco.MjModel], windows: Windows
     ) -> Float[np.ndarray, "MW na"]:
         """Return the activations with which each candidate begins, one after another."""
-        own = [activations_of(self.model, m, windows.told, windows, windows.ctrl) for m in models]
+        own = [
+            activations_of(self.model, m, windows.sources, windows, windows.ctrl) for m in models
+        ]
         return np.concatenate(own)
 
     def _one_shot(self, windows: Windows, layout: Layout) -> bool:

@@ -34,7 +34,7 @@ class Windows:
         timestep: of the simulation, in [s].
         notes: what was done to cut them.
         left_out: what of the recordings is in no window, in words.
-        told: the recordings, where activations at the starts differ by parameters.
+        sources: the recordings, where activations at the starts differ by parameters.
         quaternions: the four channels of each orientation that the model has.
     """
 
@@ -50,7 +50,7 @@ class Windows:
     timestep: float
     notes: tuple[str, ...] = field(default=())
     left_out: tuple[str, ...] = ()
-    told: tuple[Recording, ...] = field(default=(), repr=False)
+    sources: tuple[Recording, ...] = field(default=(), repr=False)
     quaternions: tuple[tuple[str, ...], ...] = ()
 
     def __len__(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bo_sysid.checks.comparable import comparable
-from bo_sysid.checks.hypothesis import Evidence
+from bo_sysid.checks.hypothesis import WiringEvidence
 from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
@@ -29,10 +29,10 @@ _CONFIDENCE = 0.65
 _DELAYS = tuple(0.008 * np.arange(-2, 8))
 
 
-def evidence_of(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Evidence | None:
+def evidence_of(model: mujoco.MjModel, recordings: Sequence[Recording]) -> WiringEvidence | None:
     """Return what recordings say about the channels of a model; None where they cannot."""
     made = comparable(model, recordings, _MOST)
-    return None if isinstance(made, str) else Evidence(*made, _MOST)
+    return None if isinstance(made, str) else WiringEvidence(*made, _MOST)
 
 
 def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules:
@@ -75,7 +75,7 @@ def _moves(tables: Sequence[RawTable], name: str) -> bool:
 
 
 def _told(
-    evidence: Evidence,
+    evidence: WiringEvidence,
     actuators: Sequence[str],
     columns: Sequence[Column],
     channels: Mapping[str, str],
@@ -104,11 +104,11 @@ def _told(
     return found
 
 
-def _recorded(evidence: Evidence) -> set[str]:
+def _recorded(evidence: WiringEvidence) -> set[str]:
     return {n.removeprefix("qpos.") for n in evidence.recorded if n.startswith("qpos.")}
 
 
-def _share(evidence: Evidence, actuator: str, column: str) -> float:
+def _share(evidence: WiringEvidence, actuator: str, column: str) -> float:
     """Return how much of what moves an actuator's joint a column tells, 0 to 1."""
     h, name = evidence.identity(), f"ctrl.{actuator}"
     joint = evidence.driven(name)

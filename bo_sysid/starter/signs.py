@@ -7,7 +7,7 @@ from math import pi
 import mujoco
 import numpy as np
 
-from bo_sysid.checks.hypothesis import Evidence
+from bo_sysid.checks.hypothesis import WiringEvidence
 from bo_sysid.checks.motion import beyond_range, turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS
 from bo_sysid.mjcf.joints import HINGE
@@ -93,7 +93,7 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
     return Tested({j: share for j, share, weight in known if weight}, untold, mirrored)
 
 
-def _why(evidence: Evidence, name: str, shares: np.ndarray) -> str:
+def _why(evidence: WiringEvidence, name: str, shares: np.ndarray) -> str:
     """Return why the motion does not tell a sign."""
     joint = evidence.driven(name) if name in evidence.inputs else name.removeprefix("qpos.")
     if not joint:

@@ -2,8 +2,8 @@
 
 B is the union over the carried sets of a grid of magnitudes about their fits. Its arg-min is
 searched with the surrogate of `identify` and the entropy of the arg-min; which set it belongs to on
-other recordings, P_boot(set), stands beside the posterior, which is computed in another way from the same
-fits: where the two disagree, that is said.
+other recordings, P_boot(set), stands beside the posterior, which is computed in another way from
+the same fits: where the two disagree, that is said.
 """
 
 from dataclasses import dataclass, replace

@@ -20,7 +20,7 @@ from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.refit import Effort, refit
-from bo_sysid.diagnosis.windows.problem import Problem, Simulated, pose
+from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
 from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Site
@@ -235,7 +235,7 @@ def _kept(
 
 def _posed(problem: Problem, recording: Recording, horizon: int) -> Problem:
     sigma = 1 / problem.weight.reshape(-1, len(problem.windows.channels)).max(axis=0)
-    return pose(
+    return cut_problem(
         problem.model,
         problem.machine,
         [recording],

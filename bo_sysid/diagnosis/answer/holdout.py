@@ -24,7 +24,7 @@ from bo_sysid.diagnosis.windows.forecast import (
     noise_floor,
 )
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
@@ -253,7 +253,7 @@ def _fits(
     compared = {*evidence.model.qpos_channels, *evidence.sigma}
     lasting = _lasting(recordings, LONGER)
     horizon = max(instants_in(LONGER, lasting, compared), 4)
-    problem = pose(
+    problem = cut_problem(
         evidence.model, evidence.machine, lasting, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,
     )  # fmt: skip

@@ -6,7 +6,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.windowing import Prepared, nothing, prepare
 from bo_sysid.mjcf.touching import can_touch
 
@@ -41,7 +41,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
     if everything:
         most = _MOST_IN_CONTACT if can_touch(evidence.machine.model) else _MOST
         stride = -(-count // (most * _WINDOWS))
-    return pose(
+    return cut_problem(
         evidence.model,
         evidence.machine,
         evidence.recordings,

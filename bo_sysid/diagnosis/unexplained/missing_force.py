@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects.machine import JointScale
@@ -52,7 +52,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
         return pd.DataFrame(columns=list(_FORCE_COLUMNS))
     horizon = max(round(_PIECE / machine.sampling), _LEAST)
     whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / machine.sampling
-    problem = pose(
+    problem = cut_problem(
         evidence.model,
         machine,
         evidence.recordings,

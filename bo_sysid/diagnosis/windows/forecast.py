@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.windows.estimated_starts import estimated
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING, held_joints, prior
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise
-from bo_sysid.diagnosis.windows.problem import Problem, pose
+from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
@@ -66,7 +66,7 @@ def forecast_problem(
     compared = {*model.qpos_channels, *sigma}
     before = max(instants_in(past, recordings, compared), 3)
     after = max(instants_in(ahead, recordings, compared), 1)
-    problem = pose(
+    problem = cut_problem(
         model,
         machine,
         recordings,

@@ -293,7 +293,7 @@ class Problem:
         return np.asarray(np.clip(scaled, -_FAR, _FAR)).reshape(len(values), -1)
 
 
-def pose(
+def cut_problem(
     model: Model,
     machine: Machine,
     recordings: Sequence[Recording],
