@@ -62,6 +62,25 @@ def test_a_quadratic_is_minimised() -> None:
     assert lowest < 1e-6
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_cost_that_is_no_number_is_worse_than_all(bad: float) -> None:
+    """Also at the start, beside which NaN let nothing count as better."""
+
+    def cost(x: np.ndarray) -> np.ndarray:
+        return np.where(x[:, 0] < 0.2, bad, ((x - 1.0) ** 2).sum(axis=1))
+
+    told: list[float] = []
+    best, lowest = minimise(
+        cost, np.zeros(2), 0.5, budget=1500, seed=1, report=lambda _, low: told.append(low)
+    )
+    np.testing.assert_allclose(best, 1.0, atol=1e-3)
+    assert 0 <= lowest < 1e-6
+    assert told == sorted(told, reverse=True)
+    nowhere, none = minimise(lambda x: np.full(len(x), bad), np.ones(2), 0.5, budget=40, seed=1)
+    assert nowhere.tolist() == [1.0, 1.0]
+    assert none == np.inf
+
+
 def test_controls_start_and_end_at_rest_and_keep_their_range() -> None:
     series = Series(np.array([0.5]), np.array([2.0]), np.array([0.5, 1.5]), 4.0, 0.01)
     u = series.controls(np.array([[3.0, -4.0, 2.0, 1.0, 0.3, -0.2]]))[0]

@@ -303,14 +303,14 @@ def revealed():
 
 def test_scores_of_a_run():
     scores = score(revealed())
-    assert scores.rate("names and sites right, class counted, from 2 sigma") == 0.5
-    assert scores.rate("the same in tier 2") == 1.0
-    assert scores.rate("false alarms where nothing is missing") == 0.5  # one of three failed
-    assert scores.rate("unknown physics located") == 1.0
-    assert scores.rate("confident wrong names") == pytest.approx(2 / 6)
-    assert scores.rate("cannot tell or right, below 2 sigma") == 1.0
-    assert scores.rate("diagnoses that failed") == pytest.approx(1 / 7)
-    assert scores.rate("repaired forecast within 1.15 of the noise floor") == 0.5
+    assert scores.rate("names_right") == 0.5
+    assert scores.rate("names_right_tier_2") == 1.0
+    assert scores.rate("false_alarms") == 0.5  # one of three failed
+    assert scores.rate("unknown_located") == 1.0
+    assert scores.rate("confident_wrong") == pytest.approx(2 / 6)
+    assert scores.rate("small_acceptable") == 1.0
+    assert scores.rate("failed") == pytest.approx(1 / 7)
+    assert scores.rate("forecast_repaired") == 0.5
     assert scores.confusion.loc["dry_friction", "armature"] == 1
     assert scores.confusion.loc["magnet", "(unknown)"] == 1
     assert scores.confusion.loc["(nothing)"].to_dict() == {
@@ -326,6 +326,18 @@ def test_scores_of_a_run():
     assert scores.magnitudes.loc["dry_friction", "n"] == 1
     assert scores.forecasts.loc["tier 2", "repaired"] == 1.1
     assert scores.calibration.cases == 5
+
+
+def test_a_rate_has_a_key_of_its_own_and_its_words_are_for_the_page():
+    scores = score(revealed())
+    assert scores.summary["key"].is_unique
+    assert scores.summary["what"].is_unique
+    with pytest.raises(KeyError, match="unknown physics flagged"):
+        scores.rate("unknown physics flagged")
+    rates, _ = page(scores, {}).split("<h2>By tier</h2>")
+    for key, what in scores.summary[["key", "what"]].to_numpy():
+        assert f">{what}</td>" in rates
+        assert f">{key}</td>" not in rates
 
 
 def test_the_page_is_whole_escaped_and_asks_for_nothing(tmp_path):
@@ -351,8 +363,8 @@ def test_cases_of_several_runs_are_scored_together():
     whole = score(revealed())
     pd.testing.assert_frame_equal(both.summary, whole.summary)
     pd.testing.assert_frame_equal(both.confusion, whole.confusion)
-    assert both.rate("confident wrong names") == pytest.approx(2 / 6)
-    assert runs[0].rate("confident wrong names") == pytest.approx(1 / 2)
+    assert both.rate("confident_wrong") == pytest.approx(2 / 6)
+    assert runs[0].rate("confident_wrong") == pytest.approx(1 / 2)
 
 
 def test_diagnoses_that_fail_do_not_lower_the_rates_of_errors():
@@ -361,11 +373,11 @@ def test_diagnoses_that_fail_do_not_lower_the_rates_of_errors():
     for failed in (0, 8):
         cases = [*told, *[None] * failed]
         scores = score([Revealed(f"case-{k}", truth(), a, None, 1.0) for k, a in enumerate(cases)])
-        rates = scores.summary.set_index("what")
-        for what in ("false alarms where nothing is missing", "confident wrong names"):
-            assert rates.loc[what, ["count", "of"]].tolist() == [1, 2]
+        rates = scores.summary.set_index("key")
+        for key in ("false_alarms", "confident_wrong"):
+            assert rates.loc[key, ["count", "of"]].tolist() == [1, 2]
         assert scores.nothing.loc[(3, "two_link_arm"), "detected"] == 0.5
-        assert rates.loc["diagnoses that failed", "count"] == failed
+        assert rates.loc["failed", "count"] == failed
 
 
 @pytest.mark.parametrize(
@@ -385,6 +397,6 @@ def test_probabilities_of_names_that_unknown_physics_is_given_are_calibrated(tol
 
 def test_a_run_without_physics_missing_has_scores():
     scores = score([Revealed("a", truth(), answer(), None, 1.0)])
-    assert scores.rate("false alarms where nothing is missing") == 0.0
-    assert np.isnan(scores.rate("unknown physics flagged"))
+    assert scores.rate("false_alarms") == 0.0
+    assert np.isnan(scores.rate("unknown_flagged"))
     assert "Proof" in page(scores, {})

@@ -42,7 +42,7 @@ def page(scores: Scores, facts: Mapping[str, Any]) -> str:
         "<h2>Rates</h2>",
         "<p>Counts with exact 95 % intervals (Clopper and Pearson); the last column is the "
         "one-sided 95 % upper bound.</p>",
-        _table(scores.summary),
+        _table(scores.summary.drop(columns="key")),
         "<h2>By tier</h2>", _INTERVALS, _table(scores.by_tier.reset_index()),
         "<h2>By machine</h2>", _table(scores.by_machine.reset_index()),
         "<h2>By size, in sensor sigma</h2>", _table(scores.by_decade.reset_index()),

@@ -1,6 +1,6 @@
 """Scores over the cases of a revealed run; every table is a DataFrame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -11,6 +11,24 @@ from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability,
 
 FORECAST_GOAL = 1.15
 """Repaired forecast error over the noise floor that counts as repaired."""
+
+RATES: Mapping[str, str] = {
+    "names_right": "names and sites right, class counted, from 2 sigma",
+    "names_right_tier_2": "the same in tier 2",
+    "first_name_right": "names and sites right without a class, from 2 sigma",
+    "first_two_right": "right among the first two sets, from 2 sigma",
+    "small_acceptable": "cannot tell or right, below 2 sigma",
+    "false_alarms": "false alarms where nothing is missing",
+    "unknown_flagged": "unknown physics flagged",
+    "unknown_located": "unknown physics located",
+    "unknown_dependence": "unknown physics with its dependence",
+    "confident_wrong": "confident wrong names",
+    "known_flagged": "known physics flagged as unknown",
+    "intervals_cover": "truth within the 95 % interval",
+    "forecast_repaired": f"repaired forecast within {FORECAST_GOAL:g} of the noise floor",
+    "failed": "diagnoses that failed",
+}
+"""The headline rates: the key of each, and what it says in words."""
 
 MODELS = ("nominal", "refitted", "repaired", "learned_residual", "oracle", "noise_floor")
 _SCORES = ("top1", "top2", "right", "detected", "acceptable", "confident_wrong")
@@ -24,7 +42,8 @@ class Scores:
     Attributes:
         cases: one row a case: what was concealed, what was found, how it is marked.
         effects: one row for each concealed effect.
-        summary: the headline rates, each with its count and 95 % interval.
+        summary: the headline rates, each with its key, what it says in words, its count and its
+            95 % interval.
         by_tier: rates of the cases with physics missing, by tier.
         by_machine: the same by machine.
         by_effect: rates by effect, from 2 sigma up.
@@ -74,9 +93,13 @@ class Scores:
             reliability(stating.probability.to_numpy(float), stating["right"].to_numpy(bool)),
         )
 
-    def rate(self, name: str) -> float:
-        """Return a rate of the summary."""
-        return float(self.summary.rate[self.summary.what == name].iloc[0])
+    def rate(self, key: str) -> float:
+        """Return a rate of the summary by its key in `RATES`; NaN where nothing counts.
+
+        Raises:
+            KeyError: there is no such rate.
+        """
+        return float(self.summary.set_index("key")["rate"].loc[key])
 
 
 def score(revealed: Sequence[Revealed]) -> Scores:
@@ -120,31 +143,31 @@ def _summary(cases: pd.DataFrame, effects: pd.DataFrame) -> pd.DataFrame:
     two = known[known.tier == 2]
     found = effects[effects.found]
     ratio = known.repaired / known.noise_floor
-    rows = [
-        _rate("names and sites right, class counted, from 2 sigma", known["right"]),
-        _rate("the same in tier 2", two["right"]),
-        _rate("names and sites right without a class, from 2 sigma", known.top1),
-        _rate("right among the first two sets, from 2 sigma", known.top2),
-        _rate("cannot tell or right, below 2 sigma", missing[missing.smallest < LEAST].acceptable),
-        _rate("false alarms where nothing is missing", nothing.detected),
-        _rate("unknown physics flagged", unknown.flagged),
-        _rate("unknown physics located", unknown.located),
-        _rate("unknown physics with its dependence", unknown.dependence),
-        _rate("confident wrong names", answered.confident_wrong),
-        _rate("known physics flagged as unknown", known.flagged[known.answered]),
-        _rate("truth within the 95 % interval", found.covered),
-        _rate(f"repaired forecast within {FORECAST_GOAL:g} of the noise floor",
-              (ratio <= FORECAST_GOAL)[ratio.notna()]),
-        _rate("diagnoses that failed", ~cases.answered),
-    ]  # fmt: skip
-    return pd.DataFrame(rows)
+    counted = {
+        "names_right": known["right"],
+        "names_right_tier_2": two["right"],
+        "first_name_right": known.top1,
+        "first_two_right": known.top2,
+        "small_acceptable": missing[missing.smallest < LEAST].acceptable,
+        "false_alarms": nothing.detected,
+        "unknown_flagged": unknown.flagged,
+        "unknown_located": unknown.located,
+        "unknown_dependence": unknown.dependence,
+        "confident_wrong": answered.confident_wrong,
+        "known_flagged": known.flagged[known.answered],
+        "intervals_cover": found.covered,
+        "forecast_repaired": (ratio <= FORECAST_GOAL)[ratio.notna()],
+        "failed": ~cases.answered,
+    }
+    return pd.DataFrame([_rate(key, counted[key]) for key in RATES])
 
 
-def _rate(what: str, happened: pd.Series) -> dict[str, object]:
+def _rate(key: str, happened: pd.Series) -> dict[str, object]:
     count, of = int(happened.sum()), len(happened)
     low, high = clopper_pearson(count, of) if of else (float("nan"), float("nan"))
     return {
-        "what": what,
+        "key": key,
+        "what": RATES[key],
         "count": count,
         "of": of,
         "rate": count / of if of else float("nan"),
