@@ -367,7 +367,7 @@ def test_contradictions_in_a_study_are_said(changed: dict[str, object], message:
 class Ending(PendulumSwingup):
     """A task that ends every episode by itself."""
 
-    def terminated(self, sims: Simulations) -> np.ndarray:
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
         return np.ones(len(sims), bool)
 
 

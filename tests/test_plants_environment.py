@@ -68,7 +68,7 @@ def test_equal_seeds_give_equal_starts_whatever_the_model_and_the_number(cheetah
     assert np.abs(more[3:] - nominal).max() > 0.1
     other = BatchEnvironment(task, [heavy(1.5)] * 3, 3, seed=7)
     assert 1e-4 < np.abs(other.reset() - nominal).max() < 1.0, "settled differently"
-    starts = [task.start(cheetah, np.random.default_rng((7, i, 0, 0))) for i in range(3)]
+    starts = [task.draw_start(cheetah, np.random.default_rng((7, i, 0, 0))) for i in range(3)]
     np.testing.assert_array_equal(other.begin(starts)[:, :8], [s.qpos[1:] for s in starts])
 
 

@@ -36,7 +36,7 @@ def test_steps_equal_gymnasiums(name):
     other.reset(seed=4)
     ended = 0
     for episode in range(3):
-        start = task.start(model, np.random.default_rng(episode))
+        start = task.draw_start(model, np.random.default_rng(episode))
         other.np_random = np.random.default_rng(episode)
         first = other.reset_model()
         np.testing.assert_allclose(ours.begin([start])[0], first, rtol=0, atol=1e-14)

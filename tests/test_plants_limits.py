@@ -51,13 +51,13 @@ class Standing(VectorTask):
 
     control_timestep, time_limit = 0.002, 1.0
 
-    def start(self, model, rng):
+    def draw_start(self, model, rng):
         return Start(model.qpos0)
 
-    def observe(self, sims):
+    def get_observation(self, sims):
         return sims.qpos
 
-    def reward(self, sims):
+    def get_reward(self, sims):
         return np.zeros(len(sims))
 
 

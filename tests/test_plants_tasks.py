@@ -103,10 +103,10 @@ def test_observation_and_reward_equal_dm_control_step_by_step(domain, name, poli
     ours.sims.state[:] = other.physics.get_state(STATE)
     ours.sims.goal[:] = goal_of(other, task.goal_size)
     ours.sims.forward()
-    np.testing.assert_allclose(task.observe(ours.sims)[0], first, atol=1e-13)
+    np.testing.assert_allclose(task.get_observation(ours.sims)[0], first, atol=1e-13)
 
     rng = np.random.default_rng(0)
-    observation = task.observe(ours.sims)[0]
+    observation = task.get_observation(ours.sims)[0]
     learned = LearnedPolicy.load(POLICIES / f"{domain}-{name}.npz") if policy == "learned" else None
     total = 0.0
     for k in range(999):
@@ -142,7 +142,7 @@ def test_a_swimmer_of_any_length_is_dm_controls(domain, name):
     ours.sims.state[:] = other.physics.get_state(STATE)
     ours.sims.goal[:] = goal_of(other, task.goal_size)
     ours.sims.forward()
-    np.testing.assert_allclose(task.observe(ours.sims)[0], first, atol=1e-12)
+    np.testing.assert_allclose(task.get_observation(ours.sims)[0], first, atol=1e-12)
     for k in range(50):
         action = sway(k * task.control_timestep, 3)
         theirs, step = other.step(action), ours.step(action[None])
@@ -191,7 +191,7 @@ def test_starts_are_drawn_from_dm_controls_distribution(domain, name, monkeypatc
     monkeypatch.setattr(type(other.physics), "step", lambda *_, **__: None)  # no settling
     monkeypatch.setattr(type(other.task), "random", Draws(5))
     other.reset()
-    start = find_task(domain, name).start(other.physics.model.ptr, np.random.default_rng(5))
+    start = find_task(domain, name).draw_start(other.physics.model.ptr, np.random.default_rng(5))
     np.testing.assert_array_equal(start.qpos, other.physics.data.qpos)
     qvel = 0.0 if start.qvel is None else start.qvel
     np.testing.assert_array_equal(

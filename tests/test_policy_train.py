@@ -37,13 +37,13 @@ class Regulate(VectorTask):
     control_timestep = 0.05
     time_limit = 5.0
 
-    def start(self, model, rng):
+    def draw_start(self, model, rng):
         return Start(rng.uniform(-1, 1, 1), rng.uniform(-0.3, 0.3, 1))
 
-    def observe(self, sims):
+    def get_observation(self, sims):
         return np.concatenate([sims.qpos, sims.qvel], axis=1)
 
-    def reward(self, sims):
+    def get_reward(self, sims):
         return -(sims.qpos[:, 0] ** 2 + 0.1 * sims.qvel[:, 0] ** 2 + 0.1 * sims.ctrl[:, 0] ** 2)
 
 
@@ -122,7 +122,7 @@ def test_results_do_not_depend_on_threads_but_on_the_seed(cart):
 
 def test_time_limits_are_bootstrapped_and_terminations_are_not(cart):
     class Ends(Regulate):
-        def terminated(self, sims):
+        def is_terminated(self, sims):
             return sims.qpos[:, 0] > 0.9
 
     environment = BatchEnvironment(Ends(), cart, 20, stagger=True)
@@ -202,7 +202,7 @@ def test_wrong_settings_name_the_rule(cart):
 
 def test_a_reward_that_is_not_finite_is_named(cart):
     class Broken(Regulate):
-        def reward(self, sims):
+        def get_reward(self, sims):
             return np.where(sims.qpos[:, 0] > 0.5, np.nan, 0.0)
 
     environment = BatchEnvironment(Broken(), cart, 20)

@@ -115,9 +115,9 @@ class BatchEnvironment:
             self.sims.set_models(self._models)
         self.sims.set_laws(laws)
         try:  # binds what the task reads; values are not used
-            self.observation_size = task.observe(self.sims).shape[1]
-            task.reward(self.sims)
-            task.terminated(self.sims)
+            self.observation_size = task.get_observation(self.sims).shape[1]
+            task.get_reward(self.sims)
+            task.is_terminated(self.sims)
         except KeyError as error:
             raise UserError(f"task {type(task).__name__} does not fit the model: {error}") from None
         self._steps = np.zeros(n, np.int64)
@@ -177,14 +177,14 @@ class BatchEnvironment:
         """Apply `n x a` actions for one control step; episodes that end begin anew."""
         self.sims.ctrl[:] = self.controls(actions)
         self.sims.advance(self.substeps)
-        reward = self.task.reward(self.sims)
+        reward = self.task.get_reward(self.sims)
         for _ in range(self.task.repeat - 1):
             self.sims.advance(self.substeps)
-            reward = reward + self.task.reward(self.sims)
+            reward = reward + self.task.get_reward(self.sims)
         self._steps += 1
-        final = self.task.observe(self.sims)
+        final = self.task.get_observation(self.sims)
         diverged = self.sims.diverged()
-        terminated = self.task.terminated(self.sims) | diverged
+        terminated = self.task.is_terminated(self.sims) | diverged
         truncated = (self._steps >= self.episode_steps) & ~terminated
         if diverged.any():
             reward = np.where(diverged, 0.0, reward)
@@ -200,7 +200,7 @@ class BatchEnvironment:
             episode = int(self._episodes[i])
             if self._draw is not None:
                 self._models[i] = self._draw(self._generator(i, episode, purpose=1))
-            starts.append(self.task.start(self._models[i], self._generator(i, episode)))
+            starts.append(self.task.draw_start(self._models[i], self._generator(i, episode)))
         if self._draw is not None:
             self.sims.set_models(self._models)
         self._place(rows, starts, settle=True)
@@ -221,7 +221,7 @@ class BatchEnvironment:
         sims.forward(rows)
         self._steps[rows] = 0
         self._episodes[rows] += 1
-        self._observation = self.task.observe(sims)
+        self._observation = self.task.get_observation(sims)
 
     def skip(self, episodes: int) -> None:
         """Let the next episodes be those after the first `episodes` of every simulation."""

@@ -140,29 +140,29 @@ class LimitedTask(VectorTask):
             if limit.velocity is not None:
                 self._speed[int(joint.dofadr[0])] = limit.velocity
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw where an episode begins, as the task does, within the limits."""
-        start = self.task.start(model, rng)
+        start = self.task.draw_start(model, rng)
         return Start(np.clip(start.qpos, self._low, self._high), start.qvel, start.goal)
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Return the task's observations."""
-        return self.task.observe(sims)
+        return self.task.get_observation(sims)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Return the task's rewards; 0 where an earlier part of the action left the limits."""
-        earned, before, now = self.task.reward(sims), self._left, self.left(sims)
+        earned, before, now = self.task.get_reward(sims), self._left, self.left(sims)
         if before is None:
             self._left = now
             return earned
         self._left = before | now
         return np.where(before, 0.0, earned)
 
-    def terminated(self, sims: Simulations) -> np.ndarray:
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
         """Return which episodes the task has ended, or have left the limits."""
         self.beyond = self.left(sims) if self._left is None else self._left
         self._left = None
-        return np.asarray(self.task.terminated(sims) | self.beyond)
+        return np.asarray(self.task.is_terminated(sims) | self.beyond)
 
     def left(self, sims: Simulations) -> np.ndarray:
         """Return which of the `n` simulations are outside the limits."""

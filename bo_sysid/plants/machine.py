@@ -113,12 +113,12 @@ class VectorMachine:
         parts, reward = [], 0.0
         for _ in range(environment.task.repeat):
             parts.append(sims.trace(environment.substeps, TRACED))
-            reward += float(environment.task.reward(sims)[0])
+            reward += float(environment.task.get_reward(sims)[0])
         diverged = bool(sims.diverged()[0])
         return Applied(
             {field: np.concatenate([p[field][0] for p in parts]) for field in parts[0]},
-            environment.task.observe(sims),
+            environment.task.get_observation(sims),
             0.0 if diverged else reward,
-            bool(environment.task.terminated(sims)[0]),
+            bool(environment.task.is_terminated(sims)[0]),
             diverged,
         )

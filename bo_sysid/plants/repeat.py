@@ -25,18 +25,18 @@ class RepeatedTask(VectorTask):
         self.settle_time = task.settle_time  # type: ignore[misc]
         self.rewarded = task.rewarded  # type: ignore[misc]
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw where an episode begins, as the task does."""
-        return self.task.start(model, rng)
+        return self.task.draw_start(model, rng)
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Return the task's observations."""
-        return self.task.observe(sims)
+        return self.task.get_observation(sims)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Return the task's rewards of the last of the repeated control steps."""
-        return self.task.reward(sims)
+        return self.task.get_reward(sims)
 
-    def terminated(self, sims: Simulations) -> np.ndarray:
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
         """Return which episodes the task has ended."""
-        return self.task.terminated(sims)
+        return self.task.is_terminated(sims)

@@ -22,16 +22,16 @@ class Bare(VectorTask):
     def __init__(self, control_timestep: float) -> None:
         self.control_timestep = control_timestep
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Return the first keyframe, or the reference position."""
         if model.nkey:
             return Start(np.array(model.key_qpos[0]), np.array(model.key_qvel[0]))
         return Start(np.array(model.qpos0))
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Positions and velocities."""
         return np.concatenate([sims.qpos, sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Return zeros."""
         return np.zeros(len(sims))

@@ -48,21 +48,24 @@ class VectorTask(ABC):
     rewarded: ClassVar[bool] = True
 
     @abstractmethod
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw where an episode begins."""
 
     @abstractmethod
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Return the `n x o` observations at the present state."""
 
     @abstractmethod
-    def reward(self, sims: Simulations) -> np.ndarray:
-        """Return the `n` rewards of the step that led to the present state."""
+    def get_reward(self, sims: Simulations) -> np.ndarray:
+        """Return the `n` rewards of the step that led to the present state.
 
-    def terminated(self, sims: Simulations) -> np.ndarray:
+        It is asked once a part of a step, and may change `sims.goal`, on which the next depends.
+        """
+
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
         """Return which of the `n` episodes have ended for good; none by default.
 
-        It is asked once an action, after `reward` of the last of its parts.
+        It is asked once an action, after `get_reward` of the last of its parts.
         """
         return np.zeros(len(sims), bool)
 

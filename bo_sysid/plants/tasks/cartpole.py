@@ -12,12 +12,12 @@ class _CartPole(VectorTask):
     control_timestep: float = 0.01
     time_limit: float = 10.0
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Cart position, cosine and sine of every pole, velocities."""
         poles = sims.field("xmat")[:, 2:][:, :, [8, 2]].reshape(len(sims), -1)
         return np.concatenate([sims.qpos[:, :1], poles, sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Upright, with the cart near the middle, little control and slow poles."""
         upright = ((sims.field("xmat")[:, 2:, 8] + 1) / 2).mean(axis=1)
         centred = (1 + tolerance(sims.qpos[:, 0], margin=2.0)) / 2
@@ -30,7 +30,7 @@ class _CartPole(VectorTask):
 class CartPoleSwingup(_CartPole):
     """An episode begins with the pole hanging down."""
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Cart in the middle, pole down, all a little off."""
         qpos = np.zeros(model.nq)
         qpos[0] = 0.01 * rng.standard_normal()
@@ -43,7 +43,7 @@ class CartPoleSwingup(_CartPole):
 class CartPoleBalance(_CartPole):
     """An episode begins with the pole almost upright."""
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Cart and pole near the middle and the vertical."""
         qpos = np.zeros(model.nq)
         qpos[0] = rng.uniform(-0.1, 0.1)

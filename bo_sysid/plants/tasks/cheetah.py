@@ -20,18 +20,18 @@ class CheetahRun(VectorTask):
     time_limit: float = 10.0
     settle_time: ClassVar[float] = 2.0
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw the limited joints within their ranges."""
         limited = model.jnt_limited == 1
         qpos = np.array(model.qpos0)
         qpos[model.jnt_qposadr[limited]] = rng.uniform(*model.jnt_range[limited].T)
         return Start(qpos)
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Positions but the horizontal one, and velocities."""
         return np.concatenate([sims.qpos[:, 1:], sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Forward speed of the centre of mass over 10 m/s, within [0, 1]."""
         speed = sims.named("sensor", "torso_subtreelinvel", "data")[:, 0]
         return tolerance(speed, _SPEED, np.inf, _SPEED, "linear", 0.0)

@@ -52,7 +52,7 @@ class GymLocomotion(VectorTask):
         self.control_timestep = kind.control_timestep
         self.time_limit = _STEPS * kind.control_timestep
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw positions and velocities near the reference."""
         spread = self.kind.spread
         qpos = model.qpos0 + rng.uniform(-spread, spread, model.nq)
@@ -62,22 +62,22 @@ class GymLocomotion(VectorTask):
             qvel = rng.uniform(-spread, spread, model.nv)
         return Start(qpos, qvel, goal=qpos[:1])
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Positions but the horizontal ones, and velocities."""
         qvel = np.clip(sims.qvel, -10, 10) if self.kind.hops else sims.qvel
         return np.concatenate([sims.qpos[:, self.kind.hidden :], qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Forward speed over the step, less a control cost; 1 more for a hopper that is upright."""
         x = sims.qpos[:, 0]
         reward = (x - sims.goal[:, 0]) / self.kind.control_timestep
         reward -= self.kind.control_cost * np.square(sims.ctrl).sum(axis=1)
         if self.kind.hops:
-            reward += ~self.terminated(sims)
+            reward += ~self.is_terminated(sims)
         sims.goal[:, 0] = x
         return np.asarray(reward)
 
-    def terminated(self, sims: Simulations) -> np.ndarray:
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
         """A hopper ends where it is low, leans, or is anything but calm."""
         if not self.kind.hops:
             return np.zeros(len(sims), bool)

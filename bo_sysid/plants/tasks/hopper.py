@@ -15,11 +15,11 @@ class _Hopper(VectorTask):
     control_timestep: float = 0.02
     time_limit: float = 20.0
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw all joints but the slides."""
         return Start(random_joints(model, rng))
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Positions but the horizontal one, velocities, and both touch sensors."""
         toe = sims.named("sensor", "touch_toe", "data")
         heel = sims.named("sensor", "touch_heel", "data")
@@ -35,7 +35,7 @@ class _Hopper(VectorTask):
 class HopperStand(_Hopper):
     """Keep the torso 0.6 m above the foot, with little control."""
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Whether it stands, times (4 + small control) / 5."""
         small = tolerance(sims.ctrl, margin=1.0, shape="quadratic", at_margin=0.0)
         mean = small.sum(axis=1) / small.shape[1]  # np.mean takes a percent of a collection
@@ -46,7 +46,7 @@ class HopperStand(_Hopper):
 class HopperHop(_Hopper):
     """Stand and move forward at 2 m/s."""
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """Whether it stands, times how near its speed is to 2 m/s."""
         speed = sims.named("sensor", "torso_subtreelinvel", "data")[:, 0]
         hopping = tolerance(speed, _SPEED, np.inf, _SPEED / 2, "linear", 0.5)

@@ -17,17 +17,17 @@ class PendulumSwingup(VectorTask):
     control_timestep: float = 0.02
     time_limit: float = 20.0
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw any angle, at rest."""
         qpos = np.array(model.qpos0)
         qpos[model.joint("hinge").qposadr[0]] = rng.uniform(-np.pi, np.pi)
         return Start(qpos)
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Cosine and sine of the angle, and its rate."""
         orientation = sims.named("body", "pole", "xmat")[:, [8, 2]]
         return np.concatenate([orientation, sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """1 near the vertical, else 0."""
         return tolerance(sims.named("body", "pole", "xmat")[:, 8], _UPRIGHT, 1.0)

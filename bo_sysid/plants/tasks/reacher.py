@@ -22,18 +22,18 @@ class Reacher(VectorTask):
     def __init__(self, size: float) -> None:
         self.size = size
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw joints, and the target in a ring around the shoulder."""
         qpos = random_joints(model, rng)
         angle = rng.uniform(0, 2 * np.pi)
         radius = rng.uniform(0.05, 0.20)
         return Start(qpos, goal=radius * np.array([np.sin(angle), np.cos(angle)]))
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Joint positions, vector from finger to target in the world, joint velocities."""
         return np.concatenate([sims.qpos, _to_target(sims), sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """1 while finger and target overlap, else 0."""
         radii = self.size + float(sims.model.geom("finger").size[0])
         return tolerance(np.linalg.norm(_to_target(sims), axis=1), 0.0, radii)

@@ -23,19 +23,19 @@ class Swimmer(VectorTask):
     time_limit: float = 30.0
     goal_size: ClassVar[int] = 2
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw heading and joints, and a target that is near in one of five episodes."""
         qpos = random_joints(model, rng)
         box = _NEAR if rng.uniform() < _SHARE_NEAR else _FAR
         return Start(qpos, goal=rng.uniform(-box, box, size=2))
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Joint angles, target in the head's frame, planar velocities of every link."""
         links = sims.field("sensordata")[:, 12:].reshape(len(sims), -1, 6)
         velocities = links[:, :, _PLANAR].reshape(len(sims), -1)
         return np.concatenate([sims.qpos[:, 3:], _to_target(sims), velocities], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """1 with the nose inside the target, falling with the distance in target sizes."""
         size = float(sims.model.geom("target").size[0])
         distance = np.linalg.norm(_to_target(sims), axis=1)

@@ -22,17 +22,17 @@ class Walker(VectorTask):
     def __init__(self, speed: float) -> None:
         self.speed = speed
 
-    def start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw all joints but the slides."""
         return Start(random_joints(model, rng))
 
-    def observe(self, sims: Simulations) -> np.ndarray:
+    def get_observation(self, sims: Simulations) -> np.ndarray:
         """Orientation of every body (xx and xz), height of the torso, velocities."""
         orientations = sims.field("xmat")[:, 1:][:, :, [0, 2]].reshape(len(sims), -1)
         height = sims.named("body", "torso", "xpos")[:, 2:]
         return np.concatenate([orientations, height, sims.qvel], axis=1)
 
-    def reward(self, sims: Simulations) -> np.ndarray:
+    def get_reward(self, sims: Simulations) -> np.ndarray:
         """(3 standing + upright) / 4, times (5 moving + 1) / 6."""
         height = sims.named("body", "torso", "xpos")[:, 2]
         standing = tolerance(height, _HEIGHT, np.inf, _HEIGHT / 2)
