@@ -22,10 +22,10 @@ from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
 from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
 from bo_sysid.compare.compare import Comparison, compare, so_far
-from bo_sysid.compare.gathered import Key, inner_paths
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, recorded, tabulate
+from bo_sysid.compare.tables import Key, inner_paths
 from bo_sysid.deviation import Deviation, Evaluation
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify.search import History, Rules, initial_rows, search

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from scipy.stats import wilcoxon
 
-from bo_sysid.compare.gathered import Key, inner_paths, outer_paths
 from bo_sysid.compare.statistics import agreement, bootstrap, costs, paired, share, summary
+from bo_sysid.compare.tables import Key, inner_paths, outer_paths
 
 
 def path(arm: str, seed: int, regret: list[float], problem: str = "p") -> pd.DataFrame:

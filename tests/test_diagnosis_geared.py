@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.diagnose import make_evidence
-from bo_sysid.diagnosis.search.bare import bare_joints, from_bare_joints
+from bo_sysid.diagnosis.search.bare_joints import bare_joints, from_bare_joints
 from bo_sysid.diagnosis.search.final import final_fits
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search

@@ -11,7 +11,7 @@ from test_cli_diagnose import MODEL, STUDY
 from bo_sysid.cli import main
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.kept import Kept, digest
+from bo_sysid.diagnosis.windows.kept_fits import Kept, digest
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.runs import FITS, Run, read_json
@@ -22,7 +22,7 @@ RUBS = [("dry_friction", "joint", "elbow", [0.05])]
 @pytest.fixture
 def every_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep short fits as well."""
-    monkeypatch.setattr("bo_sysid.diagnosis.windows.kept._LONG", 0.0)
+    monkeypatch.setattr("bo_sysid.diagnosis.windows.kept_fits._LONG", 0.0)
 
 
 @pytest.fixture

@@ -33,10 +33,10 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     needed_beside,
     slopes_reach,
 )
-from bo_sysid.diagnosis.windows.along import smoothed
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.reference_motion import smoothed
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects.learned import learned_force
 from bo_sysid.mjcf.touching import touching

@@ -17,8 +17,8 @@ from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, Wiring
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
-from bo_sysid.checks.told import balance_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.checks.traces import LATEST
+from bo_sysid.checks.wiring_text import balance_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
 

@@ -5,7 +5,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
-from bo_sysid.cli.once import once
+from bo_sysid.cli.finished_runs import once
 from bo_sysid.cli.progress import shown
 from bo_sysid.cli.report import page_of
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import pandas as pd
 
 from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
-from bo_sysid.compare.gathered import (
+from bo_sysid.compare.plan import Plan, keys_of, record_name
+from bo_sysid.compare.statistics import agreement, costs, paired, summary
+from bo_sysid.compare.tables import (
     INNER_UNITS,
     OUTER_UNITS,
     Records,
@@ -19,8 +21,6 @@ from bo_sysid.compare.gathered import (
     inner_paths,
     outer_paths,
 )
-from bo_sysid.compare.plan import Plan, keys_of, record_name
-from bo_sysid.compare.statistics import agreement, costs, paired, summary
 from bo_sysid.errors import RecordingError, RunError
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import load_dataset

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from bo_sysid.compare.arms import Arm, ComparedProblem, slug
-from bo_sysid.compare.gathered import Key
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
 from bo_sysid.compare.table import Table, TableJob, tabulate
+from bo_sysid.compare.tables import Key
 from bo_sysid.errors import RunError
 from bo_sysid.execution import JobOutcome, OnProgress, Progress, map_jobs, open_engine
 from bo_sysid.runs import Run

@@ -30,7 +30,7 @@ from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence, rates_note
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads

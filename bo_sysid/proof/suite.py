@@ -8,7 +8,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from bo_sysid.proof import elsewhere, outside  # noqa: F401 - importing registers what is concealed
+from bo_sysid.proof import (  # noqa: F401 - importing registers what is concealed
+    other_sites,
+    outside_catalogue,
+)
 from bo_sysid.proof.draft import REALISED, find_realised
 from bo_sysid.proof.machine import ProofMachine, load_machine
 from bo_sysid.study.base import Count, Name, Paths, Positive, Section, Seed

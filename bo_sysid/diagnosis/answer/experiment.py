@@ -20,8 +20,8 @@ from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
-from bo_sysid.diagnosis.windows.shown import observe
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Site
 from bo_sysid.errors import StudyError, UserError

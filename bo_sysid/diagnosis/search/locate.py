@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from bo_sysid.diagnosis.search.bare import from_bare_joints
+from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.gaps import mesh

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.windows.commanded import changed_activations
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
-from bo_sysid.diagnosis.windows.shown import observe
+from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.effects import Force
 from bo_sysid.mjcf.commands import clamped
 from bo_sysid.mjcf.compiling import differ

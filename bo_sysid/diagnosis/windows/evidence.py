@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bo_sysid.diagnosis.windows.channel_noise import channel_noise
-from bo_sysid.diagnosis.windows.driven import driven
 from bo_sysid.diagnosis.windows.hypothesis import (
     Candidate,
     Hypothesis,
@@ -14,7 +13,8 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.law_controls import driven
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.diagnosis.windows.along import Along, smoothed
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.points import (
     StatePoints,
@@ -22,6 +21,7 @@ from bo_sysid.diagnosis.windows.points import (
     state_matrix,
 )
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.reference_motion import Along, smoothed
 from bo_sysid.effects import Part
 from bo_sysid.effects.contract import Reading
 from bo_sysid.effects.readings import readings

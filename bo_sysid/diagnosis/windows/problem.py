@@ -12,8 +12,8 @@ from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.kept import NOTHING_KEPT, Kept
-from bo_sysid.diagnosis.windows.shown import observe
+from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
