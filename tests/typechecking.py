@@ -51,6 +51,6 @@ def _rest() -> None:
     every simulation and has no name by which to find it.
     """
     wrapper = sys._getframe(3)
-    for function in (known() for known in wrapper.f_locals.get("wrapped_fn_holder", ())):
+    for function in (known() for known in wrapper.f_locals["wrapped_fn_holder"]):
         function.__no_type_check__ = True
         _resting.add(function)
