@@ -106,6 +106,42 @@ def test_a_sign() -> None:
     assert "ctrl.b" in found.flags[0].sentence
 
 
+CRANE = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="trolley" type="slide" axis="1 0 0"/><geom size=".1" mass="5"/>
+      <body><joint name="sway" axis="0 1 0" damping=".05"/><geom size=".02" mass=".3"/>
+        <body pos="0 0 -.5"><joint name="hoist" type="slide" axis="0 0 -1"/>
+          <geom size=".06" mass="3"/></body></body></body>
+  </worldbody>
+  <actuator><motor name="drive" joint="trolley"/><motor name="winch" joint="hoist"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("turned", [True, False])
+def test_a_sign_is_told_where_gravity_is_most_of_what_a_motor_bears(turned: bool) -> None:
+    model = Model.from_xml(CRANE).compile()
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    time = np.arange(0.0, 20.0, model.opt.timestep)
+    goal = np.stack([0.3 * tones(time, 3), 0.03 + 0.03 * tones(time, 4)], axis=1)
+    q, u = np.zeros((len(time), 3)), np.zeros((len(time), 2))
+    for k, target in enumerate(goal):
+        q[k] = data.qpos
+        force = [40.0, 300.0] * (target - data.qpos[[0, 2]]) - [25.0, 60.0] * data.qvel[[0, 2]]
+        data.ctrl = u[k] = force - [0.0, 3.0 * 9.81]
+        mujoco.mj_step(model, data)
+    q += 2e-4 * rng.standard_normal(q.shape)
+    log = Recording.from_arrays(
+        time[::5],
+        qpos={"trolley": q[::5, 0], "sway": q[::5, 1], "hoist": (-q if turned else q)[::5, 2]},
+        ctrl={"drive": u[::5, 0], "winch": u[::5, 1]},
+    )
+    found = find_wiring(model, [log])
+    assert {n: w.sign for n, w in found.wires.items()} == ({"qpos.hoist": -1} if turned else {})
+
+
 def test_an_actuator_without_a_control_stands_before_the_motors() -> None:
     log = recorded()
     channels = dict(log.channels)

@@ -527,3 +527,9 @@ def test_time_is_the_axis_that_is_as_long_as_the_clock(shape, tmp_path):
     recording = read_recording(tmp_path / "log.npz", rules)
     for i in range(6):
         np.testing.assert_array_equal(recording.channels[f"qpos.j{i}"].values, samples[:, i])
+
+
+def test_what_init_left_open_is_to_be_filled_in(tmp_path):
+    np.savez(tmp_path / "log.npz", time=np.arange(3.0), enc=np.arange(3.0))
+    with pytest.raises(RecordingError, match=r"qpos.a: fill in the column .* there are time, enc"):
+        read_recording(tmp_path / "log.npz", {"qpos.a": {"from": "FILL IN"}})

@@ -633,7 +633,7 @@ def test_a_log_that_fits_nothing_gives_a_study_to_fill_in(tmp_path: Path) -> Non
     assert (
         "qpos.elbow: {from: FILL IN}  # not found; one of: temp, code" in started.path.read_text()
     )
-    with pytest.raises(RecordingError, match=r"no column 'FILL IN'.*shoulder.*'code', 'temp'"):
+    with pytest.raises(RecordingError, match=r"shoulder: fill in the column.*temp, code"):
         check(study)
 
 

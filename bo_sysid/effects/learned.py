@@ -29,7 +29,7 @@ ELAPSED = "aux.elapsed"
 """Signal that features of time read: the time since a recording began, in [s]."""
 
 _POSITIONS, _SPEEDS, _TIMES, _OTHERS = 48, 10, 8, 12  # bumps over the range of each
-_TURN, _IN_A_TURN = 2 * np.pi, 2  # [rad]; times as many bumps, where a hinge moves by a turn
+_TURN = 2 * np.pi  # [rad]
 _WINDS = 2.5  # turns above which what a hinge feels can only depend on its angle within one
 _FASTEST = 2.5  # of a joint's root-mean-square speed: the outermost bumps
 _NODES, _BEYOND = 4096, 0.5  # of the table that stands for many bumps; share of the range beyond
@@ -143,16 +143,15 @@ def _winds(joint: JointScale) -> bool:
 
 
 def _over_positions(joint: JointScale, count: int) -> list[Shape]:
-    """Return at least `count` bumps over the range of a joint, or around the circle if it winds.
+    """Return `count` bumps over the range of a joint, as many a turn where a hinge moves further.
 
-    Those of a hinge are never so far apart that a narrow place is lost between them, as it was of
-    an arm that had spun once.
+    Of an arm that had spun once, those over its range were so far apart that a magnet was lost
+    between them. A hinge that winds has them around the circle.
     """
-    around = _IN_A_TURN * count
     if _winds(joint):
-        return _round_bumps(around)
+        return _round_bumps(count)
     if joint.hinge:
-        count = max(count, int(np.ceil(around * joint.span / _TURN)))
+        count = max(count, int(np.ceil(count * joint.span / _TURN)))
     return _bumps(count, joint.middle - 0.5 * joint.span, joint.middle + 0.5 * joint.span)
 
 

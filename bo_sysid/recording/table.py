@@ -11,6 +11,9 @@ from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.recording.numbers import DATED, in_seconds
 from bo_sysid.recording.value import Hold
 
+FILL_IN = "FILL IN"
+"""What `init` writes for a column that it did not find."""
+
 
 @dataclass(frozen=True)
 class RawTable:
@@ -56,6 +59,11 @@ class RawTable:
             RecordingError: there is no such column, or a cell is not a number.
         """
         if name not in self.columns:
+            if name == FILL_IN and wanted_by:
+                raise RecordingError(
+                    f"{self.source}: {wanted_by}: fill in the column that it is to be read from; "
+                    f"there are {', '.join(map(str, self.columns))}"
+                )
             asked = f", which {wanted_by} is to be read from" if wanted_by else ""
             raise RecordingError(
                 f"{self.source}: no column {name!r}{asked}; {nearest(name, self.columns)}"

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from bo_sysid.checks.proposal import flow
+from bo_sysid.recording.table import FILL_IN
 from bo_sysid.starter.guess import Rules
 
 _WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
@@ -83,9 +84,9 @@ def _open(rules: Rules) -> list[str]:
     if len(rules.unused) <= _FEW:
         left = f"one of: {', '.join(rules.unused)}" if rules.unused else "no column is left"
     lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
-    lines += [f"    {c}: {{from: FILL IN}}  # not found; {left}" for c in rules.to_fill_in]
+    lines += [f"    {c}: {{from: {FILL_IN}}}  # not found; {left}" for c in rules.to_fill_in]
     held = rules.of_held if rules.unused else ()
-    return lines + [f"    # {c}: {{from: FILL IN}}  # or held; {left}" for c in held]
+    return lines + [f"    # {c}: {{from: {FILL_IN}}}  # or held; {left}" for c in held]
 
 
 def _held(rules: Rules) -> str:
