@@ -8,6 +8,7 @@ from bo_sysid.recording import RawTable
 from bo_sysid.starter.columns import describe
 from bo_sysid.starter.guess import Rules, guess_rules, read
 from bo_sysid.starter.movers import with_movers
+from bo_sysid.starter.naming import named
 
 TIME = 0.01 * np.arange(600)
 ANGLES = {"shoulder": np.sin(2 * TIME) + np.sin(3.1 * TIME), "elbow": np.sin(4.3 * TIME + 1)}
@@ -245,3 +246,18 @@ def test_a_name_that_two_columns_carry_is_a_guess() -> None:
         assert f"_elbow_{other} has as well" in guess.reason
     sure = guessed(ARM, **{"{}_pos": ANGLES, "{}_torque": FORCES, "{}_current": FORCES})
     assert sure.guesses["ctrl.elbow"].confidence > 0.9  # a torque goes before a current
+
+
+@pytest.mark.parametrize("side", ["{}_wheel_joint", "{}_wheel"])
+def test_words_that_all_joints_have_need_not_be_in_the_log(side: str) -> None:
+    model = ARM.replace("shoulder", side.format("left")).replace("elbow", side.format("right"))
+    angles = dict(zip(("left", "right"), ANGLES.values(), strict=True))
+    rules = guessed(model, **{"enc_{}": angles})
+    found = {n: rule["from"] for n, rule in rules.columns.items() if n.startswith("qpos")}
+    assert found == {f"qpos.{side.format(n)}": f"enc_{n}" for n in ("left", "right")}
+
+
+@pytest.mark.parametrize("name", ["imu.angular_velocity.y", "gyro_x", "/imu/gyro/z"])
+def test_an_axis_of_a_gyroscope_is_no_speed_of_a_joint(name: str) -> None:
+    assert named(name, "").kind == "foreign"
+    assert named("gyro_position", "").kind == "position"

@@ -1,6 +1,6 @@
 """Which column belongs to which joint and actuator, with reason and confidence."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -88,9 +88,13 @@ def _named(
 ) -> list[Guess]:
     """Match by names, of the elements or those beside them."""
     own, beside = as_counted(elements, columns), as_counted(also, columns)
+    alike = _of_all(elements), _of_all(also)
     likeness = [
         [
-            max(_likeness(n, c, own[n, c.name]), _likeness(o, c, beside[o, c.name], trust))
+            max(
+                _likeness(n, c, own[n, c.name], alike[0]),
+                _likeness(o, c, beside[o, c.name], alike[1], trust),
+            )
             for c in columns
         ]
         for n, o in zip(elements, also, strict=True)
@@ -108,8 +112,8 @@ def _named(
     for p, r in chosen.items():
         like, reason = likeness[r][p]
         spare = [k for k in range(len(columns)) if k not in chosen and score[r, k] >= score[r, p]]
-        if alike := [columns[k].name for k in spare if _alike(columns[k], columns[p])]:
-            like, reason = min(like, _OPEN), f"{reason}, which {alike[0]} has as well"
+        if rivals := [columns[k].name for k in spare if _alike(columns[k], columns[p])]:
+            like, reason = min(like, _OPEN), f"{reason}, which {rivals[0]} has as well"
         found.append(_guess(kind, elements[r], columns[p], reason, like))
     return found
 
@@ -184,7 +188,11 @@ def _guess(kind: str, element: str, column: Column, reason: str, confidence: flo
 
 
 def _likeness(
-    element: str, column: Column, seen: Sequence[str], trust: float = 1.0
+    element: str,
+    column: Column,
+    seen: Sequence[str],
+    of_all: Collection[str],
+    trust: float = 1.0,
 ) -> tuple[float, str]:
     """Return how much of an element's name a column carries, 0 to 1, and what that is called.
 
@@ -192,19 +200,25 @@ def _likeness(
         element: its name.
         column: any.
         seen: the words of the name, numbered as the column counts.
+        of_all: words that all elements' names have.
         trust: what the name counts.
     """
     recounted = tuple(seen) != words(element) and UNKNOWN not in seen
     if recounted:
-        return trust * min(_shared(seen, column), _LIKELY), (
+        return trust * min(_shared(seen, column, of_all), _LIKELY), (
             "a similar name; the log counts from another number"
         )
     exact = column.name.endswith((f".{element}", f"/{element}")) or column.name == element
-    likeness = trust * (1.0 if exact else _shared(seen, column))
+    likeness = trust * (1.0 if exact else _shared(seen, column, of_all))
     return likeness, "the name" if likeness >= _SURE else "a similar name"
 
 
-def _shared(own: Sequence[str], column: Column) -> float:
+def _of_all(names: Sequence[str]) -> frozenset[str]:
+    """Return the words that all names have, as wheel in left_wheel and right_wheel."""
+    return frozenset.intersection(*(frozenset(words(n)) for n in names))
+
+
+def _shared(own: Sequence[str], column: Column, of_all: Collection[str]) -> float:
     """Return how much of the words of a name a column carries, 0 to 1."""
     bare = [w for w in own if w not in _PARTS]
     special = [w for w in bare if w not in _GENERIC] or bare or list(own)
@@ -213,7 +227,8 @@ def _shared(own: Sequence[str], column: Column) -> float:
         letters = [w for w in shared if not w.isdigit()]
         named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
         return named if letters else _LIKELY
-    if special and all(_begun(w, column.words) for w in special):
+    telling = [w for w in special if w not in of_all and not w.isdigit()]
+    if all(_begun(w, column.words) for w in telling or special):
         return _BEGUN
     return 0.5 * len(shared) / max(len(special), 1)
 

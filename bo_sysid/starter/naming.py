@@ -1,7 +1,7 @@
 """What the name of a column says: its kind, its unit and its words."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -63,6 +63,7 @@ _PER_SECOND = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "mrad": "mrad", "mm": "mm", "cm": "cm",
     "turn": "turn", "turns": "turn", "rev": "rev", "revs": "rev",
 }  # fmt: skip
+_GYROSCOPES = frozenset({"gyro", "gyros", "gyroscope"})
 _SECONDS = frozenset({"s", "sec", "secs", "seconds", "millis", "micros"})
 _RATES = {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "mmps": "mm/s"}
 """Units of rates, by the words that stand before a second, and as one word."""
@@ -145,7 +146,7 @@ def named(name: str, unit: str) -> Column:
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"
-    elif "foreign" in said:
+    elif "foreign" in said or _of_gyroscope(parts, said):
         kind = "foreign"
     elif "command" in said:
         kind = "command"
@@ -163,6 +164,12 @@ def named(name: str, unit: str) -> Column:
     if kind == "velocity" and unit in _PER_SECOND:  # vel_deg
         unit = f"{_PER_SECOND[unit]}/s"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
+
+
+def _of_gyroscope(parts: Sequence[str], said: Collection[str]) -> bool:
+    """Whether a column is an axis of a gyroscope, which turns with a body and not with a joint."""
+    about = bool(_GYROSCOPES & set(parts)) or ("imu" in parts and "velocity" in said)
+    return about and parts[-1] in ("x", "y", "z")
 
 
 def _said(parts: Sequence[str]) -> set[str]:
