@@ -177,8 +177,10 @@ def diagnose(
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
     located = locate(evidence, tell, tell.doing)
+    tell.doing("what stays unexplained, and forecasts of the training recordings where any does")
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
+    tell.doing("what to record next")
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
     unsure = contact or doubtful(outcome.fit, evidence.machine, located.decision.fits)
@@ -188,6 +190,7 @@ def diagnose(
     )  # fmt: skip
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
+    tell.doing("forecasts of the unseen recordings")
     unseen = load_holdout(study, strict=strict)
     holdout = judge(evidence, outcome, unseen)
     said = [note for recording in evidence.recordings for note in recording.notes]
