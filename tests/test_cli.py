@@ -316,7 +316,11 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         (folder / "run2" / "fits" / "0a.npz").touch()
         (folder / "run2" / "fits" / "made_from.json").touch()
         said = say("report", "run2")[1]
+        answer = {"findings": [{"sentence": "The elbow has dry friction of 0.1 N m."}]}
+        (folder / "run2" / "answer.json").write_text(json.dumps(answer))
+        frozen = say("report", "run2")[1]
     assert "Nothing is decided yet; fits so far: 1. The same command goes on." in said
+    assert "The elbow has dry friction of 0.1 N m.\nThe unseen recordings were not" in frozen
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err

@@ -79,11 +79,19 @@ def _diagnosed(told: Any, folder: Path) -> str:
     return diagnosis_text(told, summary if isinstance(summary, dict) else None, sessions)
 
 
+def _frozen(told: Any, folder: Path) -> str:
+    """Return a diagnosis' answer of which the hold-out was not read yet."""
+    said = [str(f["sentence"]) for f in told["findings"]] or ["Nothing is named."]
+    goes_on = "The unseen recordings were not compared yet. The same command goes on."
+    return "\n".join([*said, goes_on])
+
+
 _ANSWERS: Mapping[str, Callable[[Any, Path], str]] = {
     "identification.json": _identified,
     "learning.json": _learned,
     "comparison.json": _compared,
     "diagnosis.json": _diagnosed,
+    "answer.json": _frozen,
 }
 """The files that hold what a run found, each with what puts it into words."""
 
