@@ -180,7 +180,7 @@ def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet)
     finer = zoomed(grid, history, np.eye(len(grid))[middle], 0)
     assert finer is not None
     candidates, known = finer
-    known = known.told(len(known), bowl(candidates)(len(known)))
+    known = known.with_evaluation(len(known), bowl(candidates)(len(known)))
     whole, cells = joined([Level(grid, history), Level(candidates, known)])
     points = whole.candidates.points
     assert len(np.unique(points, axis=0)) == len(points)
