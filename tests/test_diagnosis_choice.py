@@ -23,6 +23,7 @@ from bo_sysid.diagnosis.answer.hints import (
     holding,
     leaves_much,
     left_sentence,
+    perhaps_nothing,
     unrepeated,
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
@@ -293,7 +294,7 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
         n, p = len(members), sum(c.size for c in members)
         J = 10.0 * np.ones((*best.residual.shape, p))
         return replace(
-            best, hypothesis=hypothesis, groups=(None,) * n, jacobian=J, covariance=np.eye(p),
+            best, hypothesis=hypothesis, groups=(None,) * n, jacobian=J, covariance=1e-12 * np.eye(p),
             unique=(4.0,) * n,
         )  # fmt: skip
 
@@ -324,7 +325,7 @@ def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
     p = sum(c.size for c in members)
     fit = replace(
         best, hypothesis=replace(best.hypothesis, members=tuple(members), x=x), groups=(None, None),
-        jacobian=np.ones((*best.residual.shape, p)), covariance=np.eye(p), unique=sizes,
+        jacobian=np.ones((*best.residual.shape, p)), covariance=1e-12 * np.eye(p), unique=sizes,
     )  # fmt: skip
     assert list(meshing(fit, machine)) == gap
     assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
@@ -351,7 +352,7 @@ def test_a_compliance_that_explains_hardly_more_than_a_late_motor_is_a_hint(
         return replace(
             best, hypothesis=hypothesis, rms=np.sqrt(1.0 + excess), groups=(None,), unique=(4.0,),
             jacobian=np.ones((*best.residual.shape, c.size)),
-            covariance=np.eye(c.size),
+            covariance=1e-12 * np.eye(c.size),
         )  # fmt: skip
 
     soft, other = alone("joint_compliance", "elbow", 0.01), alone(effect, site, 0.01 + more**2)
@@ -377,6 +378,25 @@ def test_names_on_a_machine_with_a_ball_joint_are_hints(friction) -> None:
     assert doubtful(best, hanging)
 
 
+@pytest.mark.parametrize(("half", "held"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("most", [False, True])
+def test_an_effect_whose_interval_holds_zero_is_a_hint(friction, half, held, most) -> None:
+    """Far from the recordings a magnitude at its bound was named with an interval of [0, bound]."""
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    c = candidate(machine, "armature", "elbow")
+    value = c.high[:1] if most else 0.5 * c.high[:1]
+    fit = replace(
+        best, hypothesis=replace(best.hypothesis, members=(c,), x=(value,)), groups=(None,),
+        jacobian=np.zeros((*best.residual.shape, 1)), unique=(9.0,),
+        covariance=np.array([[(half * value[0] / 1.96) ** 2]]),
+    )  # fmt: skip
+    assert perhaps_nothing(fit, machine) == ((c,) if held else ())
+    assert doubtful(fit, machine) == held
+    for said in hints(fit, machine):
+        assert said.startswith("The rotor inertia at the elbow (")
+        assert (", the most that was looked for, may as well be none" in said) == most
+
+
 @pytest.mark.parametrize("swept", [0.9, 1.1])
 def test_cogging_of_which_no_whole_period_was_seen_is_a_hint(friction, swept) -> None:
     best, machine = friction.decision.best, friction.prepared.problem.machine
@@ -384,7 +404,7 @@ def test_cogging_of_which_no_whole_period_was_seen_is_a_hint(friction, swept) ->
     c = candidate(machine, "cogging", "elbow").with_shapes(np.array([2 * np.pi / period]))
     J = np.zeros((*best.residual.shape, c.size))
     hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
-    fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=np.eye(c.size))
+    fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=1e-12 * np.eye(c.size))
     assert unrepeated(fit, machine) == ({"elbow": pytest.approx(period)} if swept < 1 else {})
     said = hints(fit, machine)
     assert [f"Motion of elbow over more than {period:.3g} rad" in s for s in said] == [True] * (

@@ -5,6 +5,7 @@ from math import hypot, inf, pi, sqrt
 
 import numpy as np
 
+from bo_sysid.diagnosis.answer.findings import amount, quantities, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing
@@ -17,6 +18,7 @@ _LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
 _MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
 _SOFT = "joint_compliance"
 _MORE = 0.15  # of a compliance, that it explains more than a late motor does
+_AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
 _STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
 
 
@@ -38,6 +40,7 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
         said.append(_unrepeated_sentence(unseen, machine))
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
+    said += [_nothing_sentence(c, machine, best) for c in perhaps_nothing(best, machine)]
     if best.members and (joints := balls(machine)):
         said.append(_balls_sentence(joints))
     return tuple(said)
@@ -176,6 +179,28 @@ def _meshing_sentence(joints: Sequence[str]) -> str:
     return (
         f"That the motor of {which} is late, and the small effect beside it, may both be a gap in "
         f"the gear: slow reversals of {which} under little torque would tell."
+    )
+
+
+def perhaps_nothing(best: Fit, machine: Machine) -> tuple[Candidate, ...]:
+    """Return the members of a set whose interval holds 0: what they explain, chance may explain.
+
+    So far from the recordings that what is left of them is no noise. Friction that changes in its
+    bend alone is none of them.
+    """
+    pairs = zip(best.members, quantities(best, machine), strict=True)
+    return tuple(c for c, q in pairs if not c.bent and q.interval[0] < 0 < q.interval[1])
+
+
+def _nothing_sentence(c: Candidate, machine: Machine, best: Fit) -> str:
+    """Return in words that an effect may as well not be there."""
+    k = best.members.index(c)
+    size = amount(quantities(best, machine)[k])
+    bound = best.x[k][0] >= c.high[0] - _AT_BOUND * (c.high[0] - c.low[0])
+    end = ", the most that was looked for," if bound else ""
+    return (
+        f"The {c.effect.noun} at {spoken(c.site)} ({size}){end} may as well be none: its interval "
+        "holds 0, beside all that is left unexplained."
     )
 
 
