@@ -294,8 +294,8 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
         n, p = len(members), sum(c.size for c in members)
         J = 10.0 * np.ones((*best.residual.shape, p))
         return replace(
-            best, hypothesis=hypothesis, groups=(None,) * n, jacobian=J, covariance=1e-12 * np.eye(p),
-            unique=(4.0,) * n,
+            best, hypothesis=hypothesis, groups=(None,) * n, jacobian=J, unique=(4.0,) * n,
+            covariance=1e-12 * np.eye(p),
         )  # fmt: skip
 
     assert bending(best) == bending(beside("shoulder")) == ()

@@ -1,5 +1,8 @@
 """In contact time step and magnitudes of the repaired model are those that forecast best."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ import pytest
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.kept_fits import Kept
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
@@ -57,3 +61,21 @@ def test_a_magnitude_that_is_off_comes_to_the_one_that_forecasts_best() -> None:
     assert found.numerics == 1.0
     assert found.x[0][0] == pytest.approx(0.2, abs=0.004)
     assert error(found) < 0.5 * error(off)
+
+
+def test_a_forecast_that_took_long_is_found_again_after_a_kill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bo_sysid.diagnosis.windows.kept_fits._LONG", 0.0)
+    evidence = replace(gathered(bounces(1)), kept=Kept(tmp_path))
+    coarse, fine = Hypothesis(), Hypothesis(numerics=1.0)
+    left = PredictionError(evidence, STEP)(coarse)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bo_sysid.diagnosis.answer.prediction_error.forecast", killed)
+    again = PredictionError(evidence, STEP)
+    assert again(coarse) == left
+    with pytest.raises(KeyboardInterrupt):
+        again(fine)

@@ -251,7 +251,9 @@ def test_in_contact_more_must_be_left_to_be_flagged(
     ready, nominal = magnet
     loud = settled(left_over(nominal, rms))
     assert examine(ready.problem, loud).flagged
-    monkeypatch.setattr("bo_sysid.diagnosis.unexplained.unknown.in_contact", lambda problem: True)
+    monkeypatch.setattr(
+        "bo_sysid.diagnosis.unexplained.unknown.meets_impacts", lambda problem: True
+    )
     assert examine(ready.problem, loud).flagged == in_contact
     assert examine(ready.problem, loud).law is None
     assert examine(ready.problem, settled(nominal)).law.joint == "elbow"

@@ -1,9 +1,10 @@
 """Whether parts of a model can touch, against what MuJoCo's own collision finds."""
 
 import mujoco
+import numpy as np
 import pytest
 
-from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.mjcf.touching import can_touch, comes_and_goes
 
 ALONE = '<body><joint/><geom size=".1"/><geom size=".1"/></body>'
 TWO = (
@@ -36,3 +37,20 @@ def test_it_says_what_mujoco_collides(world: str, rest: str, expected: bool) -> 
     mujoco.mj_forward(model, data)  # every geom lies at the origin
     assert (data.ncon > 0) is expected
     assert can_touch(model) is expected
+
+
+@pytest.mark.parametrize("noise", [0.0, 5e-4])
+@pytest.mark.parametrize(("hop", "goes"), [(0.0, False), (0.01, True)])
+def test_a_contact_lasts_where_only_noise_lifts_it(noise: float, hop: float, goes: bool) -> None:
+    """A ball that rolls on a floor, and may hop a centimetre high in a tenth of the time."""
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{FLOOR}"
+        '<body><joint type="slide"/><joint type="slide" axis="1 0 0"/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    t, rng = np.linspace(0, 1, 500), np.random.default_rng(0)
+    height = 0.1 - 1e-5 + hop * np.maximum(np.sin(np.pi * np.clip(10 * t - 4, 0, 1)), 0)
+    true = np.stack([height, np.sin(6 * t)], axis=1)
+    poses = true + noise * rng.standard_normal(true.shape)
+    moved = poses + noise * rng.standard_normal(true.shape)
+    assert comes_and_goes(model, poses, moved) is goes

@@ -196,7 +196,7 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
         if content["version"] != _VERSION:
             raise ModelError(f"{path}: version {content['version']}; this one reads {_VERSION}")
         told = content["machine"]
-        tables = {
+        tables: dict[str, Any] = {
             name: MappingProxyType({k: _scale(made, v) for k, v in told[name].items()})
             for name, made in _TABLES.items()
         }

@@ -150,6 +150,7 @@ class Machine:
         sampling: median sampling interval of the recordings in [s].
         duration: length of the longest recording in [s].
         scales: of every channel that all recordings have, by name.
+        impacts: whether contacts may come and go as it moves.
     """
 
     model: mujoco.MjModel
@@ -161,6 +162,7 @@ class Machine:
     sampling: float
     duration: float
     scales: Mapping[str, ChannelScale]
+    impacts: bool = False
 
     @property
     def inputs(self) -> tuple[str, ...]:

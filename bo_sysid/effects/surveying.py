@@ -15,6 +15,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
+from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import stretches
 
@@ -73,6 +74,7 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
         float(max((r.span[1] - r.span[0] for r in recordings), default=0.0)),
         MappingProxyType(scales),
+        can_touch(model),
     )
 
 

@@ -6,6 +6,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+_NO_DISTANCE = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF))
+_FAR = 1.0  # [m] beyond which distances are not told apart
+_NOISE, _APART = 5.0, 1e-4  # times the noise of a distance, and [m], from which geoms are apart
+_RARELY = 1e-3  # of the poses, in which they may seem so
+
 
 def can_touch(model: mujoco.MjModel) -> bool:
     """Return whether MuJoCo would let any two geoms of a compiled model collide."""
@@ -40,6 +45,48 @@ def _touches(model: mujoco.MjModel, poses: Float[np.ndarray, "W nq"]) -> Iterato
         data.qpos[:] = pose
         mujoco.mj_fwdPosition(model, data)
         yield data.ncon > 0
+
+
+def comes_and_goes(
+    model: mujoco.MjModel,
+    poses: Float[np.ndarray, "W nq"],
+    moved: Float[np.ndarray, "W nq"],
+) -> bool:
+    """Return whether any geoms that touch in some poses are apart in others.
+
+    As the tyres of a wheeled robot are not. How far they seem to be apart by the noise of the poses
+    alone is told by poses with more such noise.
+
+    Args:
+        model: the model.
+        poses: positions as they were recorded.
+        moved: the same with as much noise again.
+    """
+    data, found = mujoco.MjData(model), set[tuple[int, int]]()
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(model, data)
+        found.update(map(tuple, np.sort(data.contact.geom[: data.ncon], axis=1).tolist()))
+    for one, other in found:
+        if {model.geom_type[one], model.geom_type[other]} & set(_NO_DISTANCE):
+            return True
+        apart, noisy = (_distances(model, data, one, other, p) for p in (poses, moved))
+        far = apart > _NOISE * np.std(noisy - apart) + _APART
+        if far.mean() > _RARELY:
+            return True
+    return False
+
+
+def _distances(
+    model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int, poses: np.ndarray
+) -> Float[np.ndarray, " W"]:
+    """Return how far two geoms are apart in [m], negative where one is in the other."""
+    found = np.empty(len(poses))
+    for k, pose in enumerate(poses):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        found[k] = mujoco.mj_geomDistance(model, data, one, other, _FAR, None)
+    return found
 
 
 def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:

@@ -27,7 +27,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import coarsened
-from bo_sysid.diagnosis.windows.windowing import in_contact
+from bo_sysid.diagnosis.windows.windowing import meets_impacts
 from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 
@@ -127,7 +127,7 @@ def explain(located: Located) -> Outcome:
     """Keep the names that hold beside a flexible law, and learn that law where one is needed."""
     decision, problem = located.decision, located.prepared.problem
     fit, sessions, unknown, unexplained, disputed = _held(located)
-    error = _forecast_error(located) if unknown.flagged or in_contact(problem) else None
+    error = _forecast_error(located) if unknown.flagged or meets_impacts(problem) else None
     nominal = decision.nominal
     refitted = _stepped(located, nominal.hypothesis, nominal.rms, error)
     alone, found = _law_alone(located, error, rivals=unknown.flagged)
@@ -221,7 +221,7 @@ def _better(
 
 def _fitted(located: Located, fit: Fit, error: PredictionError | None) -> tuple[Fit, Hypothesis]:
     """Return a fit, in contact with the magnitudes that forecast best, and its hypothesis."""
-    if error is None or not in_contact(located.prepared.problem):
+    if error is None or not meets_impacts(located.prepared.problem):
         return fit, _stepped(located, fit.hypothesis, fit.rms, error)
     fit = replace(fit, hypothesis=error.fitted(fit.hypothesis))
     return fit, fit.hypothesis
@@ -278,7 +278,7 @@ def _learned(
             break
     rms, law, clue = min(tried, key=itemgetter(0))
     much = rms > ROUGH and rms**2 - 1.0 > _MOST_LEFT * fit.excess
-    if much and len(problem.machine.joints) > 1 and not in_contact(problem):
+    if much and len(problem.machine.joints) > 1 and not meets_impacts(problem):
         clue = replace(clue, tells=False)
     return _stepped(located, law, rms, error), clue
 
@@ -291,7 +291,7 @@ def _stepped(
     In contact forecasts tell the step.
     """
     problem = located.prepared.problem
-    if error is not None and in_contact(problem):
+    if error is not None and meets_impacts(problem):
         return error.stepped(hypothesis)
     own = problem.windows.timestep == problem.machine.model.opt.timestep  # else it is fine already
     return coarsened(hypothesis, located.prepared.step_rms / max(rms, 1.0), finest=own)
@@ -311,7 +311,7 @@ def _agreed(located: Located, fit: Fit) -> tuple[Fit, Sessions]:
         fit = _without(located, fit, kept)
         sessions = by_recording(located.prepared.problem, fit)
     covariance = sessions.stated
-    if in_contact(located.prepared.problem):  # stretches also differ by what recordings do
+    if meets_impacts(located.prepared.problem):  # stretches also differ by what recordings do
         covariance = np.maximum(covariance, by_stretch(located.prepared.problem, fit))
     fit = replace(fit, covariance=covariance)
     return with_shapes_unsure(located.prepared.problem, located.search.frame.Q, fit), sessions

@@ -18,7 +18,7 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
 from bo_sysid.diagnosis.windows.timestep import shares
-from bo_sysid.diagnosis.windows.windowing import in_contact
+from bo_sysid.diagnosis.windows.windowing import meets_impacts
 
 _WINDOWS, _MORE_WINDOWS = 24, 120  # of the training recordings in contact, elsewhere
 _FLOOR = 1e-2  # [sigma²] of a window that leaves nothing
@@ -42,11 +42,18 @@ class PredictionError:
             evidence.model, evidence.machine, evidence.recordings, evidence.sigma, past=PAST,
             ahead=AHEAD, timestep=timestep, engine=evidence.engine, laws=evidence.laws,
         )  # fmt: skip
-        self._touching = in_contact(problem)
+        self._touching = meets_impacts(problem)
         count = _WINDOWS if self._touching else _MORE_WINDOWS
         self._problem = problem.rows(problem.windows.evenly(count))
+        self._kept = evidence.kept
 
     def __call__(self, hypothesis: Hypothesis) -> float:
+        """Return what forecasts leave, in sigma; one that took long is found again after a kill."""
+        made_from = ("forecasts", self._problem.identity, hypothesis.identity)
+        found = self._kept.arrays(made_from, lambda: {"left": np.array(self._left(hypothesis))})
+        return float(found["left"])
+
+    def _left(self, hypothesis: Hypothesis) -> float:
         """Return the rms of a forecast over all windows, in contact its geometric mean, in sigma.
 
         Geometric, since a few windows end on the other side of an impact whatever is supposed, and

@@ -6,7 +6,6 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.cross_validation import cross_validated
 from bo_sysid.diagnosis.sets.rules import admissible, ranked
 from bo_sysid.diagnosis.windows.problem import ROUGH
-from bo_sysid.mjcf.touching import can_touch
 
 
 def simulate_blocks(search: Search) -> None:
@@ -16,7 +15,7 @@ def simulate_blocks(search: Search) -> None:
     of all blocks than another does of blocks that it was not fitted to. Not in contact, where every
     window is fitted by itself and five more fits of each set would take as long as the search.
     """
-    if can_touch(search.prepared.problem.machine.model):
+    if search.prepared.problem.machine.impacts:
         return
     fits = tuple(search.fits.values())
     for f in (f for f in ranked(fits, search.prior) if admissible(f, search.nominal, fits)):

@@ -16,7 +16,6 @@ from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, lost, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
-from bo_sysid.mjcf.touching import can_touch
 
 _FINALISTS = 5
 _FAR = 2.0  # times what the leader leaves
@@ -182,7 +181,7 @@ def _effects(fit: Fit) -> Names:
 
 def _bent_anew(final: Search) -> None:
     """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
-    leader, smooth = final.best, not can_touch(final.prepared.problem.machine.model)
+    leader, smooth = final.best, not final.prepared.problem.machine.impacts
     decided = clean(leader) or lost(leader, final.nominal)
     if smooth and rubbing(leader) and not decided:
         vary(final, leader)

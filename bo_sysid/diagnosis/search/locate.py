@@ -24,8 +24,7 @@ from bo_sysid.diagnosis.sets.meshing import meshing
 from bo_sysid.diagnosis.sets.rules import clean, follows, lost
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
-from bo_sysid.diagnosis.windows.windowing import Prepared, in_contact, prepare
-from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare
 
 _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps at half
 _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
@@ -111,7 +110,7 @@ def _searched(
     step = evidence.machine.model.opt.timestep
     horizon = stable(evidence, full, step)
     prepared, length = tractable(evidence, horizon, step)
-    if length == horizon or in_contact(prepared.problem):
+    if length == horizon or meets_impacts(prepared.problem):
         prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
@@ -149,7 +148,7 @@ def _short_enough(
 ) -> tuple[Prepared, float]:
     """Halve the time step until a finer one changes little."""
     most, halvings = _LONG_STEP, _HALVINGS
-    if in_contact(prepared.problem):
+    if meets_impacts(prepared.problem):
         most, halvings = _LONG_STEP_IN_CONTACT, _HALVINGS_IN_CONTACT
     for _ in range(halvings):
         if prepared.correction_rms <= most:
@@ -195,7 +194,7 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
     problem, division = search.prepared.problem, 1
     if problem.loose(leader.hypothesis):
         division = _GAP_DIVISION
-    elif _bends(leader) and not can_touch(problem.machine.model):
+    elif _bends(leader) and not problem.machine.impacts:
         division = _BRISTLES_DIVISION
     return min(step, float(problem.machine.model.opt.timestep) / division)
 
@@ -209,7 +208,7 @@ def with_meshed_sets(evidence: Evidence, search: Search, length: int) -> Search:
     """Search on with a gap where that is what makes a motor late, at the step that it needs."""
     leader, machine = search.best, search.prepared.problem.machine
     joints = meshing(leader, machine)
-    if can_touch(machine.model) or not joints:
+    if machine.impacts or not joints:
         return search
     step = float(machine.model.opt.timestep) / _GAP_DIVISION
     made = carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis), _CARRIED)

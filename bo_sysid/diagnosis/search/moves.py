@@ -24,7 +24,6 @@ from bo_sysid.diagnosis.sets.rules import (
 )
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared
-from bo_sysid.mjcf.touching import can_touch
 
 _ELIMINATIONS = 14  # members that are left out, at most
 _NEARER = 0.97  # of what a set leaves far off, that a round must come below
@@ -44,7 +43,7 @@ def explore(search: Search, rounds: int = 5) -> Fit:
         extend_first(search, leader)
         leader = search.best if search.best.key == leader.key else _followed(search, rounds)
     problem = search.prepared.problem
-    if not (clean(leader) or can_touch(problem.machine.model)):
+    if not (clean(leader) or problem.machine.impacts):
         if leader.rms < ROUGH and problem.loose(leader.hypothesis):
             soften(search, leader)
         else:
@@ -138,7 +137,7 @@ def eliminate(search: Search) -> None:
     set that stayed on the far side of an impact makes anything that leads across look needed. So
     are members fitted that stay for what leaving them out costs alone.
     """
-    touching = can_touch(search.prepared.problem.machine.model)
+    touching = search.prepared.problem.machine.impacts
     done: set[tuple[object, object]] = set()
     for _ in range(_ELIMINATIONS):
         for f in ranked(search.fits.values(), search.prior):

@@ -13,7 +13,6 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.windowing import Prepared, prepare, settled
-from bo_sysid.mjcf.touching import can_touch
 
 _MOST = 6  # times at most that a set is linearised anew on all windows
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
@@ -80,7 +79,7 @@ def stepped_finer(
         horizon: their length in instants.
         doing: told what is fitted, before it is.
     """
-    if not leader.members or leader.rms > ROUGH or can_touch(evidence.machine.model):
+    if not leader.members or leader.rms > ROUGH or evidence.machine.impacts:
         return leader, prepared
     varies = np.sqrt(2.0 / prepared.problem.dof)  # rms² of n numbers, by noise alone
     for _ in range(_HALVINGS):
@@ -112,7 +111,7 @@ def _times(fit: Fit, problem: Problem) -> int:
 
     Once in contact: how much each window says is found anew with every linear model there.
     """
-    most = 1 if can_touch(problem.machine.model) else _MOST
+    most = 1 if problem.machine.impacts else _MOST
     return most if fit.members else 0
 
 

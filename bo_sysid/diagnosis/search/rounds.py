@@ -20,7 +20,6 @@ from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.subsets import Scored
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
-from bo_sysid.mjcf.touching import can_touch
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round
 _TOP_GROUPED = {1: 3, 2: 3, 3: 3}
@@ -113,7 +112,7 @@ def substitute(search: Search, base: Fit) -> None:
     In contact also what was fitted before and leaves more than the set: it may have come from
     starts on the far side of an impact.
     """
-    screen, touching = search.screened(base), can_touch(search.prepared.problem.machine.model)
+    screen, touching = search.screened(base), search.prepared.problem.machine.impacts
     effort = replace(FINAL, rival=base.rms)
     parts = [p for u in units_of(base) for p in ([u] if len(u) > _PAIR else [(k,) for k in u])]
     for part in parts:

@@ -8,7 +8,6 @@ from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.windowing import Prepared, nothing, prepare
-from bo_sysid.mjcf.touching import can_touch
 
 LEAST = 6
 """Instants in the shortest window."""
@@ -39,7 +38,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
     count = max(int(whole / horizon), 1)
     stride = max(round(count / _WINDOWS), 1)
     if everything:
-        most = _MOST_IN_CONTACT if can_touch(evidence.machine.model) else _MOST
+        most = _MOST_IN_CONTACT if evidence.machine.impacts else _MOST
         stride = -(-count // (most * _WINDOWS))
     return cut_problem(
         evidence.model,

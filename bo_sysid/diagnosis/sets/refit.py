@@ -19,7 +19,6 @@ from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
-from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothing to speak of
@@ -152,7 +151,7 @@ def _fitted(
     point = _settled(frame, space, point)
     at = space.hypothesis(point.theta)
     resting = effort.final and effort.resting and held_joints(problem, at)
-    if can_touch(problem.machine.model) or resting:
+    if problem.machine.impacts or resting:
         point, S = _caught_up(frame, space, point, S, effort)
     return point, S
 

@@ -19,7 +19,7 @@ from bo_sysid.diagnosis.unexplained.left_out import LeftOut
 from bo_sysid.diagnosis.windows.hypothesis import slices_of
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
-from bo_sysid.diagnosis.windows.windowing import in_contact
+from bo_sysid.diagnosis.windows.windowing import meets_impacts
 from bo_sysid.effects.learned import Feature, features
 
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
@@ -89,7 +89,7 @@ def examine(problem: Problem, decision: Decision) -> Unknown:
     clues = sorted(found, key=lambda c: -c.gain)
     most = clues[0].gain if clues else 0.0
     need = max(_GAIN, _RELATIVE * nominal.excess)
-    if in_contact(problem):  # impacts leave something whatever the model
+    if meets_impacts(problem):  # impacts leave something whatever the model
         elsewhere = max((c.gain for c in clues if c.joint != clues[0].joint), default=0.0)
         loose = np.sqrt(best.excess) > _LOOSE_IN_CONTACT
         need = max(need, _BETWEEN_IMPACTS * best.excess, _STANDS_OUT * elsewhere)

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.windows.fitted_starts import FittedStarts
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
-from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import State
 
 _WORTH = 1e-3  # of what a window leaves beyond noise, for which starts to judge by are moved
@@ -35,7 +34,7 @@ def estimated(
     found.fit()
     for start in more:
         found.tried(np.arange(len(first)), start)
-    if can_touch(problem.machine.model):
+    if problem.machine.impacts:
         found.grown()
         found.scattered()
     if resting:
@@ -61,7 +60,7 @@ def caught_up(
         start: starts so far.
     """
     found = FittedStarts(problem, hypothesis, start, 1)
-    if can_touch(problem.machine.model):
+    if problem.machine.impacts:
         found.grown()
         found.scattered()
     else:

@@ -15,19 +15,18 @@ from bo_sysid.diagnosis.windows.hypothesis import (
 )
 from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.law_controls import driven
+from bo_sysid.diagnosis.windows.recorded_contact import as_it_moved, meets_impacts
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
-from bo_sysid.mjcf.touching import can_touch, ever_touching
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 _WINDOW = 0.3  # [s]
-_APART = 2e-3  # [s] between recorded poses in which geoms may touch
 _OTHER_RATE = 1.5  # times an interval between samples, which is another rate
-_CONTACT_WINDOW = 0.1  # [s] of a window where geoms can touch
+_CONTACT_WINDOW = 0.1  # [s] of a window where impacts decide
 
 
 @dataclass(frozen=True)
@@ -78,10 +77,14 @@ class Evidence:
         return (*said, *rates_note(self.recordings, self.model))
 
     def as_it_moved(self, recordings: Sequence[Recording]) -> "Evidence":
-        """Return the same with contact, where it was left out and something touches in others."""
-        if self.model is self.given or _as_it_moved(self.given, recordings) is not self.given:
+        """Return the same with the contact and the impacts of others, where it has none so far."""
+        touched = as_it_moved(self.given, recordings) is self.given
+        if self.model is not self.given and not touched:
             return self
-        whole = replace(self.machine, model=self.given.compile())
+        impacts = self.machine.impacts or meets_impacts(self.given, recordings, self.sigma)
+        if self.model is self.given and impacts == self.machine.impacts:
+            return self
+        whole = replace(self.machine, model=self.given.compile(), impacts=impacts)
         return replace(self, model=self.given, machine=whole)
 
     @property
@@ -109,8 +112,8 @@ def rates_note(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]
 
 
 def _window(machine: Machine) -> float:
-    """Return the length of a window: short where contact soon decides, else long."""
-    return _CONTACT_WINDOW if can_touch(machine.model) else _WINDOW
+    """Return the length of a window: short where impacts soon decide, else long."""
+    return _CONTACT_WINDOW if machine.impacts else _WINDOW
 
 
 def make_evidence(
@@ -144,12 +147,13 @@ def make_evidence(
         RecordingError: no joint's position was recorded, or none moves.
         ModelError: an address of `known` matches nothing.
     """
-    given, model = model, _as_it_moved(model, recordings)
+    given, model = model, as_it_moved(model, recordings)
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
     wanted = tuple(CATALOGUE.values()) if effects is None else effects
     wanted = [e for e in wanted if e.family != "numerics"]  # fits take the step along as it is
     sigma = channel_noise(recordings, machine, noise or {})
+    machine = replace(machine, impacts=meets_impacts(model, recordings, sigma))
     offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
     return Evidence(
         model,
@@ -165,26 +169,6 @@ def make_evidence(
         tuple(laws),
         kept,
     )
-
-
-def _as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
-    """Return the model without contact, where none of its geoms touched as the machine moved.
-
-    Most robots' geoms can touch, and most motion is free: where impacts decide nothing, windows may
-    be long and slopes tell magnitudes. Where a coordinate was not recorded nothing is known.
-    """
-    compiled = model.compile()
-    if not can_touch(compiled):
-        return model
-    for r in recordings:
-        if not all(n in r.channels for n in model.qpos_channels):
-            return model
-        stamps = np.concatenate([r.channels[n].time for n in model.qpos_channels])
-        time = stamps[np.unique(np.floor(stamps / _APART), return_index=True)[1]]
-        poses = np.stack([r.channels[n].at(time) for n in model.qpos_channels], axis=1)
-        if ever_touching(compiled, poses):
-            return model
-    return model.without_contact()
 
 
 def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:

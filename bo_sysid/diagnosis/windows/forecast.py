@@ -19,7 +19,6 @@ from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import instants_in
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State
@@ -102,7 +101,7 @@ def noise_floor(problem: Problem, past: int, hypothesis: Hypothesis, errors: Err
     a joint, no slope holds over a window: there what the hypothesis predicts from its starts is
     seen through new noise, and forecast.
     """
-    if can_touch(problem.machine.model) or held_joints(problem, hypothesis):
+    if problem.machine.impacts or held_joints(problem, hypothesis):
         return forecast(_redrawn(problem, hypothesis, errors.start), past, hypothesis).ahead
     return _floor(problem, past, _plain(hypothesis), errors)
 

@@ -18,7 +18,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.settling import better_of, settle
 from bo_sysid.diagnosis.windows.timestep import FINER
 from bo_sysid.errors import ModelError
-from bo_sysid.mjcf.touching import can_touch, touching
+from bo_sysid.mjcf.touching import touching
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
@@ -67,7 +67,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     """
     at = at or nothing(problem)
     _require_finite(problem, at, problem.windows.start)
-    linear, contact = _begun(problem, at, known), can_touch(problem.machine.model)
+    linear, contact = _begun(problem, at, known), problem.machine.impacts
     if contact:
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
@@ -145,6 +145,11 @@ def nothing(problem: Problem) -> Hypothesis:
 def in_contact(problem: Problem) -> bool:
     """Whether geoms touch at the beginning of more than a few windows."""
     return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
+
+
+def meets_impacts(problem: Problem) -> bool:
+    """Whether that is so and contacts come and go: the instants at which they do decide much."""
+    return problem.machine.impacts and in_contact(problem)
 
 
 def weighted_by_chaos(linear: Linear) -> Problem:
