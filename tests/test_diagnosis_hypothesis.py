@@ -222,3 +222,28 @@ def test_contact_counts_where_the_machine_came_to_touch(
     assert can_touch(evidence.given.compile())
     assert bool(evidence.notes) is not contact
     assert (evidence.window < 0.2) is contact
+
+
+@pytest.mark.parametrize(("hop", "window"), [(0.0, 0.3), (0.02, 0.1)])
+def test_windows_are_long_where_a_contact_lasts(hop: float, window: float) -> None:
+    """A ball rolls on the floor; impacts decide where it hops, in what is set aside as well."""
+    model = Model.from_xml(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="5 5 .1"/>'
+        '<body name="ball"><joint name="z" type="slide" axis="0 0 1"/>'
+        '<joint name="x" type="slide" axis="1 0 0"/><geom name="ball" size=".05"/></body>'
+        '</worldbody><actuator><motor name="push" joint="x"/></actuator></mujoco>'
+    )
+
+    def rolling(hop: float) -> Recording:
+        time, rng = np.arange(0, 4, 0.005), np.random.default_rng(0)
+        z = 0.05 + hop * np.maximum(0, np.sin(3 * time)) + 2e-4 * rng.standard_normal(time.size)
+        return Recording.from_arrays(
+            time, qpos={"x": np.sin(2 * time), "z": z}, ctrl={"push": 0 * time}
+        )
+
+    evidence = make_evidence(model, [rolling(hop)], effects=(), threads=1)
+    assert evidence.model is model  # contact is simulated
+    assert evidence.window == window
+    assert evidence.machine.impacts is (hop > 0)
+    assert evidence.as_it_moved([rolling(0.02)]).machine.impacts
+    assert evidence.as_it_moved([rolling(0.0)]) is evidence
