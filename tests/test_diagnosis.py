@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.diagnosis.answer.holdout import judge
-from bo_sysid.diagnosis.diagnose import effects_without_site, gather, parameters_out_of_bounds
+from bo_sysid.diagnosis.answer.notes import effects_without_site, parameters_out_of_bounds
+from bo_sysid.diagnosis.diagnose import gather
 from bo_sysid.diagnosis.windows.evidence import rates_note
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError

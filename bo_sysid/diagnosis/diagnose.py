@@ -4,17 +4,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.motion import range_flags
-from bo_sysid.checks.sensitivity import bounds_flags
 from bo_sysid.diagnosis.answer.answer import Answer, make_answer
 from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.answer.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.answer.holdout import Holdout, judge
+from bo_sysid.diagnosis.answer.notes import of_study, of_training, of_unseen
 from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.diagnosis.answer.sentences import (
@@ -28,19 +27,17 @@ from bo_sysid.diagnosis.answer.sentences import (
 from bo_sysid.diagnosis.answer.tables import bent_pose, sets
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
-from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence, rates_note
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
-from bo_sysid.mjcf import nominal
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
 from bo_sysid.simulation.of_study import study_laws
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import (
-    held_notes,
     load_holdout,
     load_model,
     load_train,
@@ -193,11 +190,10 @@ def diagnose(
     tell.doing("forecasts of the unseen recordings")
     unseen = load_holdout(study, strict=strict)
     holdout = judge(evidence, outcome, unseen)
-    said = [note for recording in evidence.recordings for note in recording.notes]
-    left_out = located.prepared.problem.windows.left_out
-    short = [f"The hold-out {name} is too short for a forecast." for name in holdout.short]
-    told = (*effects_without_site(study, evidence), *parameters_out_of_bounds(study, evidence))
-    told = (*told, *notes, *held_notes(study), *rates_note(unseen, evidence.model), *short)
+    said = [
+        *of_study(study, evidence), *notes, *of_unseen(study, evidence, unseen, holdout),
+        *evidence.notes, *outside, *of_training(located),
+    ]  # fmt: skip
     result = Diagnosis(
         study.name,
         answer,
@@ -207,14 +203,11 @@ def diagnose(
         outcome,
         evidence,
         searched,
-        tuple(dict.fromkeys((*told, *evidence.notes, *outside, *left_out, *said))),
+        tuple(dict.fromkeys(said)),
         contact,
     )
     if run is not None:
-        run.write_json("diagnosis.json", result.as_json())
-        run.write_frame("holdout.parquet", result.errors)
-        run.write_frame("sessions.parquet", result.sessions)
-        _pictures(run, result)
+        _write(run, result)
         kept.clear()
     tell(result.verdict)
     return result
@@ -225,34 +218,6 @@ def _kept(study: Study, run: Run | None, strict: bool) -> Kept:
     return NOTHING_KEPT if run is None else Kept.of(run, made_from(study, strict=strict))
 
 
-def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
-    """Return which effects a study asks for by name that none of the candidates is."""
-    asked = study.diagnosis.effects
-    if asked == "all":
-        return ()
-    found = {c.effect.id for c in evidence.candidates}
-    wanted = chosen(study_effects(study), asked, study.diagnosis.exclude)
-    missing = [e.id for e in wanted if e.id not in found and e.family in ("physics", "sensing")]
-    sites = "nowhere in this model as it was recorded"
-    if study.diagnosis.known:
-        sites += ", or would change what is known"
-    said = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
-    if any(e.family == "numerics" for e in wanted):
-        said.append(
-            "The time step is no finding: every fit takes a finer one along, and a note "
-            "says where it shows."
-        )
-    return tuple(said)
-
-
-def parameters_out_of_bounds(study: Study, evidence: Evidence) -> tuple[str, ...]:
-    """Return the parameters whose bounds leave out the model's own value, and what is done then."""
-    parameters = study.parameter_set(evidence.given)
-    own = np.array([nominal(evidence.given, p) for p in parameters])
-    said = (flag.sentence for flag in bounds_flags(parameters, own))
-    return tuple(f"{sentence} Values between are fitted as well." for sentence in said)
-
-
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
     """Return the machine with the model in which only the study's parameters were fitted."""
     own = replace(hypothesis, members=(), x=())
@@ -260,8 +225,11 @@ def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
     return replace(evidence.machine, model=evidence.model.compile(edits))
 
 
-def _pictures(run: Run, result: Diagnosis) -> None:
-    """Write what the pictures of a diagnosis show, and its words."""
+def _write(run: Run, result: Diagnosis) -> None:
+    """Write the answer, the tables, what the pictures show, and the words."""
+    run.write_json("diagnosis.json", result.as_json())
+    run.write_frame("holdout.parquet", result.errors)
+    run.write_frame("sessions.parquet", result.sessions)
     run.write_frame("traces.parquet", result.holdout.traces)
     outcome = result.outcome
     forces = missing_force(result.evidence, outcome.repaired, outcome.timestep)

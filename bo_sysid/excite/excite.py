@@ -78,22 +78,9 @@ def excite(
     if report is not None:
         report(0, np.inf)
     model = load_model(study)
-    if not model.controlled:
-        raise study.error(
-            ("model",),
-            f"excite plans controls, and {model.source} has no actuator; add its motors (a URDF "
-            "has none: save it as MJCF, with <motor joint=…/> under <actuator>)",
-        )
-    if study.actuators:
-        raise study.error(
-            ("actuators",), "excite cannot plan through a law in Python; leave it out"
-        )
+    _require_controls(study, model)
     laws, notes = _beside(study, model)
-    parameters = study.parameter_set(model)
-    if effects:
-        parameters = (*parameters, *catalogue_parameters(model, parameters))
-    if not parameters:
-        raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
+    parameters = _parameters(study, model, effects)
     noise = _noise(study, model)
     require_limits(study, model)
     limits = Limits.of(model, study.limits)
@@ -118,6 +105,29 @@ def excite(
         float(trial.energy(controls)),
         tuple(notes),
     )
+
+
+def _require_controls(study: Study, model: Model) -> None:
+    if not model.controlled:
+        raise study.error(
+            ("model",),
+            f"excite plans controls, and {model.source} has no actuator; add its motors (a URDF "
+            "has none: save it as MJCF, with <motor joint=…/> under <actuator>)",
+        )
+    if study.actuators:
+        raise study.error(
+            ("actuators",), "excite cannot plan through a law in Python; leave it out"
+        )
+
+
+def _parameters(study: Study, model: Model, effects: bool) -> tuple[Parameter, ...]:
+    """Return what the trajectory is to tell."""
+    parameters = study.parameter_set(model)
+    if effects:
+        parameters = (*parameters, *catalogue_parameters(model, parameters))
+    if not parameters:
+        raise study.error(("parameters",), "excite needs parameters to be known (or --effects)")
+    return parameters
 
 
 def _noise(study: Study, model: Model) -> dict[str, float]:

@@ -28,6 +28,17 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
         raise UserError(f"--port {port}: must be from 0 (any that is free) to {_LARGEST}")
     page(folder)  # tells at once what is wrong with the folder
 
+    try:
+        return ThreadingHTTPServer((HOST, port), _answering(folder))
+    except OSError as error:
+        raise UserError(
+            f"--port {port}: {error.strerror or error}; name another one, or 0 for any that is free"
+        ) from None
+
+
+def _answering(folder: Path) -> type[BaseHTTPRequestHandler]:
+    """Return the handler that answers with what is in a folder."""
+
     class Handler(BaseHTTPRequestHandler):
         """Answers with the page, with its version, or with a file that the page links to."""
 
@@ -67,12 +78,7 @@ def make_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
             self.end_headers()
             self.wfile.write(content)
 
-    try:
-        return ThreadingHTTPServer((HOST, port), Handler)
-    except OSError as error:
-        raise UserError(
-            f"--port {port}: {error.strerror or error}; name another one, or 0 for any that is free"
-        ) from None
+    return Handler
 
 
 def version(folder: Path) -> str:

@@ -1,0 +1,62 @@
+"""What was done to study and recordings, and what was not looked for, in words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bo_sysid.checks.sensitivity import bounds_flags
+from bo_sysid.diagnosis.answer.holdout import Holdout
+from bo_sysid.diagnosis.search.locate import Located
+from bo_sysid.diagnosis.windows.evidence import Evidence, rates_note
+from bo_sysid.effects import chosen
+from bo_sysid.mjcf import nominal
+from bo_sysid.recording import Recording
+from bo_sysid.study import Study
+from bo_sysid.study.inputs import held_notes, study_effects
+
+
+def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
+    """Return what is not as a study asks."""
+    return (*effects_without_site(study, evidence), *parameters_out_of_bounds(study, evidence))
+
+
+def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
+    """Return which effects a study asks for by name that none of the candidates is."""
+    asked = study.diagnosis.effects
+    if asked == "all":
+        return ()
+    found = {c.effect.id for c in evidence.candidates}
+    wanted = chosen(study_effects(study), asked, study.diagnosis.exclude)
+    missing = [e.id for e in wanted if e.id not in found and e.family in ("physics", "sensing")]
+    sites = "nowhere in this model as it was recorded"
+    if study.diagnosis.known:
+        sites += ", or would change what is known"
+    said = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
+    if any(e.family == "numerics" for e in wanted):
+        said.append(
+            "The time step is no finding: every fit takes a finer one along, and a note "
+            "says where it shows."
+        )
+    return tuple(said)
+
+
+def parameters_out_of_bounds(study: Study, evidence: Evidence) -> tuple[str, ...]:
+    """Return the parameters whose bounds leave out the model's own value, and what is done then."""
+    parameters = study.parameter_set(evidence.given)
+    own = np.array([nominal(evidence.given, p) for p in parameters])
+    said = (flag.sentence for flag in bounds_flags(parameters, own))
+    return tuple(f"{sentence} Values between are fitted as well." for sentence in said)
+
+
+def of_unseen(
+    study: Study, evidence: Evidence, unseen: Sequence[Recording], holdout: Holdout
+) -> tuple[str, ...]:
+    """Return which recordings were set aside, how they differ, and what they are too short for."""
+    short = (f"The hold-out {name} is too short for a forecast." for name in holdout.short)
+    return (*held_notes(study), *rates_note(unseen, evidence.model), *short)
+
+
+def of_training(located: Located) -> tuple[str, ...]:
+    """Return what was left out of the training recordings, and what was done to read them."""
+    said = (note for recording in located.evidence.recordings for note in recording.notes)
+    return (*located.prepared.problem.windows.left_out, *said)
