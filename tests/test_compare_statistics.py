@@ -77,6 +77,7 @@ def test_ratios_are_geometric_means_of_pairs() -> None:
                         "arm": arm,
                         "seed": seed,
                         "level": 0.0,
+                        "reached": (arm, seed) != ("half", 3),
                         "evaluations": count,
                     }
                 )
@@ -85,7 +86,7 @@ def test_ratios_are_geometric_means_of_pairs() -> None:
     wide = spent.pivot_table(index=["problem", "seed"], columns="arm", values="evaluations")
     logs = np.log(wide["half"] / wide["one"])
     both = found.loc[("half", "all")]
-    assert both["pairs"] == 24
+    assert (both["pairs"], both["unreached"]) == (24, 2)
     assert both["ratio"] == pytest.approx(np.exp(logs.mean()))
     assert both["low"] < both["ratio"] < both["high"] < 0.7
     assert both["p"] == pytest.approx(wilcoxon(logs, zero_method="zsplit").pvalue)

@@ -190,7 +190,7 @@ def _gathered(
 def _write(run: Run, study: Study, arms: tuple[Arm, ...], found: Comparison) -> None:
     for name in ("paths", "costs", "summary", "paired", "agreement", "ends"):
         frame = getattr(found, name)
-        if len(frame):
+        if len(frame.columns):
             run.write_frame(f"{name}.parquet", frame)
     runs = found.paths[["problem", "arm", "seed"]].drop_duplicates()
     run.write_json(

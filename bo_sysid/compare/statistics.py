@@ -104,27 +104,30 @@ def paired(spent: pd.DataFrame, units: Sequence[str], reference: str) -> pd.Data
         reference: the arm that the others are compared with.
 
     Returns:
-        One row a problem (and "all" of them together), arm, level and unit: pairs, ratio (the
-        geometric mean of arm over reference; below 1 the arm is cheaper), low, high (bootstrap,
-        95 %), p (Wilcoxon signed-rank, two-sided; 1 where all pairs are equal).
+        One row a problem (and "all" of them together), arm, level and unit: pairs, unreached (of
+        them, in which one run or both did not get to the level), ratio (the geometric mean of arm
+        over reference; below 1 the arm is cheaper), low, high (bootstrap, 95 %), p (Wilcoxon
+        signed-rank, two-sided; 1 where all pairs are equal).
     """
     index = ["problem", "seed", "level"]
-    theirs = spent[spent["arm"] == reference].set_index(index)[list(units)]
+    theirs = spent[spent["arm"] == reference].set_index(index)
     rows = []
     for arm in spent["arm"].drop_duplicates():
         if arm == reference:
             continue
-        own = spent[spent["arm"] == arm].set_index(index)[list(units)]
+        own = spent[spent["arm"] == arm].set_index(index)
         both = own.index.intersection(theirs.index, sort=False)
-        logs = np.log(own.loc[both] / theirs.loc[both]).reset_index()
+        one, other = own.loc[both], theirs.loc[both]
+        logs = np.log(one[list(units)] / other[list(units)])
+        logs = logs.assign(unreached=~(one["reached"] & other["reached"])).reset_index()
         for where, part in _with_all(logs):
             for level, at_level in part.groupby("level", sort=False):
                 for unit in units:
                     told = _compared(at_level[unit].to_numpy(float))
-                    rows.append(
-                        {"problem": where, "arm": arm, "level": level, "unit": unit, **told}
-                    )
-    columns = ["problem", "arm", "level", "unit", "pairs", "ratio", "low", "high", "p"]
+                    which = {"problem": where, "arm": arm, "level": level, "unit": unit}
+                    unreached = int(at_level["unreached"].sum())
+                    rows.append({**which, "pairs": len(at_level), "unreached": unreached, **told})
+    columns = ["problem", "arm", "level", "unit", "pairs", "unreached", "ratio", "low", "high", "p"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -139,7 +142,7 @@ def _compared(logs: Float[np.ndarray, " n"]) -> dict[str, float]:
     mean, low, high = np.exp(bootstrap(logs)) if len(logs) else (np.nan,) * 3
     differ = bool((logs != 0).any())
     p = float(wilcoxon(logs, zero_method="zsplit").pvalue) if differ else 1.0
-    return {"pairs": len(logs), "ratio": mean, "low": low, "high": high, "p": p}
+    return {"ratio": mean, "low": low, "high": high, "p": p}
 
 
 def agreement(paths: pd.DataFrame) -> pd.DataFrame:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bo_sysid.errors import UserError, nearest
+from bo_sysid.errors import StudyError, UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
 from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import multisine, smooth_random
@@ -35,7 +35,10 @@ def study_task(study: Study, model: Model) -> Task | None:
         bound = [x for x, y in study.limits.items() if y.position or y.velocity]
         if bound and task is not None:
             raise study.error(
-                ("limits", bound[0]), "limits of position and velocity need a vectorised task"
+                ("limits", bound[0]),
+                f"limits of position and velocity end episodes of dm_control's tasks alone, not of "
+                f"{task.name}: let its get_termination return 0.0 where they are left, and leave "
+                "them out here (effort stays)",
             )
         return task
     return limited(task, study, model)
@@ -44,14 +47,23 @@ def study_task(study: Study, model: Model) -> Task | None:
 def _unlimited_task(study: Study, model: Model) -> Task | None:
     if study.task is not None and study.task.file is not None:
         cls = load_function(study, f"{study.task.file}:{study.task.class_name}")
-        return class_task(cls, model.compile())
-    named = study.task if study.task is not None else study.model
+        try:
+            return class_task(cls, model.compile())
+        except StudyError as error:
+            raise study.error(("task", "class"), str(error)) from None
+    named, section = (study.model, "model") if study.task is None else (study.task, "task")
     if not named.dm_control:
         return None
-    task = load_task(named.dm_control.domain, named.dm_control.task)
+    try:
+        task = load_task(named.dm_control.domain, named.dm_control.task)
+    except StudyError as error:
+        raise study.error((section, "dm_control"), str(error)) from None
     repeat = 1 if study.task is None else study.task.repeat
     if repeat > 1 and isinstance(task, PythonTask):
-        raise study.error(("task", "repeat"), "repeat needs a vectorised task")
+        raise study.error(
+            ("task", "repeat"),
+            f"{task.name} runs in Python (it is not vectorised), where actions are not repeated",
+        )
     return task if isinstance(task, PythonTask) or repeat == 1 else RepeatedTask(task, repeat)
 
 

@@ -5,9 +5,13 @@ dm_control's plain physics, and may say `control_timestep` and `time_limit` in [
 """
 
 import inspect
+import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -18,6 +22,8 @@ from bo_sysid.plants.environment import Step, episode_steps, physics_steps
 from bo_sysid.plants.machine import TRACED, Applied
 from bo_sysid.plants.tasks.base import Start
 
+_LIBRARIES = "site-packages"  # in the path of code that is not a user's
+_STEPS = 1000  # of an episode, where a class does not say how long it is
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -103,15 +109,30 @@ def class_task(cls: Any, model: mujoco.MjModel) -> PythonTask:
         raise StudyError(
             f"task: class {cls.__name__} is no dm_control Task: it has no {', '.join(missing)}"
         )
-    step = float(getattr(cls, "control_timestep", model.opt.timestep))
-    limit = float(getattr(cls, "time_limit", 1000 * step))
-
+    step = _seconds(cls, "control_timestep", model.opt.timestep)
+    limit = _seconds(cls, "time_limit", _STEPS * step)
+    if not np.isclose(step / model.opt.timestep, max(round(step / model.opt.timestep), 1)):
+        raise StudyError(
+            f"task: class {cls.__name__} has a control_timestep of {step:g} s; it must be a "
+            f"multiple of the model's time step, {model.opt.timestep:g} s"
+        )
     seeded = _takes(cls, "random")
 
     def make(seed: int) -> Any:
         return cls(random=seed) if seeded else cls()
 
     return PythonTask(cls.__name__, make, Physics, step, limit)
+
+
+def _seconds(cls: Any, name: str, default: float) -> float:
+    """Return an attribute of a class that is a time in [s]."""
+    value = getattr(cls, name, default)
+    if isinstance(value, bool) or not isinstance(value, Real) or not float(value) > 0:
+        raise StudyError(
+            f"task: class {cls.__name__} has a {name} of {value!r}; it must be a time in [s] "
+            "above 0"
+        )
+    return float(value)
 
 
 def _takes(cls: Any, name: str) -> bool:
@@ -138,12 +159,14 @@ class PythonMachine:
         from dm_control.mujoco import wrapper
 
         self.physics = task.physics.from_model(wrapper.MjModel(model))
-        self.task = task.make(seed)
+        self._name, self._observed = task.name, 0
+        with guarded(task.name, "__init__"):
+            self.task = task.make(seed)
         self._substeps = physics_steps(task.control_timestep, model)
         self.episode_steps = episode_steps(task.time_limit, task.control_timestep)
         self._seed, self._index, self.episodes = seed, index, 0
-        self._name = task.name
-        spec = self.task.action_spec(self.physics)
+        with guarded(task.name, "action_spec"):
+            spec = self.task.action_spec(self.physics)
         self.action_size = int(np.prod(spec.shape))
         self._low = np.broadcast_to(spec.minimum, spec.shape).astype(float).ravel()
         self._high = np.broadcast_to(spec.maximum, spec.shape).astype(float).ravel()
@@ -163,7 +186,7 @@ class PythonMachine:
             sequence = np.random.SeedSequence((self._seed, self._index, self.episodes))
             self.task._random = np.random.RandomState(sequence.generate_state(4))
         self.episodes += 1
-        with self.physics.reset_context():
+        with guarded(self._name, "initialize_episode"), self.physics.reset_context():
             self.task.initialize_episode(self.physics)
         if start is not None:
             with self.physics.reset_context():
@@ -171,13 +194,36 @@ class PythonMachine:
                 self.physics.data.qvel[:] = 0.0 if start.qvel is None else start.qvel
         return self.observe()
 
-    def observe(self) -> np.ndarray:
-        """Return the `1 x o` observation, all entries in a row as dm_control flattens them."""
-        entries = self.task.get_observation(self.physics)
-        if isinstance(entries, Mapping):
-            names = entries if isinstance(entries, OrderedDict) else sorted(entries)
-            entries = np.concatenate([np.ravel(entries[name]) for name in names])
-        return np.asarray(entries, float).reshape(1, -1)
+    def observe(self, *, diverged: bool = False) -> np.ndarray:
+        """Return the `1 x o` observation, all entries in a row as dm_control flattens them.
+
+        Args:
+            diverged: it ends an episode whose simulation has failed, and may be anything.
+
+        Raises:
+            UserError: it is no array of finite numbers, or has not the size that it had.
+        """
+        with guarded(self._name, "get_observation"):
+            entries = self.task.get_observation(self.physics)
+            if isinstance(entries, Mapping):
+                names = entries if isinstance(entries, OrderedDict) else sorted(entries)
+                entries = np.concatenate([np.ravel(entries[name]) for name in names])
+            row = np.asarray(entries, float).reshape(1, -1)
+        if diverged:
+            row = np.nan_to_num(row)
+        if not np.isfinite(row).all():
+            where, value = int(np.argmin(np.isfinite(row))), row[~np.isfinite(row)][0]
+            raise UserError(
+                f"task {self._name}: number {where} of its observation is {value} after "
+                f"{self.physics.data.time:.4g} s; all must be finite"
+            )
+        self._observed = self._observed or row.shape[1]
+        if row.shape[1] != self._observed:
+            raise UserError(
+                f"task {self._name}: an observation of size {row.shape[1]} after one of size "
+                f"{self._observed}; it must keep its size"
+            )
+        return row
 
     def controls(self, actions: np.ndarray) -> np.ndarray:
         """Return the task's actions, `1 x a`, for actions in [-1, 1].
@@ -199,7 +245,8 @@ class PythonMachine:
         """Hold controls for one control step."""
         from dm_control.rl.control import PhysicsError
 
-        self.task.before_step(np.ravel(controls), self.physics)
+        with guarded(self._name, "before_step"):
+            self.task.before_step(np.ravel(controls), self.physics)
         rows, diverged = [], False
         try:
             for _ in range(self._substeps):
@@ -208,11 +255,13 @@ class PythonMachine:
         except PhysicsError:
             diverged = True
             rows.append(self.present())
-        self.task.after_step(self.physics)
+        with guarded(self._name, "after_step"):
+            self.task.after_step(self.physics)
         # a task may keep what one of these finds for the next: the order is dm_control's
         reward = 0.0 if diverged else self._reward()
-        observation = self.observe()
-        discount = self.task.get_termination(self.physics)  # None goes on
+        observation = self.observe(diverged=diverged)
+        with guarded(self._name, "get_termination"):
+            discount = self.task.get_termination(self.physics)  # None goes on
         return Applied(
             {field: np.concatenate([r[field] for r in rows]) for field in rows[0]},
             observation,
@@ -223,12 +272,43 @@ class PythonMachine:
         )
 
     def _reward(self) -> float:
-        reward = self.task.get_reward(self.physics)
+        with guarded(self._name, "get_reward"):
+            reward = self.task.get_reward(self.physics)
         if reward is None:
             raise UserError(f"task {self._name} gave no reward: get_reward returned None")
-        if not np.isfinite(reward):
-            raise UserError(f"task {self._name} gave a reward of {reward}; it must be finite")
-        return float(reward)
+        try:
+            number = float(np.asarray(reward, float).item())
+        except (TypeError, ValueError):
+            raise UserError(
+                f"task {self._name} gave a reward of {reward!r}; it must be one number"
+            ) from None
+        if not np.isfinite(number):
+            raise UserError(f"task {self._name} gave a reward of {number}; it must be finite")
+        return number
+
+
+@contextmanager
+def guarded(task: str, method: str) -> Iterator[None]:
+    """Tell what a task's own code raises as an error of the task, with its file and line.
+
+    Raises:
+        UserError: the code within raises anything else.
+    """
+    from dm_control.rl.control import PhysicsError
+
+    try:
+        yield
+    except (UserError, PhysicsError):
+        raise
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [
+            f for f in frames if not {_LIBRARIES, __file__} & {f.filename, *Path(f.filename).parts}
+        ]
+        where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+        raise UserError(
+            f"task {task}: {method} fails: {type(error).__name__}: {error}{where}"
+        ) from error
 
 
 class PythonEnvironment:

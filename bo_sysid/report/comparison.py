@@ -24,7 +24,7 @@ _LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
 
 def comparison_text(told: Mapping[str, Any], folder: Path) -> str:
     """Return `comparison.json` and its tables in words."""
-    parts = [sentence(told)]
+    parts = [sentence(told), *conclusions(told, folder)]
     for caption, frame in tables_of(told, folder):
         parts += ["", f"{caption}:", table(frame)]
     parts += [f"- {name} was left out: {why}" for name, why in told["skipped"].items()]
@@ -37,19 +37,74 @@ def sentence(told: Mapping[str, Any]) -> str:
     return f"{told['name']}: {told['runs']} runs of {len(told['arms'])} arm{several}."
 
 
+def conclusions(told: Mapping[str, Any], folder: Path) -> list[str]:
+    """Return what the runs say of the first arm and each other one, a sentence each.
+
+    Told is the lowest regret that both reach in all runs; costs of runs that do not are bounds.
+    """
+    if len(told["arms"]) == 1:
+        return []
+    unit, first = _unit(told), told["arms"][0]
+    versus, spent = read_frame(folder, "paired.parquet"), read_frame(folder, "costs.parquet")
+    versus = versus[versus["unit"] == unit]
+    if "all" in set(versus["problem"]):
+        versus = versus[versus["problem"] == "all"]
+    said = []
+    for arm in told["arms"][1:]:
+        own = versus[(versus["arm"] == arm) & (versus["unreached"] == 0) & (versus["pairs"] > 0)]
+        if own.empty:
+            said.append(_reached(spent, first, arm))
+        else:
+            said.append(_ratio(own.loc[own["level"].idxmin()], first, arm, unit))
+    return said
+
+
+def _ratio(row: pd.Series, first: str, arm: str, unit: str) -> str:
+    """Return in words what an arm costs beside the first one."""
+    ratio, low, high, pairs = (row[n] for n in ("ratio", "low", "high", "pairs"))
+    if low == high == 1:
+        return (
+            f"To a regret of {row['level']:g}, {arm} takes as many {unit} as {first} in all "
+            f"{pairs} pairs."
+        )
+    if np.isnan(low):
+        sure = "one pair, which says little"
+    elif low <= 1 <= high:
+        sure = f"95 % interval {low:.2f} to {high:.2f}: {pairs} pairs do not tell it from 1"
+    else:
+        sure = f"95 % interval {low:.2f} to {high:.2f}, {pairs} pairs"
+    return (
+        f"To a regret of {row['level']:g}, {arm} takes {ratio:.2f} times the {unit} of {first} "
+        f"({sure})."
+    )
+
+
+def _reached(spent: pd.DataFrame, first: str, arm: str) -> str:
+    """Return in words how often the lowest regret was reached, where not always."""
+    level = spent["level"].min()
+    there = spent[spent["level"] == level].groupby("arm")["reached"].agg(["sum", "count"])
+    shares = [f"{there['sum'][a]} of {there['count'][a]} runs of {a}" for a in (first, arm)]
+    return (
+        f"A regret of {level:g} was reached in {' and in '.join(shares)}: what they cost is a "
+        "bound."
+    )
+
+
 def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataFrame]]:
     """Return the tables of a comparison that a person reads, with their captions."""
     unit = _unit(told)
     means = read_frame(folder, "summary.parquet")
     cost = [
-        f"{mean:.3g} [{low:.3g}, {high:.3g}]"
-        for mean, low, high in means[[unit, f"{unit}_low", f"{unit}_high"]].to_numpy()
+        f"{'' if reached == 1 else '≥ '}{mean:.3g} [{low:.3g}, {high:.3g}]"
+        for reached, mean, low, high in means[
+            ["reached", unit, f"{unit}_low", f"{unit}_high"]
+        ].to_numpy()
     ]
     shown = means.assign(reached=[f"{n:.0%}" for n in means["reached"]], **{unit: cost})
     found = [
         (
             f"Mean {unit} until the regret is at most a level, with 95 % intervals; a run that "
-            "does not reach it counts as the longest one",
+            "does not reach it counts as the longest one, and the mean is a lower bound (≥)",
             shown[["problem", "arm", "level", "runs", "reached", unit]],
         )
     ]
@@ -57,12 +112,26 @@ def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataF
         versus = read_frame(folder, "paired.parquet")
         versus = versus[versus["unit"] == unit].drop(columns="unit")
         first = told["arms"][0]
-        found.append((f"{unit.capitalize()} against {first} on the same seeds", versus))
+        found.append(
+            (
+                f"{unit.capitalize()} over those of {first} on the same seeds: geometric mean, its "
+                "95 % bootstrap interval, and p of Wilcoxon's signed-rank test, which few pairs "
+                "cannot bring low; in `unreached` of the pairs a run counts as the longest one",
+                versus,
+            )
+        )
         if told["loop"] == "inner":
             columns = ["problem", "arm", "other", "pairs", "identical", "step", "overlap"]
             alike = read_frame(folder, "agreement.parquet")
             alike = alike.loc[alike["arm"] == first, columns]
-            found.append((f"How alike {first} and the others pick", alike))
+            found.append(
+                (
+                    f"How alike {first} and the others pick: share of pairs with one and the same "
+                    "path, median number of the first pick that differs, mean share of common "
+                    "candidates",
+                    alike,
+                )
+            )
     return found
 
 
@@ -89,6 +158,7 @@ def comparison(found: "Found") -> "Section | None":
     return Section(
         "comparison",
         "Arms against each other",
+        [sentence(told), *conclusions(told, found.folder)],
         images=images,
         tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(told, found.folder)],
         items=[f"{name} was left out: {why}" for name, why in told["skipped"].items()],

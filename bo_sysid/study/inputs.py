@@ -220,7 +220,8 @@ def load_function(study: Study, reference: str) -> Callable[..., Any]:
     if not callable(function):
         found = [n for n in vars(module) if callable(getattr(module, n)) and not n.startswith("_")]
         raise study.error(
-            study.code.get(file, ()), f"{file} has no function {name!r}; {nearest(name, found)}"
+            study.code.get(file, ()),
+            f"{file} has no function or class {name!r}; {nearest(name, found)}",
         )
     return function  # type: ignore[no-any-return]
 
