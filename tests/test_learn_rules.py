@@ -318,11 +318,30 @@ def test_the_first_and_the_last_category_are_no_end_of_b() -> None:
     scene = Scene.of(
         Study.from_dict({**plain, "parameters": [mass, {**damping, "ordered": False}]})
     )
-    found = Mock(floor=Floor(1.0, 1.0, 0.0), reason=StopReason.CONVERGED)
-    last = Mock(
-        Iteration, scene=scene, found=found, figures={"chosen": {"mass": 1.5, "damping": 0.5}}
+    assert doubts(ended(scene, {"mass": 1.5, "damping": 0.5})) == [
+        "mass = 1.5 is an end of B; widen it if it may lie beyond"
+    ]
+
+
+def ended(scene: Scene, chosen: dict[str, float], worst: float = 5.0) -> Iteration:
+    """An iteration whose worst candidate left so many times the noise."""
+    found = Mock(
+        floor=Floor(1.0, 1.0, 0.0), reason=StopReason.CONVERGED, deviation=np.array([1.0, worst])
     )
-    assert doubts(last) == ["mass = 1.5 is an end of B; widen it if it may lie beyond"]
+    return Mock(Iteration, scene=scene, found=found, figures={"chosen": chosen})
+
+
+@pytest.mark.parametrize(("starts", "hint"), [("measured", "or starts: fitted, "), ("fitted", "")])
+def test_that_noise_hides_the_parameters_is_said(starts: str, hint: str) -> None:
+    """Friction was hidden by the noise of starts over one step, and a wrong mass was certain."""
+    deviation = {"horizon": 3, "starts": starts}
+    scene = Scene.of(Study.from_dict(pendulum(deviation=deviation)))
+    middle = {"mass": 1.1, "damping": 0.1}
+    assert doubts(ended(scene, middle, 2.1)) == []
+    (said,) = doubts(ended(scene, middle, 1.44))
+    assert said.startswith("the worst of the candidates that were tried leaves 1.4 times")
+    assert f"over 3 control steps (deviation.horizon) parameters change little; a longer horizon"\
+        f"{', ' if hint else ' '}{hint}tells them better apart" in said
 
 
 def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:

@@ -1,5 +1,7 @@
 """Tasks in Python: dm_control's own answers, and the same recordings as vectorised ones."""
 
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -257,3 +259,80 @@ def test_at_least_one_simulation(kind):
     )
     with pytest.raises(UserError, match="n is 0"):
         kind(task, Model.from_dm_control("reacher", "easy").compile(), 0)
+
+
+class Faulty(Reach):
+    """A user's task with a mistake, made after some steps."""
+
+    method, mistake, after = "", None, 2
+
+    def _do(self, method, right):
+        if method != self.method:
+            return right
+        self.asked = getattr(self, "asked", 0) + 1
+        return self.mistake() if self.asked > self.after else right
+
+    def initialize_episode(self, physics):
+        super().initialize_episode(physics)
+        self._do("initialize_episode", None)
+
+    def get_observation(self, physics):
+        return self._do("get_observation", super().get_observation(physics))
+
+    def get_reward(self, physics):
+        return self._do("get_reward", super().get_reward(physics))
+
+    def get_termination(self, physics):
+        return self._do("get_termination", super().get_termination(physics))
+
+
+def broken():
+    raise KeyError("slidee")
+
+
+@pytest.mark.parametrize(
+    ("method", "mistake", "message"),
+    [
+        ("get_reward", broken, r"get_reward fails: KeyError: 'slidee' \(\w+\.py, line \d+\)"),
+        ("get_reward", lambda: "high", "gave a reward of 'high'; it must be one number"),
+        ("get_reward", lambda: np.ones(2), "gave a reward of array.*; it must be one number"),
+        ("get_reward", lambda: np.nan, "gave a reward of nan; it must be finite"),
+        ("get_termination", lambda: sys.exit(3), r"get_termination fails: SystemExit: 3 \("),
+        ("get_observation", broken, "get_observation fails: KeyError: 'slidee'"),
+        ("get_observation", lambda: ["high"], "get_observation fails: ValueError: could not"),
+        ("get_observation", lambda: [0.0, np.nan], "number 1 of its observation is nan after 0"),
+        ("get_observation", lambda: [1, 2, 3], "size 3 after one of size 2; it must keep its"),
+        ("initialize_episode", broken, "initialize_episode fails: KeyError"),
+    ],
+)
+def test_what_a_users_task_does_wrong_is_told_with_its_place(method, mistake, message):
+    kind = type("Faulty", (Faulty,), {"method": method, "mistake": staticmethod(mistake)})
+    model = Model.from_dm_control("reacher", "easy").compile(visuals=True)
+    environment = PythonEnvironment(class_task(kind, model), model, 2)
+    with pytest.raises(UserError, match=f"^task Faulty.*{message}"):
+        environment.reset()
+        roll(environment, 30)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"control_timestep": 0.003}, "control_timestep of 0.003 s; it must be a multiple of"),
+        ({"control_timestep": -1}, "has a control_timestep of -1; it must be a time in"),
+        ({"time_limit": "long"}, "has a time_limit of 'long'; it must be a time in"),
+    ],
+)
+def test_times_of_a_users_task_that_are_none_are_told(attributes, message):
+    model = Model.from_dm_control("reacher", "easy").compile()
+    with pytest.raises(StudyError, match=message):
+        class_task(type("Mine", (Reach,), attributes), model)
+
+
+def test_an_argument_that_a_task_needs_is_told():
+    class Needs(Reach):
+        def __init__(self, target):
+            self.target = target
+
+    model = Model.from_dm_control("reacher", "easy").compile(visuals=True)
+    with pytest.raises(UserError, match="task Needs: __init__ fails: TypeError: .* 'target'"):
+        PythonEnvironment(class_task(Needs, model), model, 1)

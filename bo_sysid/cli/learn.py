@@ -38,4 +38,6 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.report.text import run_text
 
     print(run_text(run.folder))
-    print(f"\nFigures: {run.path('figures')}. See the policy: bo-sysid play {run.folder}")
+    trust = " --trust-code" if study.code else ""
+    see = f" See the policy: bo-sysid play {run.folder}{trust}" if study.plant else ""
+    print(f"\nFigures: {run.path('figures')}.{see}")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bo_sysid.errors import RunError, UserError
+from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import write_commands
@@ -30,6 +30,7 @@ from bo_sysid.study import Study
 from bo_sysid.study.inputs import changed, fingerprints
 
 INPUTS = "inputs.json"
+_TELLS = 2.0  # times the noise in Δ that the worst candidate leaves at least, where Δ tells much
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Learning:
             learn its policy, without those taken over), model_return and plant_return with their
             standard errors.
         trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
+        given_seconds: length of each recording that the study names, where a machine has no plant.
         reason: why the loop ended; empty where it waits.
         waiting: what a person has to record before it goes on; empty where it ended.
         notes: diagnoses, and what was done otherwise than the study may suggest.
@@ -56,6 +58,7 @@ class Learning:
     chosen: dict[str, float]
     iterations: pd.DataFrame
     trajectories: pd.DataFrame
+    given_seconds: tuple[float, ...]
     reason: str
     waiting: str
     notes: tuple[str, ...]
@@ -148,6 +151,7 @@ def _told(
         last.figures["chosen"],
         _table(done),
         source.trajectories,
+        tuple(r.span[1] - r.span[0] for r in source.given),
         "" if waiting else last.verdict.sentence,
         waiting,
         _notes(scene, done, source.trajectories),
@@ -205,11 +209,21 @@ def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> t
     notes += doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
+    if scene.study.plant and _recorded(scene.study):
+        notes.append("recordings.train: not read, since the study has a plant, which makes its own")
     if scene.study.search.refine:
         notes.append("search.refine zooms in identify; learn keeps to the stated B")
     faults = trajectories.loc[trajectories["fault"] != "", "fault"]
     notes += [f"{fault}; what was recorded until then is used" for fault in faults]
     return tuple(dict.fromkeys(notes))
+
+
+def _recorded(study: Study) -> bool:
+    """Whether training recordings of a study are there."""
+    try:
+        return bool(study.train_files)
+    except StudyError:  # none matches
+        return False
 
 
 def doubts(last: Iteration) -> list[str]:
@@ -219,6 +233,17 @@ def doubts(last: Iteration) -> list[str]:
         name, value, ends = p.name, last.figures["chosen"][p.name], (p.low, p.high)
         if p.ordered and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
             said.append(f"{name} = {value:.4g} is an end of B; widen it if it may lie beyond")
+    most = float(last.found.deviation.max())
+    if most < _TELLS * floor.noise:
+        told = last.scene.study.deviation
+        said.append(
+            f"the worst of the candidates that were tried leaves {most / floor.noise:.1f} times "
+            f"what the sensors' noise alone makes: over {told.horizon} control "
+            f"step{'' if told.horizon == 1 else 's'} (deviation.horizon) parameters change little; "
+            "a longer horizon"
+            + ("" if told.starts == "fitted" else ", or starts: fitted,")
+            + " tells them better apart"
+        )
     if lacks_physics(floor, last.found.reason):
         asked = last.scene.study.learn.diagnose != "never"
         hint = "" if asked else "; learn: {diagnose: auto} looks for what it lacks"
@@ -238,6 +263,8 @@ def _summary(result: Learning, done: list[Iteration]) -> dict[str, Any]:
         "waiting": result.waiting,
         "trajectories": len(result.trajectories),
         "seconds_recorded": float(result.trajectories["seconds"].sum()),
+        "given": len(result.given_seconds),
+        "given_seconds": float(sum(result.given_seconds)),
         "chosen": result.chosen,
         "policy": "policy.npz",
         "commands": "policy.pt",

@@ -146,6 +146,11 @@ class MachineSource:
             return ""
         return f"{recording.name} ends after {seconds:.3g} of {whole:g} s"
 
+    @property
+    def given(self) -> tuple[Recording, ...]:
+        """The recordings that the study names."""
+        return tuple(self._first)
+
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
         """Return None: only the machine itself knows."""
         return None

@@ -100,6 +100,11 @@ class PlantSource:
         frame.insert(3, "seconds", frame["steps"] * self._plant.control_timestep)
         return frame
 
+    @property
+    def given(self) -> tuple[Recording, ...]:
+        """None: what a simulated plant did first is counted."""
+        return ()
+
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
         """Return the policy's return over episodes that are counted apart.
 

@@ -44,7 +44,8 @@ class Played:
         """The returns in words."""
         told = Estimate.of(self.returns)
         count = len(self.returns)
-        error = f" ± {told.error:.2g} (standard error)" if count > 1 else ""
+        half = float(f"{_Z95 * told.error:.2g}")
+        error = f" ± {half:g} (95 %)" if count > 1 else ""
         return f"Return on the plant: {told.mean:.4g}{error}, {count} episodes."
 
 

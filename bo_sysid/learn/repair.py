@@ -15,6 +15,8 @@ from bo_sysid.study.inputs import study_effects
 MOST = 2
 """Most diagnoses in a loop."""
 
+_UNSEEN = "What was unseen is the last quarter by time of the same recordings."
+
 
 @dataclass(frozen=True)
 class Repair:
@@ -65,7 +67,8 @@ def repaired(
     except UserError as error:
         text = f"The diagnosis gave no study to go on with: {error}. The loop goes on as it was."
         return Repair(None, (text,))
-    return Repair(str(path.relative_to(run.folder)), found.sentences)
+    unseen = () if data["recordings"].get("holdout") else (_UNSEEN,)
+    return Repair(str(path.relative_to(run.folder)), (*found.sentences, *unseen))
 
 
 def _relocated(training: Mapping[str, Any], run: Run, folder: Path) -> dict[str, Any]:

@@ -55,6 +55,11 @@ class Source(Protocol):
         """One row a counted trajectory: number, name, steps, seconds, reward, fault."""
         ...
 
+    @property
+    def given(self) -> tuple[Recording, ...]:
+        """Recordings that were there before, and are no counted trajectories."""
+        ...
+
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
         """Return the policy's return on the machine, which is no trajectory; None if unknown."""
         ...

@@ -32,6 +32,7 @@ Valued = Callable[[Int[np.ndarray, " K"], int], Values]
 MOST_NEIGHBOURS = 32
 MOST_PROBABLE = 32
 DOUBTED, AGAIN = 8, 4  # neighbours that are valued again, over how many times the episodes
+_Z95 = 1.96  # standard errors in half a 95 % interval
 _LEVEL = 0.05  # of the tests of all neighbours together
 _LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
 
@@ -153,10 +154,11 @@ def near_enough(
         "episodes": told.episodes,
     }
     numbers = (
-        f"The value differs by {abs(worst.mean):.3g} ± {worst.error:.2g} within {epsilon:g}, "
-        f"{told.episodes} paired episodes"
+        f"Over all candidates within {epsilon:g} of the bounds (epsilon) the policy's return "
+        f"differs by {abs(worst.mean):.3g} ± {_Z95 * worst.error:.2g} at most (95 %, "
+        f"{told.episodes} paired episodes)"
     )
-    return Verdict(agree, f"{numbers}: {text} {r:g} of {own.mean:.4g}.", figures)
+    return Verdict(agree, f"{numbers}, {text} {allowed:.3g}, {r:g} of it (r).", figures)
 
 
 def _surer(
@@ -177,7 +179,7 @@ def _agreement(told: Values, allowed: float, among: int) -> tuple[bool, str]:
     if any(_beyond(d, allowed, told.episodes, among) for d in apart):
         return False, "more than"
     if max(d.error for d in apart) > allowed:
-        return False, "too uncertain to say that it is"
+        return False, "too uncertain to be told from"
     if max(abs(d.mean) for d in apart) <= allowed:
         return True, "within"
     return True, "not significantly more than"

@@ -158,7 +158,6 @@ def comparison(found: "Found") -> "Section | None":
     return Section(
         "comparison",
         "Arms against each other",
-        [sentence(told), *conclusions(told, found.folder)],
         images=images,
         tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(told, found.folder)],
         items=[f"{name} was left out: {why}" for name, why in told["skipped"].items()],

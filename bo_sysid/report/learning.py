@@ -18,18 +18,20 @@ _Z95 = 1.96
 def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     """Return `learning.json` in words and tables."""
     rows = read_frame(folder, "iterations.parquet")
-    several = "y" if summary["trajectories"] == 1 else "ies"
-    head = (
-        f"{summary['name']}: {summary['trajectories']} real trajector{several}, "
-        f"{summary['seconds_recorded']:.4g} s."
-    )
     chosen = ", ".join(f"{name} {value:.4g}" for name, value in summary["chosen"].items())
+    returns = {
+        f"return on the {where} ± 95 %": [
+            _with_interval({"mean": mean, "error": error}) if pd.notna(mean) else "–"
+            for mean, error in zip(rows[f"{where}_return"], rows[f"{where}_error"], strict=True)
+        ]
+        for where in ("model", "plant")
+        if rows[f"{where}_return"].notna().any()
+    }
     shown = ["iteration", "trajectories", "evaluated", "entropy", "deviation", "floor"]
-    shown += ["model_return", "model_error", "plant_return", "plant_error"]
     parts = [
-        head,
+        f"{summary['name']}: {_spent(summary)}.",
         "",
-        table(rows[[c for c in shown if rows[c].notna().any()]]),
+        table(rows[shown].assign(**returns)),
         "",
         f"The last policy was learned on {chosen}.",
         summary["waiting"] or summary["stopped"],
@@ -39,17 +41,30 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     return "\n".join(parts)
 
 
-def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `learning.json` amounts to: a verdict and the sentences below it."""
+def _spent(summary: Mapping[str, Any]) -> str:
+    """Return how much was recorded, in words."""
     several = "y" if summary["trajectories"] == 1 else "ies"
-    spent = (
+    said = (
         f"{summary['trajectories']} real trajector{several} ({summary['seconds_recorded']:.4g} s)"
     )
+    if summary.get("given"):
+        several = "" if summary["given"] == 1 else "s"
+        said += (
+            f" beside the study's {summary['given']} recording{several} "
+            f"({summary['given_seconds']:.4g} s)"
+        )
+    return said
+
+
+def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `learning.json` amounts to: a verdict, the sentences below it, and notes."""
+    spent = _spent(summary)
     why = summary["waiting"] or summary["stopped"]
     rounds = summary.get("iterations") or []
     told = [r for r in rounds if r.get("plant_return")]
+    notes = list(summary.get("notes") or ())
     if summary["waiting"] or not told:
-        return {"verdict": why, "sentences": [f"So far: {spent}."]}
+        return {"verdict": why, "sentences": [f"So far: {spent}.", *notes]}
     plant, model = told[-1]["plant_return"], told[-1].get("model_return")
     verdict = f"The policy returns {_with_interval(plant)} on the plant, after {spent}."
     learned_on = ", ".join(f"{n} {v:.4g}" for n, v in summary["chosen"].items())
@@ -57,13 +72,13 @@ def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
     where += f", where it returns {_with_interval(model)}." if model else "."
     diagnosed = [r for r in rounds if r.get("diagnosis")]
     found = [f"After {r['trajectories']} the diagnosis repaired the model." for r in diagnosed]
-    return {"verdict": verdict, "sentences": [where, *found, f"Why it stopped: {why}"]}
+    return {"verdict": verdict, "sentences": [where, *found, f"Why it stopped: {why}", *notes]}
 
 
 def _with_interval(value: Mapping[str, Any]) -> str:
     """Return a mean with its 95 % interval."""
     half = _Z95 * float(value.get("error") or 0.0)
-    return f"{value['mean']:.4g} ± {half:.2g}" if half else f"{value['mean']:.4g}"
+    return f"{value['mean']:.4g} ± {float(f'{half:.2g}'):g}" if half else f"{value['mean']:.4g}"
 
 
 def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure":

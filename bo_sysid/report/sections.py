@@ -8,7 +8,7 @@ import pandas as pd
 
 from bo_sysid.errors import BoSysidError, RunError
 from bo_sysid.report import interactive, interactive_search
-from bo_sysid.report.comparison import comparison, sentence
+from bo_sysid.report.comparison import comparison, conclusions, sentence
 from bo_sysid.report.diagnosis_text import (
     alternatives_table,
     errors_table,
@@ -21,7 +21,7 @@ from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.report.provenance import again, data
-from bo_sysid.report.text import compared_table
+from bo_sysid.report.text import compared_table, run_text
 from bo_sysid.runs import read_frame, read_json
 from bo_sysid.runs.files import inside
 
@@ -59,10 +59,12 @@ def headline(found: Found) -> dict[str, Any]:
             return {"name": made["name"], **learning_said(made)}
         if found.has("comparison.json"):
             made = read_json(found.folder, "comparison.json")
-            return {"name": made["name"], "verdict": sentence(made), "sentences": []}
+            said = conclusions(made, found.folder)
+            return {"name": made["name"], "verdict": sentence(made), "sentences": said}
     except (RunError, KeyError, TypeError, ValueError):
         pass  # the sections say what is damaged
-    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": []}
+    sofar = run_text(found.folder).splitlines()[1:]
+    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": sofar}
 
 
 def robot(found: Found) -> Section | None:

@@ -23,7 +23,7 @@ def run_text(folder: str | Path) -> str:
     """
     folder = Path(folder)
     record = read_record(folder)
-    head = f"{folder}: {record['command']}, {record['status']}"
+    head = f"{folder}: {record['command']}, {_status(folder, record)}"
     for name, say in _ANSWERS.items():
         if (folder / name).is_file():
             return f"{head}\n{_said(say, folder, name)}"
@@ -36,10 +36,25 @@ def run_text(folder: str | Path) -> str:
     recorded = sorted(p.name for p in folder.glob("*.parquet"))
     if record["command"] == "record" and recorded:
         return f"{head}\nRecordings of the plant: {', '.join(recorded)}. Study: {_study(folder)}."
+    rounds = len(list(folder.glob("iterations/*/iteration.json")))
+    if rounds:
+        return (
+            f"{head}\nIterations so far: {rounds}, each with the policy that it learned "
+            "(iterations/*/policy.npz). The same command goes on."
+        )
     fits = len(list((folder / FITS).glob("*.npz")))
     if fits:
         return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
     return f"{head}\nNothing was computed yet."
+
+
+def _status(folder: Path, record: Mapping[str, Any]) -> str:
+    """Return how far a run is; one of `learn` may wait for a person."""
+    if (folder / "learning.json").is_file():
+        learning = read_json(folder, "learning.json")
+        if isinstance(learning, Mapping) and learning.get("status") == "waiting":
+            return "waiting for a recording"
+    return str(record["status"])
 
 
 def _said(say: Callable[[Any, Path], str], folder: Path, name: str) -> str:
