@@ -23,7 +23,7 @@ from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import STOP_RULES, distances, near_enough, neighbours, value_guided
 from bo_sysid.learn.values import Estimate, Values, values
 from bo_sysid.parameters import CandidateSet, Parameter
-from bo_sysid.plants.build import build_plant, record
+from bo_sysid.plants.build import build_plant, foreign_task, record
 from bo_sysid.plants.limits import LimitedTask
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import VectorTask
@@ -340,8 +340,10 @@ def test_that_noise_hides_the_parameters_is_said(starts: str, hint: str) -> None
     assert doubts(ended(scene, middle, 2.1)) == []
     (said,) = doubts(ended(scene, middle, 1.44))
     assert said.startswith("the worst of the candidates that were tried leaves 1.4 times")
-    assert f"over 3 control steps (deviation.horizon) parameters change little; a longer horizon"\
+    assert (
+        f"over 3 control steps (deviation.horizon) parameters change little; a longer horizon"
         f"{', ' if hint else ' '}{hint}tells them better apart" in said
+    )
 
 
 def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:
@@ -402,3 +404,15 @@ def test_only_the_limits_count_as_left(task: VectorTask, velocity: float, share:
     push = Mock(spec=LearnedPolicy)
     push.act = lambda observations: np.ones((len(observations), 1))
     assert share_beyond(scene, push, scene.candidates.points[0]) == share
+
+
+def test_a_task_that_is_taken_to_a_model_with_other_joints_is_told() -> None:
+    """A crane is not a cart-pole, although it has as many joints: it was learned on unasked."""
+    own = Study.from_dict(pendulum())
+    assert foreign_task(own, load_model(own)) == ""
+    other = {"dm_control": {"domain": "acrobot", "task": "swingup"}}
+    study = Study.from_dict(pendulum(model=other, parameters=[]))
+    assert foreign_task(study, load_model(study)) == (
+        "The task pendulum swingup is written for the joints hinge; it takes shoulder, elbow in "
+        "their place, in this order."
+    )

@@ -308,10 +308,14 @@ def broken():
 def test_what_a_users_task_does_wrong_is_told_with_its_place(method, mistake, message):
     kind = type("Faulty", (Faulty,), {"method": method, "mistake": staticmethod(mistake)})
     model = Model.from_dm_control("reacher", "easy").compile(visuals=True)
-    environment = PythonEnvironment(class_task(kind, model), model, 2)
-    with pytest.raises(UserError, match=f"^task Faulty.*{message}"):
+
+    def run():
+        environment = PythonEnvironment(class_task(kind, model), model, 2)
         environment.reset()
         roll(environment, 30)
+
+    with pytest.raises(UserError, match=f"^task Faulty.*{message}"):
+        run()
 
 
 @pytest.mark.parametrize(
@@ -334,5 +338,5 @@ def test_an_argument_that_a_task_needs_is_told():
             self.target = target
 
     model = Model.from_dm_control("reacher", "easy").compile(visuals=True)
-    with pytest.raises(UserError, match="task Needs: __init__ fails: TypeError: .* 'target'"):
+    with pytest.raises(UserError, match=r"task Needs: __init__ fails: TypeError: .* 'target'"):
         PythonEnvironment(class_task(Needs, model), model, 1)

@@ -454,7 +454,9 @@ def test_code_runs_only_where_it_is_trusted(folder: Path, key: str, value: objec
 def test_code_is_loaded_by_name(folder: Path) -> None:
     study = load(folder)
     assert load_function(study, "servo.py:duty")(3) == 3
-    with pytest.raises(StudyError, match=r"law: servo.py has no function or class 'dutty'; did you mean 'd"):
+    with pytest.raises(
+        StudyError, match=r"law: servo.py has no function or class 'dutty'; did you mean 'd"
+    ):
         load_function(study, "servo.py:dutty")
     (folder / "servo.py").write_text(
         "from __future__ import annotations\nfrom dataclasses import dataclass\n\n\n"

@@ -23,6 +23,7 @@ from bo_sysid.learn.machine_source import MachineSource
 from bo_sysid.learn.plant_source import PlantSource
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.source import Source
+from bo_sysid.plants.build import foreign_task
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run
@@ -209,6 +210,8 @@ def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> t
     notes += doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
+    elif foreign := foreign_task(scene.study, scene.model):
+        notes.append(foreign)
     if scene.study.plant and _recorded(scene.study):
         notes.append("recordings.train: not read, since the study has a plant, which makes its own")
     if scene.study.search.refine:

@@ -19,6 +19,7 @@ from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import atomic, read_record
 from bo_sysid.study import Study
 
+_Z95 = 1.96  # standard errors in half a 95 % interval
 _SEED = 700_001  # starts are none of those of training, valuation or evaluation
 _PICTURES, _WIDTH, _HEIGHT = 8, 320, 240
 

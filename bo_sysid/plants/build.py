@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bo_sysid.errors import StudyError, UserError, nearest
+from bo_sysid.errors import ModelError, StudyError, UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
 from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import multisine, smooth_random
 from bo_sysid.plants.limits import limit_edits, limited
 from bo_sysid.plants.load import Task, compiled, load_task, make_environment
-from bo_sysid.plants.plant import Plant
+from bo_sysid.plants.plant import Plant, PlantError
 from bo_sysid.plants.python_task import PythonTask, class_task
 from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.recording import Recording
@@ -50,14 +50,14 @@ def _unlimited_task(study: Study, model: Model) -> Task | None:
         try:
             return class_task(cls, model.compile())
         except StudyError as error:
-            raise study.error(("task", "class"), str(error)) from None
+            raise study.error(("task", "class"), _bare(error)) from None
     named, section = (study.model, "model") if study.task is None else (study.task, "task")
     if not named.dm_control:
         return None
     try:
         task = load_task(named.dm_control.domain, named.dm_control.task)
     except StudyError as error:
-        raise study.error((section, "dm_control"), str(error)) from None
+        raise study.error((section, "dm_control"), _bare(error)) from None
     repeat = 1 if study.task is None else study.task.repeat
     if repeat > 1 and isinstance(task, PythonTask):
         raise study.error(
@@ -65,6 +65,28 @@ def _unlimited_task(study: Study, model: Model) -> Task | None:
             f"{task.name} runs in Python (it is not vectorised), where actions are not repeated",
         )
     return task if isinstance(task, PythonTask) or repeat == 1 else RepeatedTask(task, repeat)
+
+
+def _bare(error: StudyError) -> str:
+    """Return the message of an error about a task, which is about to be told with its key."""
+    return str(error).removeprefix("task: ")
+
+
+def foreign_task(study: Study, model: Model) -> str:
+    """Return in words that a task of the suite is taken to a model whose joints have other names.
+
+    Vectorised tasks go by the order of joints, as those of a model of one's own may be called.
+    """
+    own = None if study.task is None else study.task.dm_control
+    if own is None or own == study.model.dm_control:
+        return ""
+    theirs = Model.from_dm_control(own.domain, own.task).joints
+    if theirs == model.joints:
+        return ""
+    return (
+        f"The task {own.domain} {own.task} is written for the joints {', '.join(theirs)}; it takes "
+        f"{', '.join(model.joints)} in their place, in this order."
+    )
 
 
 def build_plant(study: Study, *, budget: int | None = None, seed: int | None = None) -> Plant:
@@ -78,28 +100,29 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
 
     Raises:
         StudyError: `plant:` names a parameter that the study does not have, or an effect that a
-            simulated plant cannot have.
-        ModelError: the plant's model does not compile.
+            simulated plant cannot have, or makes a model that does not compile.
     """
     model = load_model(study)
     plant = study.plant
     effects, task = realised(study, model), study_task(study, model)
     _require_same_observation(study, model, task, effects.edits)
-    return Plant(
-        model,
-        [
-            *([] if plant is None else _parameter_edits(study, model)),
-            *effects.edits,
-            *limit_edits(study, model),
-        ],
-        task=task,
-        name="plant",
-        timestep=None if plant is None else plant.timestep,
-        noise={} if plant is None else dict(plant.noise),
-        budget=budget,
-        seed=study.search.seed if seed is None else seed,
-        laws=effects.laws,
-    )
+    own = [] if plant is None else _parameter_edits(study, model)
+    try:
+        return Plant(
+            model,
+            [*own, *effects.edits, *limit_edits(study, model)],
+            task=task,
+            name="plant",
+            timestep=None if plant is None else plant.timestep,
+            noise={} if plant is None else dict(plant.noise),
+            budget=budget,
+            seed=study.search.seed if seed is None else seed,
+            laws=effects.laws,
+        )
+    except (ModelError, PlantError) as error:
+        if plant is None:
+            raise
+        raise study.error(("plant",), str(error).removeprefix("plant: ")) from None
 
 
 def _require_same_observation(
