@@ -112,6 +112,18 @@ def partners(model: mujoco.MjModel) -> Bool[np.ndarray, "ngeom ngeom"]:
     return np.asarray(touch)
 
 
+def joints_to_contact(model: mujoco.MjModel) -> frozenset[str]:
+    """Return the joints that move a geom which can touch another."""
+    bodies = {int(model.geom_bodyid[g]) for g in np.flatnonzero(partners(model).any(axis=1))}
+    found: set[str] = set()
+    for body in bodies:
+        while body:
+            first = int(model.body_jntadr[body])
+            found.update(model.joint(first + k).name for k in range(model.body_jntnum[body]))
+            body = int(model.body_parentid[body])
+    return frozenset(found)
+
+
 def mixed(
     model: mujoco.MjModel, geom: int, others: Int[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k 10"]:

@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import Force
 from bo_sysid.effects.bristles import bristle_motors
 from bo_sysid.effects.machine import JointScale
+from bo_sysid.mjcf.touching import joints_to_contact
 from bo_sysid.simulation import State
 
 DIVERGING = 1e9
@@ -320,7 +321,7 @@ def _at_rest(start: State, joint: JointScale) -> State:
 
 
 def held_joints(problem: Problem, hypothesis: Hypothesis) -> list[JointScale]:
-    """Return the joints that friction of a hypothesis may hold at rest.
+    """Return the joints that friction, of a hypothesis or of a lasting contact, may hold at rest.
 
     Learned laws, which are held for a time step, turn smoothly: under them a joint creeps, and
     slopes lead from motion to rest.
@@ -328,6 +329,8 @@ def held_joints(problem: Problem, hypothesis: Hypothesis) -> list[JointScale]:
     model, parts = problem.compiled(hypothesis)
     bristles = model.actuator_trnid[bristle_motors(model), 0]
     names = {p.joint for p in parts if isinstance(p, Force) and not p.hold}
+    if not problem.machine.impacts:
+        names |= joints_to_contact(model)
     return [
         j
         for j in problem.machine.joints.values()
