@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _Z95 = 1.96
+_TICKS = 12  # at most, each with its number
 
 
 def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
@@ -94,20 +95,25 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
 
     figure = Figure(figsize=(7.2, 5.6), layout="constrained")
     top, bottom = figure.subplots(2, 1)
-    for kind, colour, label in (
-        ("model", IDENTIFIED, "on the identified model"),
-        ("plant", RECORDED, "on the plant"),
+    for kind, colour, size, label in (
+        ("model", IDENTIFIED, 8, "on the identified model"),  # seen around what lies on it
+        ("plant", RECORDED, 4, "on the plant"),
     ):
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
             error = _Z95 * iterations[f"{kind}_error"].astype(float)
             top.errorbar(
                 iterations["trajectories"], mean, error.fillna(0.0), color=colour, marker="o",
-                markersize=4, capsize=3, label=label,
+                markersize=size, capsize=size - 1, label=label,
             )  # fmt: skip
     for number in iterations.loc[iterations["diagnosed"], "trajectories"]:
         top.axvline(number, color=NOMINAL, linestyle="--", label="diagnosis")
-    top.xaxis.get_major_locator().set_params(integer=True)
+    counted = iterations["trajectories"]
+    if len(counted) <= _TICKS:
+        top.set_xticks(counted)
+        top.set_xlim(counted.min() - 0.5, counted.max() + 0.5)
+    else:
+        top.xaxis.get_major_locator().set_params(integer=True)
     top.set_xlabel("real trajectories")
     top.set_ylabel("return (95 % interval)")
     top.legend(fontsize="small")
@@ -120,7 +126,7 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
             alpha=1.0 if newest else 0.5, label=f"iteration {number}" if newest else None,
         )  # fmt: skip
     bottom.set_xlabel("simulated control steps")
-    bottom.set_ylabel("return of the batch")
+    bottom.set_ylabel("mean reward of a batch\n× steps of an episode")
     bottom.legend(fontsize="small")
     return figure
 
