@@ -1,7 +1,7 @@
 """Cutting: from recordings with uneven stamps to windows that a model can predict."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -10,21 +10,19 @@ from jaxtyping import Float, Int
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf import Loops, Model, ParameterLike, room_for_delays
+from bo_sysid.mjcf import Model, ParameterLike, room_for_delays
 from bo_sysid.mjcf.commands import deaf_controls
 from bo_sysid.mjcf.joints import HINGE, SLIDE, quaternions
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
-from bo_sysid.simulation.activations import activations, set_activations
+from bo_sysid.simulation.activations import set_activations
 from bo_sysid.simulation.delays import remembered_steps, without_before
-from bo_sysid.simulation.smoothing import smooth
+from bo_sysid.simulation.recorded_starts import on_loops, recorded_start
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
 from bo_sysid.simulation.windows import Layout, Windows, require_orientations
 
-WARMSTART = "aux.qacc_warmstart"  # recorded only from simulated plants
 _ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
-_OPEN = 1e-3  # [m] or [rad] that a loop may stay open without a word
 
 
 def cut(
@@ -59,71 +57,116 @@ def cut(
         RecordingError: a joint or an actuator has no channel, or no window fits.
     """
     compiled = model.compile(room_for_delays(model, parameters), timestep=timestep)
-    dt = float(compiled.opt.timestep)
     layout = Layout.of(model, compiled)
-    pieces = [
-        _cut_one(model, compiled, layout, r, i, horizon, stride or horizon, dt, signals, controlled)
-        for i, r in enumerate(recordings)
-    ]
+    cutter = _Cutter(
+        model, compiled, layout, horizon, stride or horizon, tuple(signals), tuple(controlled)
+    )
+    pieces = [cutter.cut(r, i) for i, r in enumerate(recordings)]
     channels = sorted(set().union(*(p.channels for p in pieces)), key=_order(layout))
     steps = max(p.steps for p in pieces)
-    joined = _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), dt)
+    joined = _joined([_widened(p, channels, steps) for p in pieces], tuple(channels), cutter.dt)
     sources = tuple(recordings) if compiled.na and set_activations(model, parameters) else ()
     return replace(joined, sources=sources)
 
 
-def _cut_one(
-    model: Model,
-    compiled: mujoco.MjModel,
-    layout: Layout,
-    recording: Recording,
-    number: int,
-    horizon: int,
-    stride: int,
-    dt: float,
-    signals: Sequence[str],
-    controlled: Sequence[str],
-) -> Windows:
-    known = {**layout.qpos, **layout.qvel, **layout.sensor}
-    channels = [n for n in recording.channels if n in known and n not in layout.unrecorded]
-    _require_units(compiled, recording)
-    measured = [n for n in layout.qpos if n not in layout.unrecorded]
-    _require(recording, [n for n in measured if n not in recording.channels], "joint position")
-    time, table = _merged(recording, channels)
-    orientations = quaternions(compiled)
-    require_orientations(orientations, recording.name, channels, time, table)
-    complete = np.isfinite(table[:, [channels.index(n) for n in measured]]).all(axis=1)
-    heard = _heard(model, compiled, controlled)
-    inputs = {n: recording.channels[n] for n in (*heard, *signals) if n in recording.channels}
-    first, left_out = window_starts(recording.name, time, complete, horizon, stride, inputs)
-    rows = first[:, None] + np.arange(1, horizon + 1)
-    step, fraction = _on_steps(time, rows, time[first], dt)
-    steps = int((step + (fraction > 0)).max()) + _feels(compiled, layout, channels)
-    ctrl = controls(model, compiled, recording, time[first], steps, dt, controlled)
-    start, note = _start(model, compiled, recording, time, table, channels, first, ctrl)
-    start, open_ = _on_loops(model.loops, recording, start)
-    if late := remembered_steps(compiled):
-        before = time[first] - late * dt
-        past = controls(model, compiled, recording, before, late, dt, controlled)
-        start = replace(start, past=past)
-    observed, delayed = without_before(
-        compiled, layout.sensor, recording.name, channels, table[rows], step
-    )
-    return Windows(
-        start=start,
-        ctrl=ctrl,
-        signals={n: _signal(recording, n, time[first], steps, dt) for n in signals},
-        channels=tuple(channels),
-        observed=observed,
-        step=step,
-        fraction=fraction,
-        time=time[first],
-        recording=np.full(len(first), number),
-        timestep=dt,
-        notes=note + open_,
-        left_out=left_out + delayed,
-        quaternions=orientations,
-    )
+@dataclass(frozen=True)
+class _Cutter:
+    """Cuts one recording after the other; see `cut` for what it takes."""
+
+    model: Model
+    compiled: mujoco.MjModel
+    layout: Layout
+    horizon: int
+    stride: int
+    signals: tuple[str, ...]
+    controlled: tuple[str, ...]
+
+    @property
+    def dt(self) -> float:
+        """Time step of the simulation in [s]."""
+        return float(self.compiled.opt.timestep)
+
+    def cut(self, recording: Recording, number: int) -> Windows:
+        """Return the windows of a recording, which is to be known by a number."""
+        compiled, dt = self.compiled, self.dt
+        channels, time, table = self._observed(recording)
+        first, left_out = self._first(recording, channels, time, table)
+        rows = first[:, None] + np.arange(1, self.horizon + 1)
+        step, fraction = _on_steps(time, rows, time[first], dt)
+        steps = int((step + (fraction > 0)).max()) + _feels(compiled, self.layout, channels)
+        ctrl = controls(self.model, compiled, recording, time[first], steps, dt, self.controlled)
+        start, notes = self._start(recording, channels, time, table, first, ctrl)
+        observed, delayed = without_before(
+            compiled, self.layout.sensor, recording.name, channels, table[rows], step
+        )
+        return Windows(
+            start=start,
+            ctrl=ctrl,
+            signals={n: _signal(recording, n, time[first], steps, dt) for n in self.signals},
+            channels=tuple(channels),
+            observed=observed,
+            step=step,
+            fraction=fraction,
+            time=time[first],
+            recording=np.full(len(first), number),
+            timestep=dt,
+            notes=notes,
+            left_out=left_out + delayed,
+            quaternions=quaternions(compiled),
+        )
+
+    @property
+    def _measured(self) -> list[str]:
+        """The positions that are needed."""
+        return [n for n in self.layout.qpos if n not in self.layout.unrecorded]
+
+    def _observed(
+        self, recording: Recording
+    ) -> tuple[list[str], Float[np.ndarray, " T"], Float[np.ndarray, "T c"]]:
+        """Return the channels that are compared, all instants of theirs, and their values."""
+        layout = self.layout
+        known = {**layout.qpos, **layout.qvel, **layout.sensor}
+        channels = [n for n in recording.channels if n in known and n not in layout.unrecorded]
+        _require_units(self.compiled, recording)
+        missing = [n for n in self._measured if n not in recording.channels]
+        _require(recording, missing, "joint position")
+        time, table = _merged(recording, channels)
+        require_orientations(quaternions(self.compiled), recording.name, channels, time, table)
+        return channels, time, table
+
+    def _first(
+        self,
+        recording: Recording,
+        channels: Sequence[str],
+        time: Float[np.ndarray, " T"],
+        table: Float[np.ndarray, "T c"],
+    ) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
+        """Return the rows at which windows begin, and what was left out, in words."""
+        columns = [channels.index(n) for n in self._measured]
+        complete = np.isfinite(table[:, columns]).all(axis=1)
+        heard = _heard(self.model, self.compiled, self.controlled)
+        names = (*heard, *self.signals)
+        inputs = {n: recording.channels[n] for n in names if n in recording.channels}
+        return window_starts(recording.name, time, complete, self.horizon, self.stride, inputs)
+
+    def _start(
+        self,
+        recording: Recording,
+        channels: Sequence[str],
+        time: Float[np.ndarray, " T"],
+        table: Float[np.ndarray, "T c"],
+        first: Int[np.ndarray, " W"],
+        ctrl: Ctrl,
+    ) -> tuple[State, tuple[str, ...]]:
+        """Return where the windows begin, and what is to be known of that, in words."""
+        model, compiled, dt = self.model, self.compiled, self.dt
+        start, note = recorded_start(model, compiled, recording, time, table, channels, first, ctrl)
+        start, open_ = on_loops(model.loops, recording, start)
+        if late := remembered_steps(compiled):
+            before = time[first] - late * dt
+            past = controls(model, compiled, recording, before, late, dt, self.controlled)
+            start = replace(start, past=past)
+        return start, note + open_
 
 
 def _heard(model: Model, compiled: mujoco.MjModel, controlled: Sequence[str]) -> list[str]:
@@ -228,80 +271,6 @@ def controls(
         elif not deaf[k] and name.removeprefix("ctrl.") not in controlled:
             _require(recording, [name], "control")
     return ctrl
-
-
-def _start(
-    model: Model,
-    compiled: mujoco.MjModel,
-    recording: Recording,
-    time: np.ndarray,
-    table: np.ndarray,
-    channels: list[str],
-    first: Int[np.ndarray, " W"],
-    ctrl: Ctrl,
-) -> tuple[State, tuple[str, ...]]:
-    """Return the recorded states; velocities that were not recorded come from a smoother.
-
-    Joints that nothing measures are at rest where the model puts them.
-    """
-    positions = np.tile(compiled.qpos0, (len(table), 1))
-    for k, name in enumerate(model.qpos_channels):
-        if name in channels:
-            positions[:, k] = table[:, channels.index(name)]
-    qpos = positions[first]
-    notes: tuple[str, ...] = ()
-    at_rest = [n.removeprefix("qvel.") in model.unrecorded for n in model.qvel_channels]
-    recorded = [n in channels for n in model.qvel_channels]
-    qvel = np.zeros((len(first), compiled.nv))
-    for k, name in enumerate(model.qvel_channels):
-        if recorded[k]:
-            qvel[:, k] = table[first, channels.index(name)]
-    if not np.logical_or(recorded, at_rest).all() or np.isnan(qvel).any():
-        have = np.isfinite(positions).all(axis=1)
-        rank = np.cumsum(have) - 1
-        fit = smooth(compiled, time[have], positions[have], rank[first])
-        kept = (np.array(recorded) & np.isfinite(qvel)) | np.array(at_rest)
-        qvel = np.where(kept, qvel, fit.velocity)
-        if not any(recorded):  # the smoother's position belongs to the smoother's velocity
-            zero = np.zeros((len(first), compiled.nv))
-            state = State(qpos, zero, np.zeros((len(first), 0)))
-            qpos = state.moved(compiled, np.hstack([fit.offset, zero])).qpos
-        notes = (
-            f"{recording.name}: start velocities are estimated from {fit.samples} samples each",
-        )
-    act = activations(model, compiled, recording, time[first], ctrl)
-    return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
-
-
-def _on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, tuple[str, ...]]:
-    """Return the states with their loops closed, and what is to be said of that.
-
-    States that were recorded whole, as those of a simulated plant, stay as they are.
-    """
-    whole = all(f"qvel.{j}" in recording.channels for j in loops.joints)
-    if not loops or (whole and not loops.silent):
-        return start, ()
-    if loops.silent:
-        start = replace(start, qpos=loops.followed(start.qpos))
-    start = start.closed(loops)
-    which = " and ".join(loops.joints)
-    note = f"{which} begin where the model's equalities put them"
-    opening = float(loops.opening(start.qpos).max())
-    if opening > _OPEN:
-        return start, (
-            f"{recording.name}: {note}, which stay open by up to {opening:.2g} m or rad: are the "
-            "zeros and signs of the other joints right, and the lengths of the links?",
-        )
-    return start, (f"{recording.name}: {note}",)
-
-
-def _warmstart(
-    compiled: mujoco.MjModel, recording: Recording, start: Float[np.ndarray, " W"]
-) -> Float[np.ndarray, "W nv"] | None:
-    names = [f"{WARMSTART}.{k}" for k in range(compiled.nv)]
-    if any(n not in recording.channels for n in names):
-        return None
-    return np.stack([recording.channels[n].at(start) for n in names], axis=1)
 
 
 def _order(layout: Layout) -> Callable[[str], int]:
