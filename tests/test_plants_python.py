@@ -15,7 +15,8 @@ from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.load import compiled, load_task, make_environment
 from bo_sysid.plants.plant import Plant, PlantError
-from bo_sysid.plants.python_task import PythonEnvironment, PythonTask, class_task, suite_task
+from bo_sysid.plants.python_environment import PythonEnvironment
+from bo_sysid.plants.python_task import PythonTask, class_task, suite_task
 from bo_sysid.plants.tasks import Start, VectorTask, find_task
 
 

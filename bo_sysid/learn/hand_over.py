@@ -10,7 +10,8 @@ from bo_sysid.arrays import Point
 from bo_sysid.learn.scene import Scene
 from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.limits import LimitedTask
-from bo_sysid.plants.python_task import PythonMachine, PythonTask
+from bo_sysid.plants.python_environment import PythonMachine
+from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run, atomic
 from bo_sysid.study.sections import Column

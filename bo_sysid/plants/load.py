@@ -8,7 +8,8 @@ import mujoco
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.environment import BatchEnvironment, Environment
-from bo_sysid.plants.python_task import PythonEnvironment, PythonTask, suite_task
+from bo_sysid.plants.python_environment import PythonEnvironment
+from bo_sysid.plants.python_task import PythonTask, suite_task
 from bo_sysid.plants.tasks import find_task, registered
 from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.simulation.lockstep import ForceLaw

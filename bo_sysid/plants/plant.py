@@ -12,7 +12,8 @@ from bo_sysid.plants.environment import episode_returns, physics_steps
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.machine import SteppedMachine, VectorMachine
 from bo_sysid.plants.measuring import KINDS, Measuring
-from bo_sysid.plants.python_task import PythonMachine, PythonTask
+from bo_sysid.plants.python_environment import PythonMachine
+from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.plants.tasks.bare import Bare
 from bo_sysid.plants.tasks.base import Start
 from bo_sysid.recording.value import Recording
