@@ -97,7 +97,7 @@ picture = axis.imshow(
 figure.colorbar(picture, label="Δ [sensor sigma]")
 axis.plot(*TRUTH, "r*", markersize=12, label="the machine")
 axis.set(xlabel="mass [kg]", ylabel="damping [N m s/rad]", title="Δ on the whole of B")
-axis.legend()
+legend = axis.legend()
 
 # %% [markdown]
 # ## Ask, simulate, tell
@@ -123,7 +123,7 @@ for axis, count in zip(np.atleast_1d(axes), shown, strict=True):
     axis.imshow(
         on_grid(belief.probabilities), origin="lower", extent=extent, aspect="auto", cmap="magma"
     )
-    axis.plot(*candidates.points[history.rows].T, "wo", markersize=3)
+    axis.plot(*candidates.points[history.rows].T, "wo", markersize=5, markerfacecolor="none")
     axis.plot(*TRUTH, "c*", markersize=10)
     axis.set(title=f"P after {count} evaluations", xlabel="mass [kg]")
 
@@ -154,7 +154,7 @@ for k, (axis, parameter) in enumerate(zip(axes, PARAMETERS, strict=True)):
         axis.bar(parameter.grid, mass, width=width * np.diff(parameter.grid)[0], label=label)
     axis.axvline(TRUTH[k], color="k", linestyle="--", label="the machine")
     axis.set_xlabel(f"{parameter.name} [{parameter.unit}]")
-axes[0].legend()
+legend = axes[0].legend()
 
 # %%
 assert outcome.belief.probabilities[target] >= np.sort(outcome.belief.probabilities)[-3]

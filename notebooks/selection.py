@@ -154,7 +154,7 @@ for row in curve.itertuples():
     axis.annotate(f"{row.cases}", (row.stated, float(row.right)), xytext=(6, -10),
                   textcoords="offset points", fontsize="small")  # fmt: skip
 axis.set(xlabel="stated max P", ylabel="share that is right", xlim=(0, 1.02), ylim=(0, 1.05))
-axis.legend(loc="upper left")
+legend = axis.legend(loc="upper left")
 
 # %% [markdown]
 # ## And the machine?
