@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
+from bo_sysid.diagnosis.search.ground import slide
 from bo_sysid.diagnosis.search.moves import eliminate, rubbing
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
@@ -77,6 +78,7 @@ def compare(final: Search, first: Fit) -> None:
         if lost(leader, final.nominal):
             return
         substitute(final, leader)
+        slide(final, leader)
         _shaped_alike(final, leader)
         refit_from_nearer(final, leader)
         _polish(final, leader, finished)
