@@ -222,7 +222,7 @@ def test_a_killed_comparison_goes_on_to_the_same_result(
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert record_of(place) == record_of(compared[0])
     assert "small: 6 runs of 3 arms." in done.stdout
-    assert "evaluations against argmin-entropy on the same seeds" in done.stdout.lower()
+    assert "evaluations over those of argmin-entropy on the same seeds" in done.stdout.lower()
     assert (place / "figures" / "regret.png").stat().st_size > 5_000
     pytest.importorskip("plotly", reason="the group report is not installed")
     assert main(["report", str(place)]) == 0

@@ -63,8 +63,11 @@ def headline(found: Found) -> dict[str, Any]:
             return {"name": made["name"], "verdict": sentence(made), "sentences": said}
     except (RunError, KeyError, TypeError, ValueError):
         pass  # the sections say what is damaged
-    sofar = run_text(found.folder).splitlines()[1:]
-    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": sofar}
+    try:
+        so_far = run_text(found.folder).splitlines()[1:]
+    except RunError:  # told where it is shown
+        so_far = []
+    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": so_far}
 
 
 def robot(found: Found) -> Section | None:
