@@ -390,7 +390,7 @@ def test_an_effect_whose_interval_holds_zero_is_a_hint(friction, half, held, mos
         jacobian=np.zeros((*best.residual.shape, 1)), unique=(9.0,),
         covariance=np.array([[(half * value[0] / 1.96) ** 2]]),
     )  # fmt: skip
-    assert perhaps_nothing(fit, machine) == ((c,) if held else ())
+    assert [told[0] for told in perhaps_nothing(fit, machine)] == [c] * held
     assert doubtful(fit, machine) == held
     for said in hints(fit, machine):
         assert said.startswith("The rotor inertia at the elbow (")

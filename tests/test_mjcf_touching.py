@@ -54,3 +54,12 @@ def test_a_contact_lasts_where_only_noise_lifts_it(noise: float, hop: float, goe
     poses = true + noise * rng.standard_normal(true.shape)
     moved = poses + noise * rng.standard_normal(true.shape)
     assert comes_and_goes(model, poses, moved) is goes
+
+
+def test_where_these_poses_miss_what_touches_nothing_is_known_to_last() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{FLOOR}"
+        '<body><joint type="slide" axis="0 0 1"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    poses = np.full((20, 1), 0.15)
+    assert comes_and_goes(model, poses, poses)

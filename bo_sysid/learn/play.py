@@ -19,7 +19,6 @@ from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import atomic, read_record
 from bo_sysid.study import Study
 
-_Z95 = 1.96  # standard errors in half a 95 % interval
 _SEED = 700_001  # starts are none of those of training, valuation or evaluation
 _PICTURES, _WIDTH, _HEIGHT = 8, 320, 240
 
@@ -45,7 +44,7 @@ class Played:
         """The returns in words."""
         told = Estimate.of(self.returns)
         count = len(self.returns)
-        half = float(f"{_Z95 * told.error:.2g}")
+        half = float(f"{told.half_width:.2g}")
         error = f" ± {half:g} (95 %)" if count > 1 else ""
         return f"Return on the plant: {told.mean:.4g}{error}, {count} episodes."
 

@@ -32,7 +32,6 @@ Valued = Callable[[Int[np.ndarray, " K"], int], Values]
 MOST_NEIGHBOURS = 32
 MOST_PROBABLE = 32
 DOUBTED, AGAIN = 8, 4  # neighbours that are valued again, over how many times the episodes
-_Z95 = 1.96  # standard errors in half a 95 % interval
 _LEVEL = 0.05  # of the tests of all neighbours together
 _LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
 
@@ -155,7 +154,7 @@ def near_enough(
     }
     numbers = (
         f"Over all candidates within {epsilon:g} of the bounds (epsilon) the policy's return "
-        f"differs by {abs(worst.mean):.3g} ± {_Z95 * worst.error:.2g} at most (95 %, "
+        f"differs by {abs(worst.mean):.3g} ± {worst.half_width:.2g} at most (95 %, "
         f"{told.episodes} paired episodes)"
     )
     return Verdict(agree, f"{numbers}, {text} {allowed:.3g}, {r:g} of it (r).", figures)

@@ -19,6 +19,7 @@ from bo_sysid.plants.python_task import PythonTask
 
 _SIMULATIONS = 256  # at once; more fall out of the processor's cache
 VALUE_SEED = 1_000_003  # starts of valuation are none of those of training
+_Z95 = 1.96  # standard errors in half a 95 % interval
 
 
 class Estimate(NamedTuple):
@@ -33,6 +34,11 @@ class Estimate(NamedTuple):
         count = len(samples)
         error = float(samples.std(ddof=1) / np.sqrt(count)) if count > 1 else np.inf
         return cls(float(samples.mean()), error)
+
+    @property
+    def half_width(self) -> float:
+        """Half of the 95 % interval."""
+        return _Z95 * self.error
 
 
 @dataclass(frozen=True)

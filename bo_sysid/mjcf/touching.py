@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+# a flex, which has no geom, is none either
 _NO_DISTANCE = (int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtGeom.mjGEOM_SDF))
 _FAR = 1.0  # [m] beyond which distances are not told apart
 _NOISE, _APART = 5.0, 1e-4  # times the noise of a distance, and [m], from which geoms are apart
@@ -52,7 +53,7 @@ def comes_and_goes(
     poses: Float[np.ndarray, "W nq"],
     moved: Float[np.ndarray, "W nq"],
 ) -> bool:
-    """Return whether any geoms that touch in some poses are apart in others.
+    """Return whether any geoms that touch in some poses are apart in others, or none touch here.
 
     As the tyres of a wheeled robot are not. How far they seem to be apart by the noise of the poses
     alone is told by poses with more such noise.
@@ -68,13 +69,13 @@ def comes_and_goes(
         mujoco.mj_fwdPosition(model, data)
         found.update(map(tuple, np.sort(data.contact.geom[: data.ncon], axis=1).tolist()))
     for one, other in found:
-        if {model.geom_type[one], model.geom_type[other]} & set(_NO_DISTANCE):
+        if one < 0 or {model.geom_type[one], model.geom_type[other]} & set(_NO_DISTANCE):
             return True
         apart, noisy = (_distances(model, data, one, other, p) for p in (poses, moved))
         far = apart > _NOISE * np.std(noisy - apart) + _APART
         if far.mean() > _RARELY:
             return True
-    return False
+    return not found  # elsewhere, or between these poses, some do
 
 
 def _distances(

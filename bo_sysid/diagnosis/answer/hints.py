@@ -5,7 +5,7 @@ from math import hypot, inf, pi, sqrt
 
 import numpy as np
 
-from bo_sysid.diagnosis.answer.findings import amount, quantities, spoken
+from bo_sysid.diagnosis.answer.findings import Quantity, amount, quantities, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing
@@ -40,7 +40,7 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
         said.append(_unrepeated_sentence(unseen, machine))
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
-    said += [_nothing_sentence(c, machine, best) for c in perhaps_nothing(best, machine)]
+    said += [_nothing_sentence(*told) for told in perhaps_nothing(best, machine)]
     if best.members and (joints := balls(machine)):
         said.append(_balls_sentence(joints))
     return tuple(said)
@@ -182,25 +182,25 @@ def _meshing_sentence(joints: Sequence[str]) -> str:
     )
 
 
-def perhaps_nothing(best: Fit, machine: Machine) -> tuple[Candidate, ...]:
+def perhaps_nothing(best: Fit, machine: Machine) -> tuple[tuple[Candidate, float, Quantity], ...]:
     """Return the members of a set whose interval holds 0: what they explain, chance may explain.
 
     So far from the recordings that what is left of them is no noise. Friction that changes in its
-    bend alone is none of them.
+    bend alone is none of them. With each come its first magnitude and what is reported of it.
     """
-    pairs = zip(best.members, quantities(best, machine), strict=True)
-    return tuple(c for c, q in pairs if not c.bent and q.interval[0] < 0 < q.interval[1])
+    told = zip(best.members, best.x, quantities(best, machine), strict=True)
+    return tuple(
+        (c, float(x[0]), q) for c, x, q in told if not c.bent and q.interval[0] < 0 < q.interval[1]
+    )
 
 
-def _nothing_sentence(c: Candidate, machine: Machine, best: Fit) -> str:
+def _nothing_sentence(c: Candidate, x: float, quantity: Quantity) -> str:
     """Return in words that an effect may as well not be there."""
-    k = best.members.index(c)
-    size = amount(quantities(best, machine)[k])
-    bound = best.x[k][0] >= c.high[0] - _AT_BOUND * (c.high[0] - c.low[0])
+    bound = x >= c.high[0] - _AT_BOUND * (c.high[0] - c.low[0])
     end = ", the most that was looked for," if bound else ""
     return (
-        f"The {c.effect.noun} at {spoken(c.site)} ({size}){end} may as well be none: its interval "
-        "holds 0, beside all that is left unexplained."
+        f"The {c.effect.noun} at {spoken(c.site)} ({amount(quantity)}){end} may as well be none: "
+        "its interval holds 0, beside all that is left unexplained."
     )
 
 

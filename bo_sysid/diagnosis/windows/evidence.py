@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.windows.hypothesis import (
 )
 from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
 from bo_sysid.diagnosis.windows.law_controls import driven
-from bo_sysid.diagnosis.windows.recorded_contact import as_it_moved, meets_impacts
+from bo_sysid.diagnosis.windows.recorded_contact import as_it_moved, shows_impacts
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
@@ -81,7 +81,7 @@ class Evidence:
         touched = as_it_moved(self.given, recordings) is self.given
         if self.model is not self.given and not touched:
             return self
-        impacts = self.machine.impacts or meets_impacts(self.given, recordings, self.sigma)
+        impacts = self.machine.impacts or shows_impacts(self.given, recordings, self.sigma)
         if self.model is self.given and impacts == self.machine.impacts:
             return self
         whole = replace(self.machine, model=self.given.compile(), impacts=impacts)
@@ -153,7 +153,7 @@ def make_evidence(
     wanted = tuple(CATALOGUE.values()) if effects is None else effects
     wanted = [e for e in wanted if e.family != "numerics"]  # fits take the step along as it is
     sigma = channel_noise(recordings, machine, noise or {})
-    machine = replace(machine, impacts=meets_impacts(model, recordings, sigma))
+    machine = replace(machine, impacts=shows_impacts(model, recordings, sigma))
     offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
     return Evidence(
         model,

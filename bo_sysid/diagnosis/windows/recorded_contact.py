@@ -29,7 +29,7 @@ def as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
     return model.without_contact()
 
 
-def meets_impacts(
+def shows_impacts(
     model: Model, recordings: Sequence[Recording], sigma: Mapping[str, float]
 ) -> bool:
     """Whether contacts come and go in recordings, for all that they tell.
