@@ -243,7 +243,7 @@ def _bars(axis: "Axes", part: pd.DataFrame, arms: list[str], unit: str) -> None:
         axis.errorbar(mean, place, xerr=error, fmt="o", markersize=4, label=f"regret {level:g}")
     axis.set_yticks(np.arange(len(arms)), arms, fontsize="x-small")
     axis.set_xlim(left=0)
-    axis.invert_yaxis()
+    axis.set_ylim(len(arms) - 0.5, -0.5)  # the first arm on top
 
 
 def _colours(paths: pd.DataFrame) -> dict[str, Any]:

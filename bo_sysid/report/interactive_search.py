@@ -114,7 +114,7 @@ def training(rounds: pd.DataFrame) -> go.Figure:
             line={"color": IDENTIFIED, "width": 2}, opacity=shade,
         )  # fmt: skip
     figure.update_xaxes(title="simulated control steps")
-    figure.update_yaxes(title="return of a batch")
+    figure.update_yaxes(title="mean reward of a batch<br>× steps of an episode")
     return dressed(figure, 320)
 
 

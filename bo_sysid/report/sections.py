@@ -243,8 +243,9 @@ def learned(found: Found) -> Section | None:
     if found.has("training.parquet"):
         training = read_frame(found.folder, "training.parquet")
         words = (
-            "How each policy was learned: return of a batch of episodes in the identified model, "
-            "against simulated control steps. One curve a round; no step of the plant is in them."
+            "How each policy was learned: mean reward of a batch in the identified model times the "
+            "steps of an episode, against simulated control steps. One curve a round; no step of "
+            "the plant is in them."
         )
         plots.append(Plot(words, {"": interactive_search.training(training)}))
     shown = [c for c in iterations if iterations[c].notna().any() and _flat(iterations[c])]
