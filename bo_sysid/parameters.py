@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Literal
 
 import numpy as np
@@ -94,7 +95,7 @@ class CandidateSet:
         Raises:
             StudyError: the grid has more than 200 000 points.
         """
-        size = int(np.prod([float(p.steps) for p in parameters]))
+        size = prod(p.steps for p in parameters)
         if size > MOST_CANDIDATES:
             raise StudyError(
                 f"a grid over {len(parameters)} parameters has {size} candidates, more than "

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from oscillator import Oscillator
+from scipy.signal import lfilter
 
 from bo_sysid.deviation import Blocks, Deviation, Whitening, fit_starts
 from bo_sysid.deviation.forecast import fit_residual, forecast_residual, prediction_residual
@@ -204,6 +205,38 @@ def test_blocks_are_longer_than_the_correlation_time_and_know_their_recording() 
     smooth = np.repeat(rng.normal(size=20), 50)
     assert len(Blocks.of(smooth, np.zeros(1000, int)).weight) == 8
     assert Blocks.of(smooth, np.zeros(1000, int)).session is None
+
+
+def alike(phi: float, count: int, seed: int) -> np.ndarray:
+    """Return a first-order autoregressive series of unit variance."""
+    rng = np.random.default_rng(seed)
+    shock = rng.normal(size=count) * np.sqrt(1 - phi**2)
+    shock[0] = rng.normal()
+    return lfilter([1.0], [1.0, -phi], shock)
+
+
+@pytest.mark.parametrize(("phi", "short"), [(0.0, False), (0.5, False), (0.97, True)])
+def test_blocks_that_are_too_much_alike_are_told(phi: float, short: bool) -> None:
+    """Those of which a bootstrap says too little: the spread of its means is that of the mean."""
+    series = [alike(phi, 400, seed) for seed in range(200)]
+    true = np.std([x.mean() for x in series])
+    told, flagged = [], []
+    for x in series:
+        blocks = Blocks.of(x, np.zeros(400, int))
+        means = np.bincount(blocks.index, x) / np.bincount(blocks.index)
+        told.append(means.std(ddof=1) / np.sqrt(len(means)))
+        flagged.append(blocks.short)
+    assert np.mean(flagged) > 0.5 if short else not any(flagged)
+    if not short:
+        assert np.mean(told) == pytest.approx(true, rel=0.1)
+
+
+def test_what_goes_as_far_astray_as_a_diverged_window_counts_as_one() -> None:
+    windows = oscillator_windows(horizon=20)
+    deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, Whitening.of(windows))
+    deviation.penalty = 1e-3  # below what every window of a wrong candidate deviates by
+    assert deviation(np.array([[9.0, 0.5]])).diverged[0] == 1.0
+    assert deviation(TRUTH[None]).diverged[0] == 0.0
 
 
 def test_problem_is_the_deviation_in_torch() -> None:

@@ -3,6 +3,7 @@
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import History, Rules, initial_rows, search
+from bo_sysid.identify.search import History, Rules, believe, initial_rows, search
 from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import Run
@@ -287,6 +288,44 @@ def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path
     assert found.identifiability["of_range"][0] == pytest.approx(row["high95"] - row["low95"])
     assert found.unsure == ()
     assert len(found.evaluations) == found.evaluations["mass"].nunique() == 20
+
+
+def test_zooming_ends_where_the_recordings_tell_no_more(tmp_path: Path) -> None:
+    search = {"budget": 200, "stop": {"entropy": 0}, "refine": True}
+    found = identify(cart_study(tmp_path, search=search))
+    row = found.parameters.iloc[0]
+    width = row["high95"] - row["low95"]
+    finest = np.diff(np.sort(found.candidates.points[:, 0])).min()
+    assert 0.005 * width < finest < 0.1 * width
+    assert len(found.evaluations) < 100
+
+
+def test_what_was_simulated_is_kept_before_the_next_belief_is_made(tmp_path: Path) -> None:
+    problem = make_problem(cart_study(tmp_path), threads=1)
+    rules = Rules("argmin-entropy", StopRule(10, 0.0, 1))
+    simulated: list[int] = []
+    kept: list[int] = []
+
+    def evaluate(row: int) -> Evaluation:
+        simulated.append(row)
+        return problem.deviation(problem.candidates.points[[row]])
+
+    def believing(*known: Any) -> Any:
+        assert kept == simulated  # a kill from here on loses nothing
+        return believe(*known)
+
+    def keep(history: History) -> None:
+        kept[:] = history.rows.tolist()
+
+    search(
+        problem.candidates,
+        evaluate,
+        rules,
+        History.empty(len(problem.deviation.blocks.weight)),
+        keep,
+        believing,
+    )
+    assert len(simulated) > 5  # the first four are the design
 
 
 def test_what_only_the_holdout_recorded_is_left_out_and_said(tmp_path: Path) -> None:

@@ -141,15 +141,21 @@ def test_noise_alone_does_not_keep_the_loop_going(grid: CandidateSet) -> None:
 
 def test_neighbours_in_doubt_are_valued_again(grid: CandidateSet) -> None:
     here, asked = row(grid, 0.5, 2.0), []
-    inner = noisy(grid, 0.0, 13.0, 3)
+    far = neighbours(grid, here, 0.2)[-1]  # worth 4 less for certain: within what is allowed
 
     def valued(rows: np.ndarray, times: int) -> Values:
-        asked.append((len(rows), times))
-        return inner(rows, times)
+        asked.append((rows.tolist(), times))
+        noise = np.random.default_rng(times).normal(0.0, 13.0, (len(rows), 20 * times))
+        noise[rows == far] = noise[0] - 4.0
+        return Values(100.0 + noise)
 
     verdict = near_enough(grid, here, here, 0.2, 0.05, valued)
-    assert asked == [(25, 1), (9, 4)]
-    assert verdict.figures["episodes"] == 80
+    (first, once), (second, often) = asked
+    assert (len(first), once, often) == (25, 1, 4)
+    assert set(first) - set(second) == {far}
+    assert verdict.stop
+    assert verdict.figures["largest_difference"]["mean"] == pytest.approx(4.0)
+    assert verdict.figures["episodes"] == 20  # those behind the difference that is told
 
 
 def test_the_value_guided_rule_is_the_expected_difference(grid: CandidateSet) -> None:

@@ -64,6 +64,8 @@ def test_a_grid_too_large_to_list_says_what_to_do() -> None:
     many = [Parameter(f"p{i}", ("x",), 0, 1, 100) for i in range(4)]
     with pytest.raises(StudyError, match=r"100000000 candidates.*sobol"):
         CandidateSet.from_grid(many)
+    with pytest.raises(StudyError, match="sobol"):  # more than any float
+        CandidateSet.from_grid(many * 50)
 
 
 def test_a_candidate_stands_for_its_cell() -> None:

@@ -221,6 +221,23 @@ def test_a_sample_alone_between_pauses_is_at_rest_and_two_give_a_slope() -> None
     np.testing.assert_allclose(fit.velocity[:, 0], [0.0, 2.0, 2.0, 2.0], atol=1e-9)
 
 
+def test_a_noisy_joint_does_not_smear_a_quick_one_beside_it() -> None:
+    time = np.arange(2000) * 0.01
+    slow, quick = 0.5 * np.sin(2 * np.pi * 0.2 * time), 0.3 * np.sin(2 * np.pi * 4.0 * time)
+    noisy = slow + 0.01 * np.random.default_rng(0).normal(size=len(time))
+    wheels = "<body><joint/><geom size='1'/></body>" * 2
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{wheels}</worldbody></mujoco>")
+    rows = np.arange(20, 1980, 20)
+    alone = smooth(model, time, np.stack([slow, quick], axis=1), rows)
+    fit = smooth(model, time, np.stack([noisy, quick], axis=1), rows)
+    np.testing.assert_array_equal(fit.velocity[:, 1], alone.velocity[:, 1])
+    true = 0.3 * 2 * np.pi * 4.0 * np.cos(2 * np.pi * 4.0 * time[rows])
+    assert np.abs(fit.velocity[:, 1] - true).max() < 0.005 * np.abs(true).max()
+    assert fit.samples[0] > 4 * fit.samples[1]  # and the noise is averaged as before
+    steady = np.cos(2 * np.pi * 0.2 * time[rows]) * 0.5 * 2 * np.pi * 0.2
+    assert np.std(fit.velocity[:, 0] - steady) < 0.06
+
+
 def test_missing_velocities_are_estimated() -> None:
     arm = Model.from_xml(ARM.format(integrator="RK4"))  # Euler's qvel trails the slope of qpos
     with_velocity = cut(arm, [simulated(arm)], horizon=20)

@@ -38,7 +38,10 @@ def expected_fall(field: Contest) -> tuple[Int[np.ndarray, " k"], Float[np.ndarr
     std = np.sqrt(np.einsum("rs,rs->s", field.factor, field.factor))
     kept = np.sort(np.argsort(field.mean - std, kind="stable")[:MOST])
     factor, mean = field.factor[:, kept], field.mean[kept]
-    slopes = factor.T @ factor / std[kept]  # column β: change of the means per unit of z
+    # column β: change of the means per unit of z; nothing follows from what is known already
+    slopes = np.divide(
+        factor.T @ factor, std[kept], out=np.zeros((len(kept),) * 2), where=std[kept] > 0
+    )
     expected = np.zeros(len(kept))
     for z in ndtri((np.arange(NODES) + 0.5) / NODES):
         lowest = (mean[:, None] + z * slopes).min(axis=0, initial=np.inf)

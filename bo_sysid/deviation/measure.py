@@ -24,8 +24,10 @@ from bo_sysid.simulation import Prediction, Simulator, Windows
 
 PENALTY = 10.0  # a diverged window deviates by this many times the recorded range
 _MOST_BLOCKS = 40
-_LEAST_BLOCKS = 8
-_SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
+_LEAST_BLOCKS = 8  # a bootstrap of fewer says little
+_LONG = 5  # correlation times that a block lasts, where the recordings are long enough
+_SHORT = 2  # the same, below which blocks are too much alike
+SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
 
 
 @dataclass(frozen=True)
@@ -88,32 +90,54 @@ class Blocks:
         weight: `b` share of all windows in each block.
         session: `b` number of the recording that each block comes from; None where there are too
             few recordings to draw from.
+        short: whether blocks last less than twice as long as errors are alike. What the bootstrap
+            says is then narrower than what other recordings would show.
     """
 
     index: Int[np.ndarray, " W"]
     weight: Float[np.ndarray, " b"]
     session: Int[np.ndarray, " b"] | None
+    short: bool = False
 
     @classmethod
     def of(cls, series: Float[np.ndarray, " W"], recording: Int[np.ndarray, " W"]) -> "Blocks":
-        """Return blocks longer than the correlation time of a series.
+        """Return blocks five times longer than the correlation time of a series, 8 at least.
 
         Args:
             series: `W` deviations of one candidate, in order of time within each recording.
             recording: `W` number of the recording.
         """
-        length = int(np.ceil(5 * correlation_time(series)))
-        total = np.clip(len(series) // max(length, 1), _LEAST_BLOCKS, _MOST_BLOCKS)
-        numbers = np.unique(recording)
-        index = np.empty(len(series), int)
-        session: list[int] = []
-        for number in numbers:
-            rows = np.flatnonzero(recording == number)
-            count = int(np.clip(round(total * len(rows) / len(series)), 1, len(rows)))
-            index[rows] = len(session) + np.arange(len(rows)) * count // len(rows)
-            session += [int(number)] * count
+        time = correlation_time(series)
+        total = np.clip(
+            len(series) // max(int(np.ceil(_LONG * time)), 1), _LEAST_BLOCKS, _MOST_BLOCKS
+        )
+        index, session = blocks_of(recording, int(total))
         weight = np.bincount(index, minlength=len(session)) / len(series)
-        return cls(index, weight, np.array(session) if len(numbers) >= _SESSIONS else None)
+        several = len(np.unique(recording)) >= SESSIONS
+        short = len(series) < _SHORT * time * len(weight)
+        return cls(index, weight, session if several else None, short and not several)
+
+
+def blocks_of(
+    recording: Int[np.ndarray, " W"], total: int
+) -> tuple[Int[np.ndarray, " W"], Int[np.ndarray, " b"]]:
+    """Return about `total` blocks of consecutive windows, none across recordings.
+
+    Args:
+        recording: `W` number of the recording of each window.
+        total: how many; each recording has one at least, and as many as its share of the windows.
+
+    Returns:
+        The block of each window, and the recording of each of the `b` blocks.
+    """
+    index = np.empty(len(recording), int)
+    session: list[int] = []
+    for number in np.unique(recording):
+        rows = np.flatnonzero(recording == number)
+        count = int(np.clip(round(total * len(rows) / len(recording)), 1, len(rows)))
+        index[rows] = len(session) + np.arange(len(rows)) * count // len(rows)
+        session += [int(number)] * count
+    return index, np.array(session, int)
 
 
 def correlation_time(series: Float[np.ndarray, " W"]) -> float:
@@ -141,7 +165,8 @@ class Evaluation:
     Attributes:
         deviation: `C` values of Δ, positive and finite.
         contributions: `C x b` mean deviation over each block.
-        diverged: `C` share of windows in which the simulation diverged.
+        diverged: `C` share of windows in which the simulation diverged, or went as far astray as
+            one that does is said to.
     """
 
     deviation: Float[np.ndarray, " C"]
@@ -206,15 +231,19 @@ class Deviation:
         return (self.prediction(point) for point in points)
 
     def _norms(self, points: Points) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield for each point the `W` window norms and the `W` flags of divergence."""
+        """Yield for each point the `W` window norms and the `W` flags of divergence.
+
+        A window whose prediction strays as far as a diverged one costs counts as one.
+        """
         for prediction in self._predictions(points):
             residual = self.windows.residual(prediction.values)
             residual *= self._weight
             if not self._complete:
                 np.nan_to_num(residual, copy=False, nan=0.0)
             norms = np.sqrt(np.einsum("whc,whc->w", residual, residual) / residual.shape[1])
-            norms[prediction.diverged | ~(norms < self.penalty)] = self.penalty
-            yield norms, prediction.diverged
+            strayed = prediction.diverged | ~(norms < self.penalty)
+            norms[strayed] = self.penalty
+            yield norms, strayed
 
 
 def _spread(windows: Windows) -> Float[np.ndarray, " c"]:

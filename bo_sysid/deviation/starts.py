@@ -103,9 +103,15 @@ def _jacobian(
     weight: Float[np.ndarray, " c"],
     dof: int,
 ) -> Float[np.ndarray, "W m n"]:
-    """Return how the weighted prediction changes with the start, by finite differences."""
+    """Return how the weighted prediction changes with the start, by finite differences.
+
+    A start that makes a window diverge tells no slope: that window does not move along it.
+    """
     size = np.repeat([_STEP_POSITION, _STEP_VELOCITY], dof)
     starts = [simulator.moved(start, np.tile(row, (len(start), 1))) for row in np.diag(size)]
     moved = _cost(simulator, point, windows, starts, weight)
-    columns = [(residual - r) / h for (r, _), h in zip(moved, size, strict=True)]
+    columns = [
+        np.where(np.isfinite(cost)[:, None], (residual - r) / h, 0.0)
+        for (r, cost), h in zip(moved, size, strict=True)
+    ]
     return np.stack(columns, axis=-1)

@@ -13,7 +13,7 @@ from bo_sysid.execution import OnProgress, Progress, silent, threads
 from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
-from bo_sysid.identify.refine import Level, joined, zoomed
+from bo_sysid.identify.refine import Level, joined, resolved, zoomed
 from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, believe, search
 from bo_sysid.mjcf import parameter_edits
@@ -137,7 +137,7 @@ def _searched(
         outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
         levels.append(Level(candidates, outcome.history))
         finer = None
-        if settings.refine:
+        if settings.refine and not _resolved(problem, candidates, outcome):
             mass = outcome.belief.probabilities
             finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
         if finer is None or spent + len(outcome.history) >= settings.budget:
@@ -152,6 +152,11 @@ def _searched(
     surrogate, belief = believe(whole.candidates, whole.history, _rules(problem.study, 0, 0))
     outcome = SearchOutcome(whole.history, surrogate, belief, outcome.reason)
     return whole.candidates, cells, outcome
+
+
+def _resolved(problem: Problem, candidates: CandidateSet, outcome: SearchOutcome) -> bool:
+    bootstrap = _bootstrap(problem, candidates, outcome)
+    return resolved(candidates, bootstrap, problem.candidates)
 
 
 def _rules(study: Study, level: int, spent: int) -> Rules:
@@ -199,6 +204,11 @@ def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: SearchOutcom
     ).probabilities
 
 
+_ALIKE = (
+    "the model is off in the same way over long parts of the recordings, so that these are few "
+    "independent ones: the intervals are narrower than they should be. Longer recordings help, and "
+    "from four recordings on they are drawn as wholes"
+)
 _AT_BOUND = 1e-9  # of the range between the bounds
 
 
@@ -237,6 +247,8 @@ def _notes(problem: Problem) -> tuple[str, ...]:
         + [n for r in problem.recordings for n in r.notes]
         + [*problem.deviation.windows.left_out, *problem.deviation.windows.notes]
     )
+    if problem.deviation.blocks.short:
+        notes.append(_ALIKE)
     notes += [_compared(problem, k) for k in range(len(problem.deviation.whitening.channels))]
     return tuple(dict.fromkeys(notes))
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from bo_sysid.arrays import Points, Probabilities
+from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.rows import RowIndex
 from bo_sysid.deviation import Evaluation
 from bo_sysid.identify.search import History
@@ -20,6 +21,10 @@ from bo_sysid.parameters import CandidateSet, Parameter
 MASS = 0.999  # of P that the new box must hold
 WORTHWHILE = 0.8  # a box that keeps more than this share of every side is no zoom
 _SAME = 1e-6  # of a cell: nearer candidates are one
+_FINE = (
+    0.1  # of what P_boot leaves open, between candidates: nearer ones say nothing of the machine
+)
+_FINEST = 1e-6  # of the stated range, the same where the recordings are explained exactly
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,22 @@ def _inside(points: Points, finer: CandidateSet, stated: CandidateSet) -> Bool[n
     above = (points > low + slack) | (low == least)
     below = (points < high - slack) | (high == most)
     return np.asarray((above & below).all(axis=1))
+
+
+def resolved(candidates: CandidateSet, bootstrap: Probabilities, stated: CandidateSet) -> bool:
+    """Return whether no finer set would say anything of the machine.
+
+    P shrinks with every evaluation, so that it asks for finer sets without end. Candidates need not
+    be nearer to each other than a tenth of the 95 % interval of P_boot.
+
+    Args:
+        candidates: the set that was searched last.
+        bootstrap: P_boot of each.
+        stated: the set that the study states.
+    """
+    low, high = credible_interval(candidates.points, bootstrap, 0.95)
+    least = _FINEST * np.ptp(stated.bounds, axis=0)
+    return bool((candidates.cell <= np.maximum(_FINE * (high - low), least)).all())
 
 
 def zoomed(

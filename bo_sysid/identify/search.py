@@ -112,7 +112,8 @@ def search(
         evaluate: returns Δ of a row.
         rules: how to search.
         history: what was evaluated before, to go on from.
-        on_step: called after every evaluation with the history so far.
+        on_step: called with the history so far after every evaluation, again once its entropy is
+            known.
         believing: makes the belief; `believe` by default.
     """
     believing = believing or believe
@@ -132,6 +133,7 @@ def search(
             return SearchOutcome(history, surrogate, belief, reason)
         row = ask(candidates, history, surrogate, belief, rules)
         history = history.with_evaluation(row, evaluate(row))
+        on_step(history)  # before the next belief is made: an evaluation may have taken long
 
 
 def initial_rows(candidates: CandidateSet, rules: Rules) -> Int[np.ndarray, " n"]:

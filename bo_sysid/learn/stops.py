@@ -31,7 +31,7 @@ Valued = Callable[[Int[np.ndarray, " K"], int], Values]
 
 MOST_NEIGHBOURS = 32
 MOST_PROBABLE = 32
-DOUBTED, AGAIN = 8, 4  # neighbours that are valued again, over how many times the episodes
+AGAIN = 4  # times the episodes, over which neighbours are valued again
 _LEVEL = 0.05  # of the tests of all neighbours together
 _LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
 
@@ -115,9 +115,9 @@ def near_enough(
 
     V is known with an error only, and the largest of many noisy differences lies beyond any bound.
     The second condition fails where a difference is beyond the bound by a one-sided t-test of
-    paired episodes at 5 %, shared among the neighbours (Bonferroni). Where the test leaves it open,
-    the neighbours that differ most are valued again over more episodes; what is still open then
-    counts as within, if its standard error is no larger than the bound.
+    paired episodes at 5 %, shared among the neighbours (Bonferroni). The neighbours of which the
+    test leaves it open are valued again over more episodes; one that is still open then counts as
+    within, if its standard error is no larger than the bound.
 
     Args:
         candidates: the set B.
@@ -144,42 +144,48 @@ def near_enough(
         text = "The policy is worth nothing on any candidate nearby, which says nothing of them."
         return Verdict(False, text, figures)
     allowed = r * abs(own.mean)
-    told = _surer(told, chosen, around, allowed, valued)
-    agree, text = _agreement(told, allowed, len(around))
-    worst = max(_apart(told), key=lambda d: abs(d.mean))
+    apart = _surer(told, chosen, around, allowed, valued)
+    agree, text = _agreement(apart, allowed)
+    worst, episodes = max(apart, key=lambda d: abs(d[0].mean))
     figures |= {
         "largest_difference": worst._asdict(),
         "allowed": allowed,
-        "episodes": told.episodes,
+        "episodes": episodes,
     }
     numbers = (
         f"Over all candidates within {epsilon:g} of the bounds (epsilon) the policy's return "
         f"differs by {abs(worst.mean):.3g} ± {worst.half_width:.2g} at most (95 %, "
-        f"{told.episodes} paired episodes)"
+        f"{episodes} paired episodes)"
     )
     return Verdict(agree, f"{numbers}, {text} {allowed:.3g}, {r:g} of it (r).", figures)
 
 
+_Apart = tuple[Estimate, int]
+"""A difference of values, and over how many paired episodes."""
+
+
 def _surer(
     told: Values, chosen: int, around: Int[np.ndarray, " k"], allowed: float, valued: Valued
-) -> Values:
-    """Value the neighbours that differ most over more episodes, where the test leaves them open."""
-    apart, among = _apart(told), len(around)
-    if any(_beyond(d, allowed, told.episodes, among) for d in apart):
-        return told
-    most = np.argsort([-abs(d.mean) for d in apart], kind="stable")[:DOUBTED]
-    doubted = [int(k) for k in most if not _within(apart[k], allowed, told.episodes, among)]
-    return valued(np.concatenate([[chosen], around[doubted]]), AGAIN) if doubted else told
+) -> list[_Apart]:
+    """Return the difference of each neighbour, over more episodes where the test leaves it open."""
+    apart, among = [(d, told.episodes) for d in _apart(told)], len(around)
+    if any(_beyond(*d, allowed, among) for d in apart):
+        return apart
+    open_ = [k for k, d in enumerate(apart) if not _within(*d, allowed, among)]
+    if open_:
+        again = valued(np.concatenate([[chosen], around[open_]]), AGAIN)
+        for k, d in zip(open_, _apart(again), strict=True):
+            apart[k] = (d, again.episodes)
+    return apart
 
 
-def _agreement(told: Values, allowed: float, among: int) -> tuple[bool, str]:
+def _agreement(apart: list[_Apart], allowed: float) -> tuple[bool, str]:
     """Return whether the values differ by no more than is allowed, and how that is said."""
-    apart = _apart(told)
-    if any(_beyond(d, allowed, told.episodes, among) for d in apart):
+    if any(_beyond(*d, allowed, len(apart)) for d in apart):
         return False, "more than"
-    if max(d.error for d in apart) > allowed:
+    if max(d.error for d, _ in apart) > allowed:
         return False, "too uncertain to be told from"
-    if max(abs(d.mean) for d in apart) <= allowed:
+    if max(abs(d.mean) for d, _ in apart) <= allowed:
         return True, "within"
     return True, "not significantly more than"
 
@@ -189,12 +195,12 @@ def _apart(told: Values) -> list[Estimate]:
     return [told.difference(0, k) for k in range(1, len(told.returns))]
 
 
-def _beyond(d: Estimate, allowed: float, episodes: int, among: int) -> bool:
+def _beyond(d: Estimate, episodes: int, allowed: float, among: int) -> bool:
     """Return whether a difference is significantly larger than what is allowed."""
     return abs(d.mean) - _reach(d, episodes, among) > allowed
 
 
-def _within(d: Estimate, allowed: float, episodes: int, among: int) -> bool:
+def _within(d: Estimate, episodes: int, allowed: float, among: int) -> bool:
     """Return whether a difference is significantly smaller than what is allowed."""
     return abs(d.mean) + _reach(d, episodes, among) <= allowed
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
-from scipy.stats import beta
+from scipy.stats import beta, binomtest
 
 _DRAWS = 2000
 _PER_BIN = 15  # cases in a bin, at least, where there are so many
@@ -20,10 +20,8 @@ def clopper_pearson(right: int, of: int, level: float = 0.95) -> tuple[float, fl
         of: among how many.
         level: of confidence.
     """
-    tail = 0.5 * (1.0 - level)
-    low = 0.0 if right == 0 else float(beta.ppf(tail, right, of - right + 1))
-    high = 1.0 if right == of else float(beta.ppf(1.0 - tail, right + 1, of - right))
-    return low, high
+    low, high = binomtest(right, of).proportion_ci(level, method="exact")
+    return float(low), float(high)
 
 
 def upper_bound(right: int, of: int, level: float = 0.95) -> float:

@@ -10,6 +10,7 @@ from typing import IO
 from bo_sysid.errors import RunError
 
 NAME = ".lock"
+_BEYOND = 1 << 30  # byte that is locked on Windows, after all that is written
 _HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)  # by another process
 
 
@@ -39,7 +40,7 @@ if sys.platform == "win32":
     def _lock_file(lock: IO[str]) -> None:
         import msvcrt
 
-        lock.seek(0)
+        lock.seek(_BEYOND)  # nobody can read bytes that are locked there, and who holds it is told
         msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
 
 else:

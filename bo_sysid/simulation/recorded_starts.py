@@ -54,9 +54,10 @@ def recorded_start(
             zero = np.zeros((len(first), compiled.nv))
             state = State(qpos, zero, np.zeros((len(first), 0)))
             qpos = state.moved(compiled, np.hstack([fit.offset, zero])).qpos
-        notes = (
-            f"{recording.name}: start velocities are estimated from {fit.samples} samples each",
-        )
+        used = fit.samples[~np.array(at_rest)]
+        few, many = int(used.min()), int(used.max())
+        count = f"{few}" if few == many else f"{few} to {many}"
+        notes = (f"{recording.name}: start velocities are estimated from {count} samples each",)
     act = activations(model, compiled, recording, time[first], ctrl)
     return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
 

@@ -118,7 +118,8 @@ class MujocoSimulator:
     def _windows_per_call(self, windows: Windows) -> int:
         state = sum(a.shape[1] for a in (windows.start.qpos, windows.start.qvel, windows.start.act))
         inputs = windows.ctrl.shape[2] + len(windows.signals)
-        row = 8 * (windows.steps + 1) * (2 * state + 2 * inputs)
+        sensed = self._structure.nsensordata if self._layout.sensor else 0
+        row = 8 * (windows.steps + 1) * (2 * state + 2 * inputs + sensed)
         return max(self.memory // max(int(row), 1), 1)
 
     def _pieces(

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bo_sysid.belief.bootstrap import bootstrap_argmin
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Evaluation
+from bo_sysid.deviation.measure import SESSIONS
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
@@ -94,9 +95,19 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
         history.rows,
         history.evaluation.contributions,
         np.bincount(part.block).astype(float),
+        groups=_recordings(part),
     )
     share = np.bincount(owner, weights=belief.probabilities, minlength=len(sets))
     return ArgminSets(sets, _shared(sets, Q, problem.dof, share))
+
+
+def _recordings(problem: Problem) -> Int[np.ndarray, " b"] | None:
+    """Return the recording of each block, None where there are too few recordings to draw from."""
+    recording = problem.windows.recording
+    if len(np.unique(recording)) < SESSIONS:
+        return None
+    first = np.unique(problem.block, return_index=True)[1]
+    return np.asarray(recording[first], int)
 
 
 def _shared(

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from bo_sysid.deviation.measure import blocks_of
 from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
@@ -69,7 +70,8 @@ class Problem:
         layout: where the model keeps the channels.
         weight: `W x H x c` one over the standard deviation of each observation, 0 where there is
             none.
-        block: `W` number of the block of time that each window belongs to.
+        block: `W` number of the block of time that each window belongs to; none spans two
+            recordings.
         nuisances: the study's parameters.
         correction: `W x R` projected difference that a finer time step makes, or None.
         engine: simulates.
@@ -127,7 +129,7 @@ class Problem:
             self,
             windows=windows,
             weight=self.weight[keep],
-            block=_blocks(len(windows)),
+            block=blocks_of(windows.recording, BLOCKS)[0],
             correction=None if self.correction is None else self.correction[keep],
         )
 
@@ -340,7 +342,7 @@ def cut_problem(
         windows=windows,
         layout=Layout.of(model, machine.model),
         weight=weight,
-        block=_blocks(len(windows)),
+        block=blocks_of(windows.recording, BLOCKS)[0],
         nuisances=tuple(nuisances),
         correction=None,
         engine=engine,
@@ -348,7 +350,3 @@ def cut_problem(
         loops=model.loops,
         kept=kept,
     )
-
-
-def _blocks(count: int) -> Int[np.ndarray, " W"]:
-    return np.arange(count) * min(BLOCKS, count) // max(count, 1)
