@@ -252,8 +252,8 @@ def test_a_hold_out_in_which_something_touches_is_judged_with_contact() -> None:
 
     evidence = make_evidence(walled(), [swinging(0.1)], threads=1)
     assert not can_touch(evidence.machine.model)
-    assert evidence.as_it_moved([swinging(0.2)]) is evidence
-    whole = evidence.as_it_moved([swinging(1.0)])
+    assert evidence.with_contact_of([swinging(0.2)]) is evidence
+    whole = evidence.with_contact_of([swinging(1.0)])
     assert whole.model is evidence.given
     assert can_touch(whole.machine.model)
 

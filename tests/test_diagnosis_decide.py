@@ -9,7 +9,7 @@ from diagnosis_helpers import candidate, posed, record
 from bo_sysid.diagnosis.search.final import finalists
 from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, lost, required, sizes
+from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, explains_little, required, sizes
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.simulation import State
 
@@ -76,7 +76,7 @@ def test_a_set_is_lost_where_it_is_far_off_and_explains_little(
     machine, rms: float, nominal: float, gone: bool
 ) -> None:
     damping = fit((candidate(machine, "viscous_damping", "elbow"),), rms)
-    assert lost(damping, fit((), nominal)) == gone
+    assert explains_little(damping, fit((), nominal)) == gone
 
 
 @pytest.mark.parametrize(("alone", "needed"), [(12.0, True), (1.1, False)])

@@ -286,8 +286,8 @@ def test_friction_that_bends_is_all_that_there_is_at_its_joint() -> None:
     straight = candidate(machine, "dry_friction", "shoulder")
     bent = straight.with_shapes(np.array([1.0, 1e-3]))
     change = np.array([-0.1])
-    assert straight.whole(change) == pytest.approx(change)
-    assert bent.whole(change) == pytest.approx([0.2])
+    assert straight.total(change) == pytest.approx(change)
+    assert bent.total(change) == pytest.approx([0.2])
 
 
 @pytest.mark.parametrize(("level", "told"), [(0.1, True), (0.004, False)])
@@ -300,13 +300,13 @@ def test_friction_holds_where_recordings_do_not_tell_that_it_creeps(
     problem, machine = posed(recording, horizon=150)
     friction = candidate(machine, "dry_friction", joint)
     creeping = friction.with_shapes(np.array([0.0, 0.0]))
-    assert creeping.creeps
-    assert not friction.creeps
-    assert not creeping.with_shapes(np.array([0.0, 1e-3])).creeps
+    assert creeping.regularised
+    assert not friction.regularised
+    assert not creeping.with_shapes(np.array([0.0, 1e-3])).regularised
     final = Search.on(prepare(problem), [friction, creeping], 1, None)
     final.fit([creeping], [np.array([level])])
     let_hold(final)
-    assert final.best.members[0].creeps is told
+    assert final.best.members[0].regularised is told
     assert len(final.fits) == (3 if told else 2)
 
 

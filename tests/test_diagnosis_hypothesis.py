@@ -245,5 +245,5 @@ def test_windows_are_long_where_a_contact_lasts(hop: float, window: float) -> No
     assert evidence.model is model  # contact is simulated
     assert evidence.window == window
     assert evidence.machine.impacts is (hop > 0)
-    assert evidence.as_it_moved([rolling(0.02)]).machine.impacts
-    assert evidence.as_it_moved([rolling(0.0)]) is evidence
+    assert evidence.with_contact_of([rolling(0.02)]).machine.impacts
+    assert evidence.with_contact_of([rolling(0.0)]) is evidence

@@ -11,7 +11,7 @@ from test_cli_diagnose import MODEL, STUDY
 from bo_sysid.cli import main
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.kept_fits import Kept, digest
+from bo_sysid.diagnosis.windows.kept_fits import FitCache, digest
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.runs import FITS, Run, read_json
@@ -56,7 +56,7 @@ def test_what_has_no_hash_of_its_own_is_refused() -> None:
 
 @pytest.mark.usefixtures("every_fit")
 def test_a_damaged_file_is_made_again(tmp_path: Path) -> None:
-    kept, times = Kept(tmp_path), []
+    kept, times = FitCache(tmp_path), []
 
     def make() -> dict[str, np.ndarray]:
         times.append(1)
@@ -80,7 +80,7 @@ def test_what_was_fitted_is_found_again_to_the_last_bit(
         Problem, "simulate", lambda *a, **k: simulated.append(1) or simulate(*a, **k)
     )
     fits, counts = [], []
-    for evidence in (rubbing, *2 * [replace(rubbing, kept=Kept(tmp_path))]):
+    for evidence in (rubbing, *2 * [replace(rubbing, kept=FitCache(tmp_path))]):
         simulated.clear()
         fits.append(locate(evidence).decision.best)
         counts.append(len(simulated))
@@ -119,9 +119,9 @@ def test_a_killed_diagnosis_goes_on_to_the_same_answer(
 @pytest.mark.usefixtures("every_fit")
 def test_fits_of_other_files_are_dropped(tmp_path: Path) -> None:
     with Run.open(tmp_path / "run", {"name": "a"}, "diagnose") as run:
-        Kept.of(run, {"files": "old"}).arrays(("a",), lambda: {"x": np.zeros(1)})
+        FitCache.of(run, {"files": "old"}).arrays(("a",), lambda: {"x": np.zeros(1)})
         assert list((run.folder / FITS).glob("*.npz"))
-        Kept.of(run, {"files": "old"})
+        FitCache.of(run, {"files": "old"})
         assert list((run.folder / FITS).glob("*.npz"))
-        Kept.of(run, {"files": "new"})
+        FitCache.of(run, {"files": "new"})
         assert not list((run.folder / FITS).glob("*.npz"))

@@ -10,7 +10,7 @@ import pytest
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.kept_fits import Kept
+from bo_sysid.diagnosis.windows.kept_fits import FitCache
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
@@ -67,7 +67,7 @@ def test_a_forecast_that_took_long_is_found_again_after_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bo_sysid.diagnosis.windows.kept_fits._LONG", 0.0)
-    evidence = replace(gathered(bounces(1)), kept=Kept(tmp_path))
+    evidence = replace(gathered(bounces(1)), kept=FitCache(tmp_path))
     coarse, fine = Hypothesis(), Hypothesis(numerics=1.0)
     left = PredictionError(evidence, STEP)(coarse)
 

@@ -9,11 +9,11 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import refit_from_nearer
 from bo_sysid.diagnosis.search.locate import locate
-from bo_sysid.diagnosis.search.moves import extend_first, stripped
+from bo_sysid.diagnosis.search.moves import extend_first, without_weakest
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.rules import LOOSE, MARGIN, lost
+from bo_sysid.diagnosis.sets.rules import LOOSE, MARGIN, explains_little
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.forecast import fitted
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -52,7 +52,7 @@ def compared(monkeypatch: pytest.MonkeyPatch) -> list[Fit]:
 def test_sets_that_explain_little_are_not_compared_with_others(waves, compared) -> None:
     located = locate(waves)
     assert located.decision.best.members
-    assert lost(located.decision.best, located.decision.nominal)
+    assert explains_little(located.decision.best, located.decision.nominal)
     assert not compared
 
 
@@ -93,7 +93,7 @@ def test_a_set_is_fitted_without_all_its_trifles_at_once() -> None:
     members = [damping, *trifles]
     together = search.fit(members, [np.zeros(c.size) for c in members])
     assert max(together.unique[1:]) < MARGIN < together.unique[0]
-    stripped(search)
+    without_weakest(search)
     alone = search.fits[set_key([damping])]
     assert alone.x[0] == pytest.approx(DAMPED[0][3], rel=0.02)
     assert alone.rms == pytest.approx(1.0, abs=0.05)

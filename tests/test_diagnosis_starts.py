@@ -187,7 +187,7 @@ def test_in_contact_drawn_starts_lead_where_growing_does_not(seed):
     found.fit()
     found.grown()
     before, behind = found.cost.copy(), found.left_behind()
-    found.scattered()
+    found.multistart()
     # the plant is the model: what its own starts leave is noise
     beyond = np.array([cost.sum() / problem.count - len(cost) for cost in (before, found.cost)])
     assert beyond[1] < 0.8 * beyond[0]

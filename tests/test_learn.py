@@ -219,6 +219,8 @@ def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
     about = json.loads((tmp_path / "run" / "policies" / "policy-01.json").read_text())
     assert np.abs(commands).max() <= 0.5 + 1e-6  # the motor's gear is 1: 0.5 N m
     assert about["high"] == [pytest.approx(0.5)]
+    assert about["observed"] == ["orientation (2)", "velocity"]  # as dm_control's pendulum has it
+    assert "3 observations (orientation (2), velocity, in this order)" in told.waiting
     again = learned(tmp_path, study)
     assert again.waiting == told.waiting
 

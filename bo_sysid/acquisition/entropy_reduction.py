@@ -23,8 +23,8 @@ from scipy.stats import norm
 
 from bo_sysid.acquisition.context import SelectionContext
 from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
-from bo_sysid.belief.argmin import contests
-from bo_sysid.belief.joint import Contest
+from bo_sysid.belief.argmin import argmin_posteriors
+from bo_sysid.belief.joint import ArgminPosterior
 
 NODES = 7
 SAMPLES = 1024  # over all members
@@ -37,7 +37,7 @@ class _Sampled:
     """Joint samples of one member, with its weight and its place of each row of B (-1: none)."""
 
     weight: float
-    field: Contest
+    field: ArgminPosterior
     draws: Float[np.ndarray, "b s"]
     place: Int[np.ndarray, " N"]
 
@@ -88,7 +88,7 @@ def _sampled(context: SelectionContext) -> list[_Sampled]:
     rng = context.generator()
     size = max(1, SAMPLES // len(context.surrogate.members))
     found = []
-    fields = contests(context.surrogate, context.candidates, context.seed)
+    fields = argmin_posteriors(context.surrogate, context.candidates, context.seed)
     for weight, field in zip(context.surrogate.weights, fields, strict=True):
         draws = field.mean + rng.standard_normal((size, len(field.factor))) @ field.factor
         place = np.full(len(context.candidates), -1)

@@ -15,25 +15,25 @@ from scipy.special import ndtri
 
 from bo_sysid.acquisition.context import SelectionContext
 from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
-from bo_sysid.belief.argmin import contests
-from bo_sysid.belief.joint import Contest
+from bo_sysid.belief.argmin import argmin_posteriors
+from bo_sysid.belief.joint import ArgminPosterior
 
 NODES = 32  # equally probable values of z; the least mean has kinks in z
-MOST = 2_000  # candidates of a member's contest that are considered, by least mean − deviation
+MOST = 2_000  # candidates of a member's posterior that are considered, by least mean − deviation
 
 
 def table(context: SelectionContext) -> Values:
     """Return the expected fall of the least mean, averaged over the ensemble."""
     surrogate = context.surrogate
     values = np.zeros(len(context.candidates))
-    fields = contests(surrogate, context.candidates, context.seed)
+    fields = argmin_posteriors(surrogate, context.candidates, context.seed)
     for weight, field in zip(surrogate.weights, fields, strict=True):
         rows, fall = expected_fall(field)
         values[rows] += weight * surrogate.scale * fall
     return values
 
 
-def expected_fall(field: Contest) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def expected_fall(field: ArgminPosterior) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """Return rows of B and the expected fall of one member's least mean when each is evaluated."""
     std = np.sqrt(np.einsum("rs,rs->s", field.factor, field.factor))
     kept = np.sort(np.argsort(field.mean - std, kind="stable")[:MOST])

@@ -15,7 +15,7 @@ from scipy.special import log_ndtr
 
 from bo_sysid.acquisition.context import SelectionContext
 from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
-from bo_sysid.belief.argmin import contests
+from bo_sysid.belief.argmin import argmin_posteriors
 
 MINIMA = 64  # samples of f* of each member
 _FAR = 6.0  # standard deviations above every minimum from which the fall is below 1e-7 nats
@@ -27,7 +27,7 @@ def table(context: SelectionContext) -> Values:
     rng = context.generator()
     means, deviations = context.moments()
     values = np.zeros(len(context.candidates))
-    fields = contests(surrogate, context.candidates, context.seed)
+    fields = argmin_posteriors(surrogate, context.candidates, context.seed)
     for weight, mean, std, field in zip(surrogate.weights, means, deviations, fields, strict=True):
         draws = field.mean + rng.standard_normal((MINIMA, len(field.factor))) @ field.factor
         lowest = np.minimum(draws.min(axis=1, initial=np.inf), field.floor)

@@ -9,7 +9,7 @@ import numpy as np
 
 from bo_sysid.acquisition.context import SelectionContext
 from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
-from bo_sysid.belief.argmin import contests
+from bo_sysid.belief.argmin import argmin_posteriors
 
 
 def table(context: SelectionContext) -> Values:
@@ -20,9 +20,9 @@ def table(context: SelectionContext) -> Values:
     rng = context.generator()
     surrogate = context.surrogate
     drawn = int(rng.choice(len(surrogate.members), p=surrogate.weights))
-    field = next(contests(surrogate.only(drawn), context.candidates, context.seed))
-    rows = np.append(field.rows, field.holders)
-    known = np.full(len(field.holders), field.floor)
+    field = next(argmin_posteriors(surrogate.only(drawn), context.candidates, context.seed))
+    rows = np.append(field.rows, field.incumbents)
+    known = np.full(len(field.incumbents), field.floor)
     sample = np.append(field.mean + rng.standard_normal(len(field.factor)) @ field.factor, known)
     values = np.full(len(context.candidates), -sample.max() - 1.0)
     values[rows] = -sample

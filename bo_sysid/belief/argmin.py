@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from scipy.special import entr
 
 from bo_sysid.arrays import Points, Probabilities
-from bo_sysid.belief.joint import EXACT, Contest, contest
+from bo_sysid.belief.joint import EXACT, ArgminPosterior, argmin_posterior
 from bo_sysid.belief.rows import RowIndex
 from bo_sysid.belief.surrogate import Surrogate
 
@@ -79,13 +79,15 @@ def evaluated_rows(
     return rows[keep], surrogate.standardised[place[keep]]
 
 
-def contests(surrogate: Surrogate, candidates: Points, seed: int = 0) -> Iterator[Contest]:
+def argmin_posteriors(
+    surrogate: Surrogate, candidates: Points, seed: int = 0
+) -> Iterator[ArgminPosterior]:
     """Yield the joint posterior of each member over the candidates that may be the arg-min."""
     x = surrogate.unit(candidates)
     known, known_values = evaluated_rows(surrogate, candidates)
     for number, member in enumerate(surrogate.members):
         rng = np.random.default_rng((seed, number))
-        yield contest(member, x, surrogate.standardised, known, known_values, rng)
+        yield argmin_posterior(member, x, surrogate.standardised, known, known_values, rng)
 
 
 def allot(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:
@@ -100,7 +102,7 @@ def _distinct(
     """Return P over distinct candidates, the bound on the mass lost, and whether P is exact."""
     counts, lost, exact = np.zeros(len(candidates)), 0.0, True
     shares = allot(surrogate.weights, samples)
-    fields = contests(surrogate, candidates, seed)
+    fields = argmin_posteriors(surrogate, candidates, seed)
     for number, (field, share) in enumerate(zip(fields, shares, strict=True)):
         rng = np.random.default_rng((seed, number, 1))
         lost += field.lost * share / samples

@@ -108,7 +108,7 @@ def contenders(
 
 
 @dataclass(frozen=True)
-class Contest:
+class ArgminPosterior:
     """One member's joint posterior over the candidates that may be the arg-min.
 
     Attributes:
@@ -125,7 +125,7 @@ class Contest:
     mean: Float[np.ndarray, " s"]
     factor: Float[np.ndarray, "r s"]
     floor: float
-    holders: Int[np.ndarray, " h"]
+    incumbents: Int[np.ndarray, " h"]
     lost: float
     exact: bool
 
@@ -137,19 +137,19 @@ class Contest:
             wins = draws[np.arange(len(draws)), least] < self.floor
             counts += np.bincount(self.rows[least[wins]], minlength=size)
             below = int(wins.sum())
-        if len(self.holders):
-            counts[self.holders] += (len(draws) - below) / len(self.holders)
+        if len(self.incumbents):
+            counts[self.incumbents] += (len(draws) - below) / len(self.incumbents)
         return counts
 
 
-def contest(
+def argmin_posterior(
     member: Conditional,
     x: Points,
     values: Float[np.ndarray, " n"],
     known: Int[np.ndarray, " k"],
     known_values: Float[np.ndarray, " k"],
     rng: np.random.Generator,
-) -> Contest:
+) -> ArgminPosterior:
     """Drop the candidates that cannot be the arg-min and factor the covariance of the others."""
     moments = posterior_moments(member, x, values, known, known_values)
     rows, bound, lost = contenders(member, x, moments, MASS)
@@ -157,14 +157,14 @@ def contest(
     sure, rows, bound = rows[known_here], rows[~known_here], bound[~known_here]
     exact = len(rows) <= (EXACT if len(x) <= EXACT else DENSE)
     floor = float(moments.mean[sure].min(initial=np.inf))
-    return Contest(
+    return ArgminPosterior(
         rows=rows,
         mean=moments.mean[rows],
         factor=covariance_factor(
             member, x[rows], moments.variance[rows], None if exact else bound, rng
         ),
         floor=floor,
-        holders=sure[moments.mean[sure] <= floor + TIED],
+        incumbents=sure[moments.mean[sure] <= floor + TIED],
         lost=lost,
         exact=exact,
     )

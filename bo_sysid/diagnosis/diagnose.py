@@ -29,7 +29,7 @@ from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.windowing import in_contact
 from bo_sysid.effects import Machine, chosen
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
@@ -213,9 +213,9 @@ def diagnose(
     return result
 
 
-def _kept(study: Study, run: Run | None, strict: bool) -> Kept:
+def _kept(study: Study, run: Run | None, strict: bool) -> FitCache:
     """Return the long fits that a killed diagnosis of the same files left in a run."""
-    return NOTHING_KEPT if run is None else Kept.of(run, made_from(study, strict=strict))
+    return NO_CACHE if run is None else FitCache.of(run, made_from(study, strict=strict))
 
 
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
@@ -241,7 +241,7 @@ def _write(run: Run, result: Diagnosis) -> None:
     run.write_json("summary.json", said)
 
 
-def gather(study: Study, recordings: tuple[Recording, ...], kept: Kept = NOTHING_KEPT) -> Evidence:
+def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_CACHE) -> Evidence:
     """Return what a diagnosis is made from: scales, noise, candidates."""
     model = load_model(study)
     require_scales(study, model)

@@ -5,7 +5,7 @@ import numpy as np
 
 from bo_sysid.effects.actuators import actuator_at, filter_of, used
 from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Site
-from bo_sysid.effects.filters import cut_out, delayed, lagged, limited
+from bo_sysid.effects.filters import dead_band, delayed, lagged, limited
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 
@@ -130,7 +130,7 @@ def _deadzone_extent(site: Site, machine: Machine) -> Extent | None:
 def actuator_deadzone(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """Commands within ±x[0] do nothing; beyond, x[0] is lost."""
     a = actuator_at(site, machine)
-    return filter_of(a, lambda channel, dt: cut_out(channel, float(x[0])))
+    return filter_of(a, lambda channel, dt: dead_band(channel, float(x[0])))
 
 
 def _fastest(site: Site, machine: Machine) -> float:

@@ -39,7 +39,7 @@ def delayed(channel: Channel, delay: float) -> Channel:
     return replace(channel, time=channel.time + delay)
 
 
-def cut_out(channel: Channel, half: float) -> Channel:
+def dead_band(channel: Channel, half: float) -> Channel:
     """Return the channel without what lies within ± `half` of zero: a dead zone."""
     return replace(channel, values=channel.values - np.clip(channel.values, -half, half))
 

@@ -1,17 +1,22 @@
 """A policy for a person's machine: a file to run there, and what to record."""
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bo_sysid.arrays import Point
+from bo_sysid.errors import StudyError
 from bo_sysid.learn.scene import Scene
+from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.limits import LimitedTask
+from bo_sysid.plants.load import compiled
 from bo_sysid.plants.python_environment import PythonMachine
-from bo_sysid.plants.python_task import PythonTask
+from bo_sysid.plants.python_task import PythonTask, suite_task
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run, atomic
 from bo_sysid.study.sections import Column
@@ -42,6 +47,30 @@ def write_commands(scene: Scene, policy: LearnedPolicy, path: Path) -> None:
         write_module(policy, low, high, place)
 
 
+def observed(scene: Scene) -> tuple[str, ...]:
+    """Return the names of a task's observations in order, none where the task does not say.
+
+    An entry of several numbers has their count behind its name.
+    """
+    task = scene.task
+    if isinstance(task, PythonTask):
+        machine = PythonMachine(task, scene.compiled(scene.candidates.points[0]), 0)
+        machine.begin()
+        return machine.observed
+    study = scene.study
+    named = (study.model if study.task is None else study.task).dm_control
+    if named is None:
+        return ()
+    try:
+        theirs = suite_task(named.domain, named.task)
+    except StudyError:  # a task of this package alone
+        return ()
+    model = Model.from_dm_control(named.domain, named.task)
+    machine = PythonMachine(theirs, compiled(model, theirs), 0)
+    machine.begin()
+    return machine.observed
+
+
 def share_beyond(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
     """Return the share of simulated episodes in which the policy leaves the study's limits."""
     if not isinstance(scene.task, LimitedTask):
@@ -67,6 +96,7 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
     seconds = scene.task.time_limit
     about = {
         "observations": policy.policy.network.sizes[0],
+        "observed": observed(scene),
         "actuators": list(scene.model.controlled),
         "low": low,
         "high": high,
@@ -80,7 +110,7 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
         [
             f"waiting for recording {number}: run {run.path(name)}.pt on the machine and put what "
             f"it did into {run.path(stem)}.parquet (or .csv, .npz, .mat).",
-            f"- The module takes the {about['observations']} observations of the task every "
+            f"- The module takes the {_observations(about)} of the task every "
             f"{scene.task.control_timestep:g} s and gives the commands of "
             f"{', '.join(scene.model.controlled)}, clipped to {_ranges(low, high)}.",
             f"- Record {_length(seconds)}: {_columns(scene)}; velocities where there are some.",
@@ -88,6 +118,11 @@ def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: 
             "Then give the same command again; it goes on from there.",
         ]
     )
+
+
+def _observations(about: Mapping[str, Any]) -> str:
+    words, names = f"{about['observations']} observations", ", ".join(about["observed"])
+    return f"{words} ({names}, in this order)" if names else words
 
 
 def _columns(scene: Scene) -> str:

@@ -57,7 +57,7 @@ def moments(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "a 
     return dense
 
 
-def deaf_controls(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
+def controls_without_gain(model: mujoco.MjModel) -> Bool[np.ndarray, " nu"]:
     """Return which controls do nothing: those of actuators with a bias alone."""
     deaf = ~model.actuator_gainprm.any(axis=1)
     return np.repeat(deaf, model.actuator_ctrlnum)

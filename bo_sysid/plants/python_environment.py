@@ -24,13 +24,19 @@ class PythonMachine:
         seed: of the starts: that of episode k is drawn with (seed, index, k), where the task has
             the random state of dm_control's suite.
         index: of this machine among several.
+
+    Attributes:
+        observed: names of what the last observation held, in order, with how many numbers each
+            has; none where the task gives an array.
     """
+
+    observed: tuple[str, ...] = ()
 
     def __init__(self, task: PythonTask, model: mujoco.MjModel, seed: int, index: int = 0) -> None:
         from dm_control.mujoco import wrapper
 
         self.physics = task.physics.from_model(wrapper.MjModel(model))
-        self._name, self._observed = task.name, 0
+        self._name, self._size = task.name, 0
         with guarded(task.name, "__init__"):
             self.task = task.make(seed)
         self._substeps = physics_steps(task.control_timestep, model)
@@ -78,6 +84,7 @@ class PythonMachine:
             entries = self.task.get_observation(self.physics)
             if isinstance(entries, Mapping):
                 names = entries if isinstance(entries, OrderedDict) else sorted(entries)
+                self.observed = tuple(_numbered(n, np.size(entries[n])) for n in names)
                 entries = np.concatenate([np.ravel(entries[name]) for name in names])
             row = np.asarray(entries, float).reshape(1, -1)
         if diverged:
@@ -88,11 +95,11 @@ class PythonMachine:
                 f"task {self._name}: number {where} of its observation is {value} after "
                 f"{self.physics.data.time:.4g} s; all must be finite"
             )
-        self._observed = self._observed or row.shape[1]
-        if row.shape[1] != self._observed:
+        self._size = self._size or row.shape[1]
+        if row.shape[1] != self._size:
             raise UserError(
                 f"task {self._name}: an observation of size {row.shape[1]} after one of size "
-                f"{self._observed}; it must keep its size"
+                f"{self._size}; it must keep its size"
             )
         return row
 
@@ -156,6 +163,11 @@ class PythonMachine:
         if not np.isfinite(number):
             raise UserError(f"task {self._name} gave a reward of {number}; it must be finite")
         return number
+
+
+def _numbered(name: str, size: int) -> str:
+    """Return the name of an entry of an observation, with how many numbers it has if several."""
+    return name if size == 1 else f"{name} ({size})"
 
 
 class PythonEnvironment:

@@ -11,7 +11,7 @@ from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model, ParameterLike, room_for_delays
-from bo_sysid.mjcf.commands import deaf_controls
+from bo_sysid.mjcf.commands import controls_without_gain
 from bo_sysid.mjcf.joints import HINGE, SLIDE, quaternions
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
@@ -173,7 +173,7 @@ def _heard(model: Model, compiled: mujoco.MjModel, controlled: Sequence[str]) ->
     """Return the channels of the controls that act and that no controller writes."""
     return [
         n
-        for n, deaf in zip(model.ctrl_channels, deaf_controls(compiled), strict=True)
+        for n, deaf in zip(model.ctrl_channels, controls_without_gain(compiled), strict=True)
         if not deaf and n.removeprefix("ctrl.") not in controlled
     ]
 
@@ -264,7 +264,7 @@ def controls(
 ) -> Ctrl:
     """Return the recorded controls of the steps of length `dt` in [s] from each start on."""
     ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
-    deaf = deaf_controls(compiled)
+    deaf = controls_without_gain(compiled)
     for k, name in enumerate(model.ctrl_channels):
         if name in recording.channels:
             ctrl[..., k] = control_steps(recording.channels[name], start, steps, dt)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from bo_sysid.errors import ModelError, RecordingError, nearest
 from bo_sysid.mjcf import Address, Loops, Model, nominal
-from bo_sysid.mjcf.commands import deaf_controls
+from bo_sysid.mjcf.commands import controls_without_gain
 from bo_sysid.parameters import MOST_CANDIDATES, CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling, kind_of
 from bo_sysid.recording.noise import noise_sigma
@@ -247,7 +247,7 @@ def _known(model: Model) -> dict[str, tuple[str, ...]]:
 
 def _deaf(model: Model) -> list[str]:
     """Return the channels of the controls that do nothing."""
-    return list(compress(model.ctrl_channels, deaf_controls(model.compile())))
+    return list(compress(model.ctrl_channels, controls_without_gain(model.compile())))
 
 
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:

@@ -131,8 +131,8 @@ def holding(best: Fit) -> tuple[str, ...]:
 
     Such as that of a worn spot in which the joint rests.
     """
-    members = zip(best.members, best.groups, best.felt, strict=True)
-    return tuple(c.site.name for c, g, felt in members if c.bendable and not g and felt <= FLAT)
+    members = zip(best.members, best.groups, best.linear_rms, strict=True)
+    return tuple(c.site.name for c, g, linear in members if c.bendable and not g and linear <= FLAT)
 
 
 def _holding_sentence(joints: Sequence[str]) -> str:

@@ -157,7 +157,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
 
     Where something touches in it, the models have contact, as those have that anyone is given.
     """
-    evidence = evidence.as_it_moved(recordings)
+    evidence = evidence.with_contact_of(recordings)
     nominal, refitted = Hypothesis(), outcome.refitted
     as_it_is = not refitted.free and not refitted.numerics
     models = {

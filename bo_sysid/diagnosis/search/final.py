@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.search.variants import vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort
-from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, lost, ranked
+from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, explains_little, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -34,7 +34,7 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     chosen = finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
-    once = lost(order[0], search.nominal)
+    once = explains_little(order[0], search.nominal)
     leader, prepared = polished(problem, leader, prepared, search.doing, once=once)
     leader, prepared = stepped_finer(evidence, leader, prepared, horizon, search.doing)
     final = Search.on(prepared, search.candidates, search.most, leader.hypothesis, search.doing)
@@ -75,7 +75,7 @@ def compare(final: Search, first: Fit) -> None:
         if not leader.members or leader.key in done:
             return
         done.add(leader.key)
-        if lost(leader, final.nominal):
+        if explains_little(leader, final.nominal):
             return
         substitute(final, leader)
         slide(final, leader)
@@ -91,13 +91,13 @@ def let_hold(final: Search) -> None:
     Machines' friction holds; that of MuJoCo's default settings creeps.
     """
     leader = _leader(final)
-    if not any(c.creeps for c in leader.members):
+    if not any(c.regularised for c in leader.members):
         return
-    known = [final.known(c.usual) if c.creeps else c for c in leader.members]
+    known = [final.known(c.usual) if c.regularised else c for c in leader.members]
     held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
     if held.rms < _UNTOLD * leader.rms:
         for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
-            if any(c.creeps for c in f.members):
+            if any(c.regularised for c in f.members):
                 del final.fits[f.key]
 
 
@@ -184,7 +184,7 @@ def _effects(fit: Fit) -> Names:
 def _bent_anew(final: Search) -> None:
     """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
     leader, smooth = final.best, not final.prepared.problem.machine.impacts
-    decided = clean(leader) or lost(leader, final.nominal)
+    decided = clean(leader) or explains_little(leader, final.nominal)
     if smooth and rubbing(leader) and not decided:
         vary(final, leader)
 
@@ -202,7 +202,7 @@ def _straightened(final: Search) -> None:
     }
     if not untold:
         return
-    members = [c.straight if c.key in untold else c for c in leader.members]
+    members = [c.without_bend if c.key in untold else c for c in leader.members]
     known = [final.known(c) for c in members]
     straight = final.refit(known, leader.x, guess=leader.hypothesis, effort=FINAL)
     if straight.rms > _AS_GOOD * leader.rms:
@@ -240,7 +240,7 @@ def finalists(order: Sequence[Fit], nominal: Fit) -> list[Fit]:
     order = list(first.values())
     able = [f for f in order if f.members and not any(f.groups) and admissible(f, nominal)]
     grouped = [f for f in order if any(f.groups)]
-    if lost(order[0], nominal):
+    if explains_little(order[0], nominal):
         return list(dict.fromkeys((order[0], *able[:1])))
     held = (*order[:_FINALISTS], *able[:3], *grouped[:1])
     near = [f for f in held if f.rms < _FAR * order[0].rms and not _lacks(f, order[0])]

@@ -19,7 +19,9 @@ def slide(search: Search, leader: Fit) -> None:
     if machine.impacts or not can_touch(machine.model):
         return
     moved = joints_to_contact(machine.model)
-    rest = [k for k, c in enumerate(leader.members) if not (c.rubbing and c.site.name in moved)]
+    rest = [
+        k for k, c in enumerate(leader.members) if not (c.is_dry_friction and c.site.name in moved)
+    ]
     if len(rest) == len(leader.members):
         return
     members, x = subset(leader, rest)

@@ -7,7 +7,7 @@ from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.gaps import mesh
-from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, stripped
+from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, without_weakest
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.window_lengths import (
@@ -21,7 +21,7 @@ from bo_sysid.diagnosis.search.window_lengths import (
 from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import meshing
-from bo_sysid.diagnosis.sets.rules import clean, follows, lost
+from bo_sysid.diagnosis.sets.rules import clean, explains_little, follows_anything
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare
@@ -71,7 +71,7 @@ def locate(
     """
     located = _located(evidence, tell, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
-    if follows(leading) or follows(located.decision.best):
+    if follows_anything(leading) or follows_anything(located.decision.best):
         tell(f"without added joints: {_said(leading)}")
         located = _located(evidence.rigid, tell, doing)
     return located
@@ -82,9 +82,9 @@ def _located(
 ) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
     search, horizon, step = _searched(evidence, tell, doing)
-    if not lost(search.best, search.nominal):
+    if not explains_little(search.best, search.nominal):
         sharpened(search)
-        stripped(search)
+        without_weakest(search)
     search = with_meshed_sets(evidence, search, horizon)
     tell(f"final fits: {_said(search.best)}")
     step = _step_for(search, search.best, step)

@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.sets.rules import (
     LOOSE,
     MARGIN,
     clean,
-    lost,
+    explains_little,
     ranked,
     required,
     sizes,
@@ -84,7 +84,7 @@ def extend_first(search: Search, leader: Fit) -> None:
 def _stuck(search: Search, before: Fit) -> bool:
     """Whether a round has found no more than another set that explains as little."""
     best = search.best
-    return lost(best, search.nominal) and best.rms > _NEARER * before.rms
+    return explains_little(best, search.nominal) and best.rms > _NEARER * before.rms
 
 
 def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
@@ -97,7 +97,7 @@ def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
     return new
 
 
-def stripped(search: Search) -> None:
+def without_weakest(search: Search) -> None:
     """Fit the sets without their weakest member, or with the simpler effect in its place.
 
     And without all that are next to nothing, at once: there may be more of them than turns.
@@ -126,7 +126,9 @@ def rubbing(fit: Fit, *, bent: bool = False) -> bool:
         return any(c.bent for c in fit.members)
     h = fit.hypothesis
     fitted = zip(h.nuisances, h.nuisance_x, strict=True)
-    return any(c.bendable for c in fit.members) or any(p.rubs and x[0] > 0 for p, x in fitted)
+    return any(c.bendable for c in fit.members) or any(
+        p.friction_joints and x[0] > 0 for p, x in fitted
+    )
 
 
 def eliminate(search: Search) -> None:

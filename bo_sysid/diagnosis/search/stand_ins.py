@@ -41,18 +41,18 @@ def _present(search: Search, base: Fit) -> list[list[Candidate]]:
     """Return what may stand in the place of friction: joints of one parameter together."""
     h = base.hypothesis
     model, _ = search.prepared.problem.compiled(replace(h, members=(), x=()))
-    dry = {c.site.name: c for c in search.candidates if c.rubbing and not c.effect.nested}
-    taken = {c.site.name for c in base.members if c.rubbing}
+    dry = {c.site.name: c for c in search.candidates if c.is_dry_friction and not c.effect.nested}
+    taken = {c.site.name for c in base.members if c.is_dry_friction}
 
     def rubs(joint: str) -> bool:
         return bool(model.joint(joint).frictionloss[0] > _THERE * dry[joint].probe[0])
 
-    tied = [p.rubs for p in h.nuisances if p.rubs]
+    tied = [p.friction_joints for p in h.nuisances if p.friction_joints]
     alone = [(joint,) for joint in dry if not any(joint in joints for joints in tied)]
     able = [
         joints for joints in (*tied, *alone) if all(j in dry and j not in taken for j in joints)
     ]
-    return [[dry[j].straight for j in joints] for joints in able if any(map(rubs, joints))]
+    return [[dry[j].without_bend for j in joints] for joints in able if any(map(rubs, joints))]
 
 
 def _fitted(search: Search, base: Fit, own: list[Candidate], shape: int) -> Fit | None:

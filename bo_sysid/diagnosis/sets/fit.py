@@ -83,12 +83,12 @@ class Fit:
         return frozenset((c.effect.nested or c.effect.id, c.site.name) for c in self.members)
 
     @cached_property
-    def felt(self) -> tuple[float, ...]:
+    def linear_rms(self) -> tuple[float, ...]:
         """What each member does, by the slope at all that it is, as an rms in sigma.
 
         It is nothing where more of it would do no more, as of a friction that holds a joint.
         """
-        whole = (c.whole(x) for c, x in zip(self.members, self.x, strict=True))
+        whole = (c.total(x) for c, x in zip(self.members, self.x, strict=True))
         own = zip(slices_of(self.members), whole, strict=True)
         return tuple(float(np.sqrt(np.mean((self.jacobian[..., s] @ x) ** 2))) for s, x in own)
 
@@ -243,7 +243,7 @@ def _unique(
         own = 1 if candidate.effect.nested else candidate.size
         a = np.arange(at.start, at.start + own)
         rest = np.setdiff1d(np.arange(len(G)), a)
-        z = candidate.whole(x)[:own] * scale[a]
+        z = candidate.total(x)[:own] * scale[a]
         N, c = G[np.ix_(rest, rest)] + 1e-9 * np.eye(len(rest)), G[np.ix_(rest, a)] @ z
         y = _nearest(N, c, (room[0][rest], room[1][rest]))
         left = z @ G[np.ix_(a, a)] @ z - 2 * y @ c + y @ N @ y

@@ -164,9 +164,9 @@ def _with_parameters(
     if not out:
         return list(x)
     model, _ = problem.compiled(replace(guess, members=(), x=()))
-    begun, held = [v.copy() for v in x], {joint for p in out for joint in p.rubs}
+    begun, held = [v.copy() for v in x], {joint for p in out for joint in p.friction_joints}
     for c, v in zip(space.members, begun, strict=True):
-        if c.rubbing and c.site.name in held:
+        if c.is_dry_friction and c.site.name in held:
             own = problem.machine.model.joint(c.site.name).frictionloss[0]
             # an effect that contains a simpler one has its magnitudes last
             v[1 if c.effect.nested else 0] += model.joint(c.site.name).frictionloss[0] - own

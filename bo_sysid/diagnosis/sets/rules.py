@@ -115,11 +115,13 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     u stands for d where no fit without the member was made.
     """
     others, found = tuple(fits), []
-    for member, x, unique, felt in zip(fit.members, fit.x, fit.unique, fit.felt, strict=True):
+    for member, x, unique, linear in zip(
+        fit.members, fit.x, fit.unique, fit.linear_rms, strict=True
+    ):
         probe = np.abs(member.probe)
-        x = member.whole(x)
+        x = member.total(x)
         there = bool((np.abs(x) > _NOTHING * probe).any())
-        full = felt <= FLAT and bool((np.abs(x) > probe).any())
+        full = linear <= FLAT and bool((np.abs(x) > probe).any())
         far = there and (fit.rms > LOOSE or full)
         left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
         lost = unique if left is None else sqrt(_gained(left**2, fit.rms**2))
@@ -199,7 +201,7 @@ def clean(fit: Fit) -> bool:
     return fit.excess < CLEAN
 
 
-def lost(fit: Fit, nominal: Fit) -> bool:
+def explains_little(fit: Fit, nominal: Fit) -> bool:
     """Whether a fit is far from the recordings and explains little of what they have.
 
     Where that is the leading set, no names are the explanation, and finer differences between sets
@@ -208,7 +210,7 @@ def lost(fit: Fit, nominal: Fit) -> bool:
     return fit.rms > ROUGH and fit.excess > _LOST * nominal.excess
 
 
-def follows(fit: Fit) -> bool:
+def follows_anything(fit: Fit) -> bool:
     """Whether a fit has a joint that it added, and is far from the recordings.
 
     Such a joint begins in each window where that fits best: soft or loose enough, it follows

@@ -123,7 +123,9 @@ def _difference(
         return _by_force(linear, joint, force), directly
     h = linear.hypothesis
     added = replace(h, members=(*h.members, candidate), x=(*h.x, x))
-    if candidate.effect.hidden and any(candidate.takes & c.takes for c in h.members):
+    if candidate.effect.hidden and any(
+        candidate.exclusive_keys & c.exclusive_keys for c in h.members
+    ):
         return _nothing(linear), directly  # another joint is added there
     if candidate.effect.hidden or candidate.secant:
         return _nothing(linear), _simulated(linear, added)

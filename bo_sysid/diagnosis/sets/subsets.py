@@ -227,7 +227,7 @@ def clashes(candidates: Iterable[Candidate]) -> bool:
     Nor can two joints be added at one: the mass between them would be none.
     """
     held = list(candidates)
-    keys = [k for c in held for k in c.takes]
+    keys = [k for c in held for k in c.exclusive_keys]
     if len(set(keys)) < len(keys):
         return True
     return any(c.effect.nested and (c.effect.nested, c.site.name) in keys for c in held)
@@ -276,7 +276,7 @@ def _clash_matrix(table: Gram, units: Sequence[Unit]) -> Bool[np.ndarray, "u u"]
     within: list[set[tuple[str, str]]] = []
     for u in units:
         held = [table.candidates[i] for i in u.members]
-        keys.append({k for c in held for k in c.takes})
+        keys.append({k for c in held for k in c.exclusive_keys})
         within.append({(c.effect.nested, c.site.name) for c in held if c.effect.nested})
     out = np.zeros((len(units), len(units)), bool)
     for i, j in combinations(range(len(units)), 2):

@@ -22,7 +22,7 @@ _PLACES = (0.5, 0.0, -0.5)  # of where an added joint rests, tried as its start
 
 
 @dataclass(frozen=True)
-class Second:
+class SeriesElastic:
     """Where the coordinates of an added joint are, and of the joint whose axis it shares.
 
     Attributes:
@@ -62,7 +62,7 @@ class Coordinates:
     qvel: Int[np.ndarray, " nv"]
     act: Int[np.ndarray, " na"]
     sizes: tuple[int, int, int]
-    second: tuple[Second, ...]
+    second: tuple[SeriesElastic, ...]
 
     @classmethod
     def between(
@@ -81,7 +81,7 @@ class Coordinates:
             for k in range(int(nominal.actuator_actnum[a]))
         ]
         second = tuple(
-            Second(
+            SeriesElastic(
                 int(nominal.joint(p.of).qposadr[0]),
                 int(nominal.joint(p.of).dofadr[0]),
                 int(edited.joint(p.joint).qposadr[0]),

@@ -36,7 +36,7 @@ def estimated(
         found.tried(np.arange(len(first)), start)
     if problem.machine.impacts:
         found.grown()
-        found.scattered()
+        found.multistart()
     if resting:
         found.rested()
     return found.start
@@ -62,9 +62,9 @@ def caught_up(
     found = FittedStarts(problem, hypothesis, start, 1)
     if problem.machine.impacts:
         found.grown()
-        found.scattered()
+        found.multistart()
     else:
-        found.begun_anew()
+        found.refit_from_recorded()
     far = _far(found, problem)
     found.rested(half=far)
     if far and not _far(found, problem):  # only the starts were

@@ -13,9 +13,9 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.law_controls import driven
-from bo_sysid.diagnosis.windows.recorded_contact import as_it_moved, shows_impacts
+from bo_sysid.diagnosis.windows.recorded_contact import shows_impacts, without_unused_contact
 from bo_sysid.effects import CATALOGUE, Effect, Filter, Machine, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
@@ -59,7 +59,7 @@ class Evidence:
     window: float
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...] = ()
-    kept: Kept = NOTHING_KEPT
+    kept: FitCache = NO_CACHE
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -76,9 +76,9 @@ class Evidence:
             said.append("Nothing touches in the training recordings: contact is left out there.")
         return (*said, *rates_note(self.recordings, self.model))
 
-    def as_it_moved(self, recordings: Sequence[Recording]) -> "Evidence":
+    def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
-        touched = as_it_moved(self.given, recordings) is self.given
+        touched = without_unused_contact(self.given, recordings) is self.given
         if self.model is not self.given and not touched:
             return self
         impacts = self.machine.impacts or shows_impacts(self.given, recordings, self.sigma)
@@ -127,7 +127,7 @@ def make_evidence(
     threads: int = 0,
     laws: Sequence[Controller | ForceLaw] = (),
     known: Sequence[str] = (),
-    kept: Kept = NOTHING_KEPT,
+    kept: FitCache = NO_CACHE,
 ) -> Evidence:
     """Measure scales and noise, and list what may be missing.
 
@@ -147,7 +147,7 @@ def make_evidence(
         RecordingError: no joint's position was recorded, or none moves.
         ModelError: an address of `known` matches nothing.
     """
-    given, model = model, as_it_moved(model, recordings)
+    given, model = model, without_unused_contact(model, recordings)
     compiled = model.compile()
     machine = survey(compiled, driven(compiled, recordings, laws))
     wanted = tuple(CATALOGUE.values()) if effects is None else effects

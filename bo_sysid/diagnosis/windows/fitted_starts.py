@@ -127,7 +127,7 @@ class FittedStarts:
             left, count = (n.sum(axis=1, keepdims=True) for n in (left, count))
         return np.flatnonzero((left > _LEFT_BEHIND * count).any(axis=1))
 
-    def begun_anew(self) -> None:
+    def refit_from_recorded(self) -> None:
         """Fit windows that leave much more than others from the smoother on, joints at rest or not.
 
         Their starts followed magnitudes that were far off, to where no small step leads back.
@@ -175,7 +175,7 @@ class FittedStarts:
             start = other.start
         self._adopt(rows, other)
 
-    def scattered(self) -> None:
+    def multistart(self) -> None:
         """Fit windows that leave more than noise from starts drawn about the smoother's.
 
         Which foot lands first may hang on a milliradian. The slopes at a start lead no further than

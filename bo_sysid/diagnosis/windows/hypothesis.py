@@ -30,7 +30,8 @@ class Candidate:
         extent: its bounds and probe there.
         point: the full magnitudes at which its signature is taken; the shapes are held here.
         secant: whether the signature is simulated there, because linearity does not reach so far.
-        rubs: joints whose dry friction it is, where it stands for a parameter of the study.
+        friction_joints: joints whose dry friction it is, where it stands for a parameter of the
+            study.
         low: least values of the magnitudes that are fitted.
         high: their largest values.
         probe: magnitudes that move the predictions measurably.
@@ -41,7 +42,7 @@ class Candidate:
     extent: Extent
     point: Float[np.ndarray, " k"]
     secant: bool = False
-    rubs: tuple[str, ...] = ()
+    friction_joints: tuple[str, ...] = ()
     low: Float[np.ndarray, " l"] = field(init=False)
     high: Float[np.ndarray, " l"] = field(init=False)
     probe: Float[np.ndarray, " l"] = field(init=False)
@@ -65,15 +66,15 @@ class Candidate:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """Everything that a fit of it hangs on, for `Kept`."""
+        """Everything that a fit of it hangs on, for `FitCache`."""
         components = tuple(c.name for c in self.effect.components)  # those of a learned law differ
         return (
-            *self.key, components, self.site.kind, self.point, self.secant, self.rubs,
+            *self.key, components, self.site.kind, self.point, self.secant, self.friction_joints,
             self.low, self.high, self.probe,
         )  # fmt: skip
 
     @property
-    def takes(self) -> frozenset[tuple[str, str]]:
+    def exclusive_keys(self) -> frozenset[tuple[str, str]]:
         """What no other candidate of a set can have: its key, the place of a joint that it adds."""
         return frozenset({self.key, *([("joint", self.site.name)] if self.effect.hidden else [])})
 
@@ -93,12 +94,12 @@ class Candidate:
         return self.bendable and bool(self.shapes[-1] > 0)
 
     @property
-    def straight(self) -> "Candidate":
+    def without_bend(self) -> "Candidate":
         """The same friction, which does not bend."""
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
 
     @property
-    def creeps(self) -> bool:
+    def regularised(self) -> bool:
         """Whether it is friction that neither holds, as it usually does, nor bends."""
         switched = self.bendable and not self.extent.grid  # no speed is among its shapes
         return switched and not self.bent and not np.array_equal(self.shapes, self.usual.shapes)
@@ -109,7 +110,7 @@ class Candidate:
         return self.with_shapes(np.array(self.extent.probe[self.size :], float))
 
     @property
-    def rubbing(self) -> bool:
+    def is_dry_friction(self) -> bool:
         """Whether it is all dry friction of its joint, or holds that."""
         return _DRY in (self.effect.id, self.effect.nested)
 
@@ -123,7 +124,7 @@ class Candidate:
         """Return magnitudes and shapes in one vector, as the effect takes them."""
         return np.concatenate([x, self.shapes])
 
-    def whole(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
+    def total(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
         """Return the magnitudes of all that a member is, for changes `x` of the model.
 
         Friction that bends is all the friction of its joint, and its least change takes away what
@@ -167,7 +168,7 @@ class Hypothesis:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """Members, parameters and magnitudes, for `Kept`."""
+        """Members, parameters and magnitudes, for `FitCache`."""
         held = tuple(c.identity for c in (*self.members, *self.nuisances))
         return held, self.x, self.nuisance_x, self.numerics
 
@@ -258,14 +259,16 @@ def beside(parameters: Sequence[Candidate], members: Sequence[Candidate]) -> tup
     Friction that is a member is all there is at its joint: a parameter that is no more than the
     friction of such joints stays as in the model.
     """
-    rubbing = {c.site.name for c in members if c.rubbing}
-    return tuple(p for p in parameters if not (p.rubs and rubbing.issuperset(p.rubs)))
+    taken = {c.site.name for c in members if c.is_dry_friction}
+    return tuple(
+        p for p in parameters if not (p.friction_joints and taken.issuperset(p.friction_joints))
+    )
 
 
 def _parameter(model: Model, p: Parameter) -> Candidate:
     own, targets = nominal(model, p), [t for a in p.addresses for t in resolve(model, a)]
     dry = all((t.kind, t.name) == ("joint", "frictionloss") for t in targets)
-    rubs = tuple(t.element for t in targets) if dry else ()
+    joints = tuple(t.element for t in targets) if dry else ()
 
     def apply(
         spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
@@ -281,7 +284,8 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
         extent=lambda s, m: extent, noun=p.name, sentence="", evidence="", separation="",
         nominal=lambda s, m: own,
     )  # fmt: skip
-    return Candidate(effect, Site("world", p.name), extent, np.array(extent.probe), rubs=rubs)
+    at = Site("world", p.name)
+    return Candidate(effect, at, extent, np.array(extent.probe), friction_joints=joints)
 
 
 def _made(

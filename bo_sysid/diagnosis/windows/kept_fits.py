@@ -24,7 +24,7 @@ _LONG = 0.3  # [s] that a fit takes from which on it is kept
 Arrays = Mapping[str, np.ndarray]
 
 
-class Kept:
+class FitCache:
     """Arrays by a hash of what they are made from, in a folder of a run until it is finished.
 
     Args:
@@ -37,7 +37,7 @@ class Kept:
         self._made_from = dict(made_from or {})
 
     @classmethod
-    def of(cls, run: Run, made_from: Mapping[str, Any]) -> "Kept":
+    def of(cls, run: Run, made_from: Mapping[str, Any]) -> "FitCache":
         """Return what a run kept, which is dropped where it was made from something else."""
         stamp = f"{FITS}/{_STAMP}"
         kept = cls(run.path(FITS), made_from)
@@ -81,7 +81,7 @@ class Kept:
             np.savez(beside, **made)  # type: ignore[arg-type]
 
 
-NOTHING_KEPT = Kept()
+NO_CACHE = FitCache()
 
 
 def digest(inputs: tuple[object, ...]) -> str:

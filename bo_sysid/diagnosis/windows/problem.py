@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.kept_fits import NOTHING_KEPT, Kept
+from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
@@ -92,11 +92,11 @@ class Problem:
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...]
     loops: Loops
-    kept: Kept = NOTHING_KEPT
+    kept: FitCache = NO_CACHE
 
     @cached_property
     def identity(self) -> tuple[object, ...]:
-        """What a fit hangs on beside files and versions, for `Kept`."""
+        """What a fit hangs on beside files and versions, for `FitCache`."""
         w = self.windows
         return (
             float(w.timestep), w.channels, w.recording, w.time, w.start.qpos, w.start.qvel,
@@ -307,7 +307,7 @@ def cut_problem(
     timestep: float | None = None,
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
-    kept: Kept = NOTHING_KEPT,
+    kept: FitCache = NO_CACHE,
 ) -> Problem:
     """Cut recordings into windows.
 

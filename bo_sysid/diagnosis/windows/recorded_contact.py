@@ -13,7 +13,7 @@ _APART = 2e-3  # [s] between recorded poses in which geoms may touch
 _MOST = 5000  # poses of a recording by which contacts are seen to come and go
 
 
-def as_it_moved(model: Model, recordings: Sequence[Recording]) -> Model:
+def without_unused_contact(model: Model, recordings: Sequence[Recording]) -> Model:
     """Return the model without contact, where none of its geoms touched as the machine moved.
 
     Most robots' geoms can touch, and most motion is free: where impacts decide nothing, windows may

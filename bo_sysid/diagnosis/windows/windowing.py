@@ -71,7 +71,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     if contact:
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
-        linear = linear.observing(weighted_by_chaos(linear))
+        linear = linear.observing(noise_with_chaos(linear))
     change = _by_a_finer_step(linear)
     if contact:
         linear, change = _weighted_by_step(linear, change)
@@ -152,7 +152,7 @@ def meets_impacts(problem: Problem) -> bool:
     return problem.machine.impacts and in_contact(problem)
 
 
-def weighted_by_chaos(linear: Linear) -> Problem:
+def noise_with_chaos(linear: Linear) -> Problem:
     """Return the problem with less weight where contact decides.
 
     The start is moved within its own uncertainty; what of the change of the predictions is not
