@@ -1,10 +1,13 @@
 """The three inner stops on histories written by hand."""
 
+import re
+
 import numpy as np
 import pytest
 
 from bo_sysid.belief.argmin import ArgminBelief
 from bo_sysid.belief.stopping import StopReason, StopRule, entropy_settled, has_converged
+from bo_sysid.study.sections import Search, Stop
 
 WIDE = ArgminBelief(np.array([0.5, 0.25, 0.25, 0.0]), "exact", 0.0)
 FALLING = (3.0, 2.0, 1.0, 0.8)
@@ -45,8 +48,13 @@ def test_rule(rule, entropies, evaluated, reason):
     assert rule(entropies, WIDE, np.array(evaluated)) is reason
 
 
-def test_every_reason_says_what_happened():
-    assert all(len(reason.sentence) > 20 for reason in StopReason)
+def test_every_reason_names_the_keys_of_a_study_that_go_further():
+    settings = {*Search.model_fields, *Stop.model_fields}
+    named = {r: re.findall(r"(?:search|stop)\.(\w+)", r.sentence) for r in StopReason}
+    assert named[StopReason.BUDGET] == ["budget"]
+    assert named[StopReason.ENTROPY] == ["entropy", "last"]
+    assert all(key in settings for keys in named.values() for key in keys)
+    assert "evaluated" in StopReason.CONVERGED.sentence
 
 
 @pytest.mark.parametrize(

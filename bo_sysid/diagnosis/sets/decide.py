@@ -68,31 +68,60 @@ def decide(
         return criterion(fit, kappa, prior)
 
     admitted = [f for f in able if admissible(f, nominal, fits)]
-    best = min(admitted, key=cost)
     nearly = [f for f in able if min(f.unique, default=0.0) > _NEARLY * required(f, nominal)]
-    like = [f for f in nearly if _is_like(f, best, Q, dof, cost(f) - cost(best))]
-    like = [f for f in like if f not in admitted and not _is_richer(f, best, cost)]
-    held = _one_of_each([*admitted, *like], cost)
-    best, score = _scored(held, best, kappa, prior)
-    score = _levelled(held, score, best, prior, Q, dof)
-    plain = best = held[int(np.argmax(score))]
+    leader = min(admitted, key=cost)
+    alike = [
+        f
+        for f in nearly
+        if f not in admitted
+        and _is_like(f, leader, Q, dof, cost(f) - cost(leader))
+        and not _is_richer(f, leader, cost)
+    ]
+    held = _one_of_each([*admitted, *alike], cost)
+    leader, score = _scored(held, leader, kappa, prior)
+    ranking = _Ranking(held, _levelled(held, score, leader, prior, Q, dof))
+    plain = ranking.leader
     richer = [f for f in able if f not in held and _is_richer(f, plain, cost)]
     asked = [f for f in richer if f in nearly]
     beside = min(asked or [f for f in richer if _says_more(f)], key=cost, default=None)
+    best = beside if beside is not None and asked else plain
     if beside is not None:
-        best = beside if asked else plain
-        held, score = [beside, *held], np.concatenate([[score.max()], score])
-    order = np.argsort(-score, kind="stable")
-    weight = np.exp(score - score.max())
-    held = [held[i] for i in order]
-    score, weight = score[order], weight[order] / weight.sum()
+        ranking = ranking.with_level(beside)
+    ranking = ranking.ordered()
+    first = ranking.score[0]
     near = [
         f
-        for k, f in enumerate(held[: _MOST_EQUIVALENT + 1])
+        for f, own in list(zip(ranking.fits, ranking.score, strict=True))[: _MOST_EQUIVALENT + 1]
         if f is not best
-        and (f in (plain, beside) or _equivalent(f, best, float(score[0] - score[k]), Q, dof))
+        and (f in (plain, beside) or _equivalent(f, best, float(first - own), Q, dof))
     ]
-    return Decision(best, nominal, tuple(held), weight, tuple(near))
+    return Decision(best, nominal, tuple(ranking.fits), ranking.probability, tuple(near))
+
+
+@dataclass(frozen=True)
+class _Ranking:
+    """Sets and the logarithms of their posteriors, up to a constant."""
+
+    fits: list[Fit]
+    score: Float[np.ndarray, " f"]
+
+    @property
+    def leader(self) -> Fit:
+        return self.fits[int(np.argmax(self.score))]
+
+    @property
+    def probability(self) -> Float[np.ndarray, " f"]:
+        weight = np.exp(self.score - self.score.max())
+        return np.asarray(weight / weight.sum())
+
+    def with_level(self, fit: Fit) -> "_Ranking":
+        """Return the same with a set that is as probable as the leader, before it."""
+        return _Ranking([fit, *self.fits], np.concatenate([[self.score.max()], self.score]))
+
+    def ordered(self) -> "_Ranking":
+        """Return the same, most probable first."""
+        order = np.argsort(-self.score, kind="stable")
+        return _Ranking([self.fits[i] for i in order], self.score[order])
 
 
 def _is_like(fit: Fit, best: Fit, Q: Float[np.ndarray, "W R k"], dof: int, worse: float) -> bool:
