@@ -221,7 +221,7 @@ class Search(Section):
     ] = Candidates()
     """grid, or {sobol: number of points}."""
     refine: bool = False
-    """Zoom into a new discrete set around the mass of P."""
+    """Zoom into a new discrete set around the mass of P, until the recordings tell no more."""
     acquisition: Name = "max-value-entropy"
     """Which candidate is tried next."""
     budget: Count = 60
