@@ -14,12 +14,13 @@ from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf.joints import BALL
 
-_LEFT = 1.0  # rms² - 1 from which on more than noise is left, whatever it is
-_MUCH_LESS = 0.9  # of what the answer leaves, that another set leaves
+_LEFT = 1.0  # excess from which more than noise is left, whatever it is
+# another set casts doubt where it leaves less than this share of what the answer leaves
+_MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
-_MORE = 0.15  # of a compliance, that it explains more than a late motor does
+_MORE = 0.15  # share by which a compliance must explain more than a late motor to be no hint
 _AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
-_STANDS_OUT = 0.15  # what is left, as a share of the smallest effect, that casts no doubt on it
+_STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
 
 def doubtful(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> bool:

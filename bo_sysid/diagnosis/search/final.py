@@ -19,13 +19,15 @@ from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 
 _FINALISTS = 5
-_FAR = 2.0  # times what the leader leaves
-_NEEDED = 0.5  # [sigma] that leaving out a part costs, from which it need not be fitted again
+_FAR = 2.0  # times what the leader leaves, above which a set is far from it
+# [sigma] a set without a part of the leader is fitted again unless that part costs more
+_NEEDED = 0.5
 _COMPARED = 3  # leading sets at most that are compared with others
 _TOLD = 2.0  # standard deviations from which a bend is told from none
-_AS_GOOD = 1.02  # times what a set leaves, that may be left without
-_UNTOLD = 1.005  # the same, of friction that holds where it creeps in the set
-_NEAR, _RIVALS = 1.05, 2  # times what a set leaves, within which others are polished; how many
+_AS_GOOD = 1.02  # times what the leader leaves: simpler sets within that are as good
+_UNTOLD = 1.005  # the same, for friction that holds in the place of one that creeps
+# times what the leader leaves, within which rivals are polished as well; how many of them
+_NEAR, _RIVALS = 1.05, 2
 
 
 def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:

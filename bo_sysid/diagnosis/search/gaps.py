@@ -14,7 +14,8 @@ from bo_sysid.diagnosis.sets.subsets import clashes
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 
-_TRIED, _BEGUN = 2, 3  # joints that are added, by what their points leave; points of each
+# joints on which a gap is tried, most promising first; magnitudes each fit begins from
+_TRIED, _BEGUN = 2, 3
 
 _Point = tuple[float, Candidate, np.ndarray]
 """What is left, in sigma²; a candidate; its magnitudes."""

@@ -25,9 +25,10 @@ from bo_sysid.diagnosis.sets.rules import (
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared
 
-_ELIMINATIONS = 14  # members that are left out, at most
-_NEARER = 0.97  # of what a set leaves far off, that a round must come below
-_NEEDED = 1.5  # times what a set leaves, without a member that is needed wherever windows start
+_ELIMINATIONS = 14  # members left out in turn, at most
+_NEARER = 0.97  # far from the recordings a round goes on only if it leaves less than this share
+# a member is needed if without it this many times as much is left, wherever windows start
+_NEEDED = 1.5
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:

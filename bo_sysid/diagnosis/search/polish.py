@@ -17,11 +17,12 @@ from bo_sysid.diagnosis.windows.windowing import Prepared, prepare, settled
 _MOST = 6  # times at most that a set is linearised anew on all windows
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
 _SETTLED_SHAPE = 0.03  # the same as a share of a shape
-_GAINED = 0.995  # of what the time before left, that linearising anew must come below
-_CURVED = 0.5  # [sigma] of the correction, from which more than a share of it may be left
+# linearising anew goes on only while less than this share of the rms before is left
+_GAINED = 0.995
+_CURVED = 0.5  # [sigma] size of the time-step correction from which a share of it may not be enough
 _HALVINGS = 3  # of the time step at most, for that
 _BEYOND_NOISE = 2.0  # standard deviations of rms², from which something is left
-_STRAIGHTER = 0.7  # of what is unexplained, that half the step may leave to be worth its time
+_STRAIGHTER = 0.7  # half the step is kept if it leaves less than this share of what was unexplained
 
 
 def polished(

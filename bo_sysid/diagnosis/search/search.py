@@ -25,11 +25,14 @@ from bo_sysid.diagnosis.windows.windowing import Prepared
 from bo_sysid.simulation import State
 
 _NEAR = 0.03  # a linear estimate of a threshold this close to its grid point is believed
-_HOPEFUL = 1.5  # times the least rms up to which a fit far off is linearised at itself
+# times the least rms so far, up to which a set far from the recordings is linearised at itself
+_HOPEFUL = 1.5
 _ACROSS = 2.0  # the same, for a set with a joint in a gap
-_ALIKE = 0.1  # share by which two sets may differ in what they leave, and respond alike to starts
-_NEARLY, _CLEAR = 1.05, 1.02  # rms of a set with a gap, and of another, that say enough
-_AFRESH, _BETTER = 4, 0.97  # times that it is, while the rms falls below this share
+_ALIKE = 0.1  # relative difference of rms within which the linear model at one set serves another
+# rms of a set with a gap, and of any other, at which the search is over
+_NEARLY, _CLEAR = 1.05, 1.02
+# rounds of linearising anew at most, each of which must leave less than this share
+_AFRESH, _BETTER = 4, 0.97
 
 
 @dataclass

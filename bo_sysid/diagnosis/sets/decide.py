@@ -22,9 +22,10 @@ from bo_sysid.diagnosis.windows.problem import ROUGH
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
 # what they leave is far above the sensors' noise
-_CHANCE = 0.5  # of what is left unexplained: sets closer than that it may part by chance
-_TRIFLE = 0.1  # of what a richer effect holds, that it has of its own
-_NEARLY = 0.5  # of the size that a member must have, for a set that stands for the best
+# of what is left unexplained: predictions closer than that may be told apart by chance
+_CHANCE = 0.5
+_TRIFLE = 0.1  # share of what a richer effect holds, that is its own: below, it says nothing more
+_NEARLY = 0.5  # of the size that a member must have, for a set that may stand for the best
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
 

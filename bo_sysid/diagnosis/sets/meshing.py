@@ -4,7 +4,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.effects import Machine, Site
 
 LATE = ("actuator_lag", "actuator_delay")
-_SMALL = 0.15  # of a motor's lag, of another effect at its joint: together they may be a gap
+_SMALL = 0.15  # of a motor's lag: another effect at its joint no larger than that may mean a gap
 
 
 def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:

@@ -17,16 +17,17 @@ from bo_sysid.diagnosis.windows.problem import ROUGH
 MARGIN = 0.2  # [sigma] least unique size of an effect
 SHARE = 1.0  # unique size relative to what stays unexplained
 PART = 0.02  # unique size relative to what the nominal model leaves unexplained
-_UNKNOWN = 2.0  # times what the best fit leaves, that may be taken for unexplained
-_MOST_PART = 1.0  # [sigma] of that, at most: far off, many large effects leave it together
-FLAT = 0.01  # [sigma] that a member does by its slope where more of it would do no more
-_NOTHING = 1e-3  # of the magnitude by which a member is probed: no more is none
+_UNKNOWN = 2.0  # times what the best fit leaves: no more than that counts as unexplained
+_MOST_PART = 1.0  # [sigma] PART asks for no more: far off, many large effects leave it together
+# [sigma] linear size of a member below which it is saturated: more of it would do no more
+FLAT = 0.01
+_NOTHING = 1e-3  # of the magnitude by which a member is probed: less than that is no magnitude
 _THERE = 4.0  # standard deviations from which a small member of a group is there
 LOOSE = 1.3  # [sigma] of a fit from which linear sizes are not trusted
 CLEAN = 0.03  # rms² - 1 below which nothing is left to look for
 _NOISE = 0.97  # rms² of a set that leaves no more than noise
-_BELOW = 0.25  # of what is explained below it, that counts
-_LOST = 0.05  # of the nominal model's rms² - 1: a set that leaves more, far off, is no explanation
+_BELOW = 0.25  # share that counts of what is explained below the noise
+_LOST = 0.05  # of the nominal model's excess: a set far off that leaves more explains little
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,13 @@ _LOOSE_IN_CONTACT = 1.5  # the same rms in contact, where 1.05 was left of nothi
 _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
 _STANDS_OUT = 1.25  # times what a law at any other joint predicts there
 _WORTH = 0.015  # rms² - 1 below which nothing is asked
-_RIDGE = 1e-6  # on names beside a law, where both are compared: they are believed, it is not
-_ALSO = 0.2  # of what a law leaves, that it must predict more to depend on something more
-_AT_LEAST = 0.02  # the same, of what there was to predict
-_MOST, _NEAR = 0.75, 0.5  # of what is left, that a law predicts; of its gain, that rivals have
-_FORETOLD = 2.0  # times the squares without names that slopes may be wrong by
+_RIDGE = 1e-6  # on names beside a law where both are compared: names keep what both could explain
+_ALSO = 0.2  # share of what a law leaves, that a further dependence must predict of it
+_AT_LEAST = 0.02  # the same, as a share of what there was to predict
+# of what is left, that one joint's law must predict; share of its gain that rivals reach
+_MOST, _NEAR = 0.75, 0.5
+# times the squares without names, by which slopes may be wrong and still be believed
+_FORETOLD = 2.0
 _WINDOWS = 40
 _DRAWS = 39  # of signs: chance exceeds the largest gain of them once in forty
 

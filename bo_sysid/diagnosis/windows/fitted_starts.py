@@ -23,22 +23,25 @@ from bo_sysid.simulation import State
 DIVERGING = 1e9
 """Response to the start above which a window's simulation diverges."""
 
-_ROUNDS = 5  # every other one linearises anew
-_SHARES = (1.0, 0.3, 0.06)  # of a step
-_SETTLED = 0.05  # [sigma²] gain that a step promises below which a start stays
+_ROUNDS = 5  # Gauss-Newton rounds; every other one linearises anew
+_SHARES = (1.0, 0.3, 0.06)  # of a Gauss-Newton step, tried one after the other
+_SETTLED = 0.05  # [sigma²] a start whose next step promises to gain less stays where it is
 _GROWING = (0.25, 0.5, 1.0)  # shares of a window that its start is fitted to, one after the other
-_DRAWS, _DRAWN = 32, 2  # starts that are drawn for a window in contact; how many of them are fitted
-_HOPEFUL = 20.0  # times what a window leaves, up to which one is
-_LEFT_BEHIND = 1.5  # of the noise, squared, from which a window in contact is fitted on
-_ASTRAY = 2.0  # times what the window in the middle leaves, from which one begins anew
+_DRAWS, _DRAWN = 32, 2  # starts drawn for a window in contact; how many of the best are then fitted
+# a drawn start is fitted where it costs at most this many times what the present one does
+_HOPEFUL = 20.0
+_LEFT_BEHIND = 1.5  # [sigma²] mean square from which a window in contact is fitted on
+_ASTRAY = 2.0  # times the median cost, from which a window begins anew from what was recorded
 _BEHIND = 4.0  # times the usual cost, from which a window is fitted once more
-_DIFFERENCE = 0.03  # of the prior, by which starts are changed to see what that does
-_POSITION, _SPEED = 30.0, 0.3  # prior of a start: in sigma, and in the joint's typical speed
-_ASIDE = 1e-3  # of the spread of the joint's position, beside the sigmas: models are coarser
-_ADDED = 0.1  # of that spread: prior of a joint that the hypothesis added
-_LEAST = 1e-12  # of that prior
-_STILL = 1e-6  # of the prior, of a joint that is kept at rest
-_SLOW = 1.0  # of the joint's typical speed: below, friction may hold it
+_DIFFERENCE = 0.03  # finite-difference step of a start, as a share of its prior's deviation
+# deviation of a start's prior: in sigma; as a share of the joint's typical speed
+_POSITION, _SPEED = 30.0, 0.3
+_ASIDE = 1e-3  # added to that, as a share of the spread of the joint's position: models are coarser
+# deviation of the prior of a joint that the hypothesis added, as a share of that spread
+_ADDED = 0.1
+_LEAST = 1e-12  # the same at least, of a joint that cannot move
+_STILL = 1e-6  # factor on the prior of a joint that is kept at rest
+_SLOW = 1.0  # share of the joint's typical speed below which friction may hold it
 
 
 def prior(problem: Problem, coordinates: Coordinates) -> Float[np.ndarray, " n"]:

@@ -19,7 +19,7 @@ from bo_sysid.runs import FITS, Run
 from bo_sysid.runs.files import atomic
 
 _STAMP = "made_from.json"
-_LONG = 0.3  # [s] that a fit takes from which on it is kept
+_LONG = 0.3  # [s] fits that take longer are kept
 
 Arrays = Mapping[str, np.ndarray]
 

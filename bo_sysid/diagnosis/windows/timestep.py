@@ -17,7 +17,7 @@ FINER = 4  # the discretisation is judged against a time step this many times sm
 _DIVISIONS, _FINEST = (1, 2, 4, 8), 16  # the finest only where the error of the others is felt
 _SHARES = {n: (1 - 1 / n) / (1 - 1 / FINER) for n in (*_DIVISIONS, _FINEST)}  # of the correction
 _CONTINUOUS = 1 / (1 - 1 / FINER)  # share of the correction that a continuous machine shows
-_LITTLE = 0.05  # of what a hypothesis leaves: an error as good as none
+_LITTLE = 0.05  # of what a hypothesis leaves: a time-step error that counts as none
 _FELT = 0.3  # the same, from which forecasts are worse by a twentieth
 
 

@@ -22,12 +22,14 @@ from bo_sysid.mjcf.touching import touching
 from bo_sysid.simulation import State
 
 _ROUNDS = 3
-_WORTH_A_ROUND = 1e-3  # of the squared residual, what a round must gain
+# share of the squared residual that a round must gain to be followed by another
+_WORTH_A_ROUND = 1e-3
 _DRAWS = 6  # starts drawn to see where contact decides
 _SHARES = (1.0, 0.3, 0.09, 0.027)  # of a Gauss-Newton step on the starts
-_NOT_SHARED = 0.5  # of a finer step's difference, that differs between impacts
-_CHAOTIC = 4.0  # medians of the correction, from which it may decide a window
-_DECIDES = 0.5  # of what the hypothesis leaves, that one which does is beyond them
+# of a finer step's difference, the part that differs between impacts and is noise
+_NOT_SHARED = 0.5
+_CHAOTIC = 4.0  # times the median correction, up to which a window is never left out for it
+_DECIDES = 0.5  # added to that bound, as a share of what the hypothesis leaves
 _TOUCHING = 0.05  # share of the windows from which a motion counts as one in contact
 _DIVERGED = 0.5  # share of diverged windows at which there is nothing to compare
 _NEGLIGIBLE = 0.01  # [sigma] a correction below is left out
