@@ -134,8 +134,8 @@ class Diagnosis:
             said.append("The machine is in contact, where names are hints and not yet findings.")
         best = self.outcome.fit
         if self.answer.findings and not self.contact and leaves_much(best):
-            least = self.located.search.least
-            said.append(left_sentence(best, self.evidence.most, least))
+            nearest = self.located.search.nearest
+            said.append(left_sentence(best, self.evidence.most, nearest))
         said += hints(best, self.evidence.machine, self.located.decision.fits)
         after = self.answer.next_experiment
         return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))

@@ -6,6 +6,7 @@ from math import hypot, inf, pi, sqrt
 import numpy as np
 
 from bo_sysid.diagnosis.answer.findings import Quantity, amount, quantities, spoken
+from bo_sysid.diagnosis.answer.sentences import set_words
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing
@@ -205,13 +206,13 @@ def _nothing_sentence(c: Candidate, x: float, quantity: Quantity) -> str:
     )
 
 
-def left_sentence(best: Fit, most: int, least: float) -> str:
+def left_sentence(best: Fit, most: int, nearest: Fit) -> str:
     """Return in words that more than noise is left, and what can be done.
 
     Args:
         best: the set that is answered.
         most: effects that the study allows.
-        least: rms that any set leaves, in sigma.
+        nearest: the set that leaves least of all that were fitted.
     """
     small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
     said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
@@ -220,9 +221,9 @@ def left_sentence(best: Fit, most: int, least: float) -> str:
             f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
             "missing."
         )
-    if least < _MUCH_LESS * best.rms:
+    if nearest.rms < _MUCH_LESS * best.rms:
         return (
-            f"{said}. Larger sets leave down to {least:.3g}, but have effects too small beside "
-            "what stays unexplained to be named."
+            f"{said}. Larger sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
+            "effects too small beside what stays unexplained to be named."
         )
     return f"{said}. No further effect that was tried explains more."

@@ -86,6 +86,11 @@ class Search:
         return ranked(self.fits.values(), self.prior)[0]
 
     @property
+    def nearest(self) -> Fit:
+        """The set that leaves least, of those that were fitted; there must be one."""
+        return min(self.fits.values(), key=lambda f: f.rms)
+
+    @property
     def least(self) -> float:
         """The least rms of all fits."""
         return min((f.rms for f in self.fits.values()), default=np.inf)
