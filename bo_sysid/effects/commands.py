@@ -58,6 +58,7 @@ def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine)
     form="filter; filterexact in a file",
     evidence="roll-off of fast commands",
     separation="commands over two decades of frequency",
+    grouped=True,
     in_turn=True,
     written=_write_lag,
 )

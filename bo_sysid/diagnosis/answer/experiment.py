@@ -16,9 +16,11 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
 from bo_sysid.diagnosis.answer.findings import named, spoken
+from bo_sysid.diagnosis.answer.sentences import unit_words
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.sets.refit import Effort, refit
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
@@ -187,12 +189,8 @@ def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
 
 def _said(fit: Fit, beside: Fit) -> str:
     """Return what a set has that another lacks, all of it where it lacks nothing."""
-    shared = {c.key for c in beside.members}
-    own = [c for c in fit.members if c.key not in shared] or fit.members
-    words = [
-        c.effect.noun if c.site.kind == "world" else f"{c.effect.noun} at {c.site.name}"
-        for c in own
-    ]
+    own = units_beyond(fit, beside) or units_of(fit)
+    words = [unit_words([fit.members[k] for k in unit]) for unit in own]
     return " with ".join(words) or "nothing missing"
 
 

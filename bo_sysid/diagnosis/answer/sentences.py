@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.answer.exchanges import irreducible
 from bo_sysid.diagnosis.answer.findings import Finding, amount, plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import unit_at
@@ -100,12 +101,21 @@ def rivals(decision: Decision, machine: Machine) -> list[str]:
 def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> str:
     """Return in words what a set names and another does not."""
     words = []
-    for c, x in zip(fit.members, fit.x, strict=True):
-        if c.key in {d.key for d in other.members}:
-            continue
-        value, unit = c.effect.reported(c.full(x), machine, c.site), _unit(c, machine)
-        words.append(_at_site(c) + (f" ({value:.3g}{unit})" if sized else ""))
+    for unit in units_beyond(fit, other):
+        held = [(fit.members[k], fit.members[k].full(fit.x[k])) for k in unit]
+        values = [c.effect.reported(x, machine, c.site) for c, x in held]
+        size = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (min(values), max(values))))
+        said = f" ({size}{_unit(held[0][0], machine)})" if sized else ""
+        words.append(unit_words([c for c, _ in held]) + said)
     return " with ".join(words)
+
+
+def unit_words(members: Sequence[Candidate]) -> str:
+    """Return what one effect is and where: at its site, or at how many where it is a group."""
+    first = members[0]
+    if len(members) == 1:
+        return _at_site(first)
+    return f"{first.effect.noun} at {len(members)} {plural(first.site.kind)}"
 
 
 def _unit(c: Candidate, machine: Machine) -> str:
@@ -129,11 +139,5 @@ def set_words(fit: Fit) -> str:
     """Return a set in words: "dry friction at 6 joints + payload at the forearm"."""
     if not fit.members:
         return "nothing is missing"
-    words: list[str] = []
-    for candidate, group in zip(fit.members, fit.groups, strict=True):
-        noun = candidate.effect.noun
-        count = fit.groups.count(group)
-        many = f"{count} {plural(candidate.site.kind)}"
-        where = f" at {many}" if group else f" at {spoken(candidate.site)}"
-        words.append(noun if candidate.site.kind == "world" else noun + where)
-    return " + ".join(dict.fromkeys(words))
+    units = ([fit.members[k] for k in unit] for unit in units_of(fit))
+    return " + ".join(unit_words(members) for members in units)

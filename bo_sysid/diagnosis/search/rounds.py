@@ -27,7 +27,8 @@ _ALIKE = 30.0  # [sigma²] of linear gain within which another effect may be equ
 _NEARLY = 1e-3  # of the gain, what a linear estimate of it may be off
 _ROUGHLY = 0.01  # the same where the fit is far from the recordings
 _FEWER = 0.9  # of a member's gain, from which one with fewer magnitudes is tried for it
-_SUBSTITUTES, _GROUP_SUBSTITUTES = 5, 2  # fitted in the place of one effect, of a large group
+_SUBSTITUTES = 5  # single effects that are fitted in the place of one
+_GROUP_SUBSTITUTES = 2  # sets that are fitted in the place of a large group, groups in that of one
 _PAIR = 2  # members of a group up to which each is exchanged by itself
 _NEARER = 0.97  # of what a fit left, to go on from it linearised at itself
 
@@ -109,8 +110,9 @@ def _exchange(search: Search, screen: Screen, base: Fit, unit: tuple[int, ...]) 
 def substitute(search: Search, base: Fit) -> None:
     """Fit what could stand in the place of a member and explain as much; of a large group as one.
 
-    In contact also what was fitted before and leaves more than the set: it may have come from
-    starts on the far side of an impact.
+    A group may stand in the place of one effect: all thrusts that are too small, of a mass that is
+    too large. In contact also what was fitted before and leaves more than the set: it may have
+    come from starts on the far side of an impact.
     """
     screen, touching = search.screened(base), search.prepared.problem.machine.impacts
     effort = replace(FINAL, rival=base.rms)
@@ -119,7 +121,11 @@ def substitute(search: Search, base: Fit) -> None:
         rest = [k for k in range(len(base.members)) if k not in part]
         top = _SUBSTITUTES if len(part) == 1 else _GROUP_SUBSTITUTES
         for sets in _as_good(search, screen, base, part):
-            _run(search, sets, top, base, rest, effort=effort, anew=touching)
+            kinds = [(sets, top)]
+            if len(part) == 1:
+                kinds = [(alone(sets), top), (with_group(sets), _GROUP_SUBSTITUTES)]
+            for some, most in kinds:
+                _run(search, some, most, base, rest, effort=effort, anew=touching)
 
 
 def _as_good(
@@ -133,7 +139,9 @@ def _as_good(
     members, x = subset(base, [k for k in range(len(base.members)) if k not in part])
     fixed = [search.candidates.index(c) for c in members]
     without = screen.without(out, [base.x[k] for k in part])
-    grouped = subsets.groups(search.candidates) if len(part) > 1 else ()
+    grouped = subsets.groups(search.candidates)
+    if len(part) == 1:  # a group of the same effect explains more, and needs it
+        grouped = tuple(u for u in grouped if u.group != out[0].effect.id)
     table = without.gram(fixed, dict(zip(fixed, x, strict=True)))
     room = search.most - base.size + max(c.effect.weight for c in out)
     found = subsets.search(table, room, grouped, deepest=1)[1]

@@ -26,6 +26,7 @@ _SAME = 0.05  # [sigma] difference of predictions within which sets are equivale
 _CHANCE = 0.5
 _TRIFLE = 0.1  # share of what a richer effect holds, that is its own: below, it says nothing more
 _NEARLY = 0.5  # of the size that a member must have, for a set that may stand for the best
+_AFTER = 1e-9  # difference of log posterior that orders equals
 _ROUNDS = 3
 _MOST_EQUIVALENT = 11
 
@@ -80,7 +81,8 @@ def decide(
     ]
     held = _one_of_each([*admitted, *alike], cost)
     leader, score = _scored(held, leader, kappa, prior)
-    ranking = _Ranking(held, _levelled(held, score, leader, prior, Q, dof))
+    score = _levelled(held, score, leader, prior, Q, dof)
+    ranking = _Ranking(held, _no_likelier(held, score, Q, dof))
     plain = ranking.leader
     richer = [f for f in able if f not in held and _is_richer(f, plain, cost)]
     asked = [f for f in richer if f in nearly]
@@ -206,6 +208,30 @@ def _levelled(
     level = score[[f is best for f in fits].index(True)] - prior.log(best)
     same = [len(f.members) == len(best.members) and _apart(f, best, Q, dof) < apart for f in fits]
     return np.where(same, [level + prior.log(f) for f in fits], score)
+
+
+def _no_likelier(
+    fits: Sequence[Fit], score: Float[np.ndarray, " f"], Q: Float[np.ndarray, "W R k"], dof: int
+) -> Float[np.ndarray, " f"]:
+    """Return the scores where a group has no more than what does the same with fewer magnitudes.
+
+    All thrusts that are too small by one share are a mass that is too large, or a low battery: that
+    their magnitudes agree would be chance, or have one cause.
+    """
+    out = score.copy()
+    for k, fit in enumerate(fits):
+        if any(fit.groups):
+            plain = [
+                s
+                for f, s in zip(fits, score, strict=True)
+                if f.size == fit.size and _width(f) < _width(fit) and _apart(f, fit, Q, dof) < _SAME
+            ]
+            out[k] = min([score[k], *(s - _AFTER for s in plain)])
+    return out
+
+
+def _width(fit: Fit) -> int:
+    return sum(c.size for c in fit.members)
 
 
 def _apart(one: Fit, two: Fit, Q: Float[np.ndarray, "W R k"], dof: int) -> float:

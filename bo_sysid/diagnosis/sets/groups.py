@@ -17,6 +17,13 @@ def units_of(fit: Fit) -> list[tuple[int, ...]]:
     return found
 
 
+def units_beyond(fit: Fit, other: Fit) -> list[list[int]]:
+    """Return the members that a fit has and another lacks, those of a group together."""
+    shared = {c.key for c in other.members}
+    own = ([k for k in unit if fit.members[k].key not in shared] for unit in units_of(fit))
+    return [unit for unit in own if unit]
+
+
 def grouped_labels(
     members: Sequence[Candidate], candidates: Sequence[Candidate]
 ) -> tuple[str | None, ...]:
