@@ -37,7 +37,7 @@ def found_sentences(findings: Sequence[Finding]) -> list[str]:
 def _group_sentence(name: str, members: Sequence[Finding]) -> str:
     """Return "Dry friction on 3 joints, which the model lacks: base 4.01 ± 0.04 N m, …"."""
     each = ", ".join(f"{f.site.replace('_', ' ')} {amount(f.quantity)}" for f in members)
-    lacks = all(_LACKS in f.sentence for f in members)
+    lacks = name.startswith(("a ", "an ")) or all(_LACKS in f.sentence for f in members)
     beside = ", which the model lacks" if lacks else " differs from the model's by"
     return f"{name[0].upper()}{name[1:]}{beside}: {each}."
 
