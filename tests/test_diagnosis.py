@@ -15,11 +15,16 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
 from bo_sysid.diagnosis.answer.holdout import judge
-from bo_sysid.diagnosis.answer.notes import effects_without_site, parameters_out_of_bounds
+from bo_sysid.diagnosis.answer.notes import (
+    effects_without_site,
+    not_compared,
+    parameters_out_of_bounds,
+)
 from bo_sysid.diagnosis.diagnose import gather
-from bo_sysid.diagnosis.windows.evidence import rates_note
+from bo_sysid.diagnosis.windows.evidence import make_evidence, rates_note
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
+from bo_sysid.mjcf import Model
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_train
@@ -125,6 +130,20 @@ def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:
     study = write_study(tmp_path, parameters=[heavy])
     (note,) = parameters_out_of_bounds(study, gather(study, load_train(study)))
     assert note.startswith("The model as it is lies outside the bounds of m (")
+
+
+def test_joints_and_sensors_that_are_left_out_are_said() -> None:
+    whole = record(duration=1.0)
+    position = whole.channels["qpos.shoulder"]
+    channels = {"qpos.shoulder": position, "sensor.link": position}
+    channels |= {n: c for n, c in whole.channels.items() if n.startswith("ctrl.")}
+    model = Model.from_file(ARM, unrecorded={"elbow": None})
+    evidence = make_evidence(model, [replace(whole, channels=channels)])
+    assert not_compared(evidence) == (
+        "Nothing is looked for at elbow, whose position was not recorded.",
+        "Positions of joints are compared, not sensor.link.",
+    )
+    assert not_compared(make_evidence(arm(), [whole])) == ()
 
 
 def test_the_repaired_model_loads_and_holds_the_friction(diagnosed) -> None:

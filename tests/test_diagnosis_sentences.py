@@ -106,6 +106,8 @@ def test_what_no_effect_explains_is_said_with_where_it_acts() -> None:
     (said_of_all,) = Unexplained(0.5, "world", "world").sentences
     assert said_of_all.startswith("Something acts on the machine that no known effect explains. ")
     assert "noise in recorded commands" in said_of_all
+    (said_of_a_base,) = Unexplained(0.5, "world", "world", sought=False).sentences
+    assert "there is none. Nothing stands for it" in said_of_a_base
     (said_of_much,) = Unexplained(1.0, "world", "world", much=True).sentences
     assert "diagnosis: {most: …}" in said_of_much
     assert said_of_much.endswith("stands for a part of it in the repaired model.")
@@ -167,7 +169,7 @@ def test_a_group_of_three_is_said_in_one_sentence_and_two_in_two() -> None:
 
 @pytest.mark.parametrize(
     ("nominal", "refitted", "begins"),
-    [(8.16, 1.06, "The model needs the fitted parameters"), (1.27, 1.25, "Nothing is missing")],
+    [(8.16, 1.06, "The model needs what was fitted"), (1.27, 1.25, "Nothing is missing")],
 )
 def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
     nominal: float, refitted: float, begins: str

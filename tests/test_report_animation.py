@@ -57,6 +57,27 @@ def test_the_panels_differ_where_the_nominal_model_is_wrong(tmp_path: Path) -> N
     assert alike[1] < 0.5
 
 
+def test_a_robot_that_travels_far_is_followed(tmp_path: Path) -> None:
+    slide = '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/>'
+    model = Model.from_xml(
+        f'<mujoco><worldbody><body>{slide}<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    time = np.linspace(0, 1, 51)
+    for travelled, wanted in ((0.1, 0.4), (10.0, 0.15)):  # share of the panel that it fills
+        moved = {"qpos.x": travelled * time, "qpos.z": 0.0 * time}
+        told = pd.concat(
+            pd.DataFrame(
+                {"recording": "a", "time": time, "window": 0, "channel": name, "recorded": q,
+                 "nominal": q, "repaired": q}
+            )
+            for name, q in moved.items()
+        )  # fmt: skip
+        write_animation(tmp_path / "a.gif", model, told)
+        left, _ = lines(tmp_path / "a.gif")
+        wide = np.ptp(np.flatnonzero(left.any(axis=0))) / left.shape[1]
+        assert wide > wanted
+
+
 def test_joints_with_clocks_of_their_own_are_drawn_between_their_samples(tmp_path: Path) -> None:
     """The elbow at a third of the shoulder's rate: two in three of its samples are not there."""
     slow = traces(0.8)

@@ -147,6 +147,8 @@ def test_what_diverged_or_was_not_recorded_is_drawn_without_a_warning() -> None:
     silent = calm.assign(channel="qpos.silent", recorded=np.nan)
     both = pd.concat([calm, silent, lost], ignore_index=True)
     assert worst_channels(both) == ["qpos.lost", "qpos.boom", "qpos.silent"]
+    turned = both.replace({"channel": {"qpos.lost": "qpos.base.3"}})
+    assert worst_channels(turned) == ["qpos.boom", "qpos.silent", "qpos.base.3"]
     predictions(both).draw_without_rendering()
     names = [t.name for t in interactive.held_out(both, "qpos.lost").data]
     assert "nominal model (no prediction)" in names

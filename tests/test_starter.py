@@ -758,6 +758,13 @@ def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_pat
     assert (columns["ctrl.m1"], columns["ctrl.m2"]) == ("motor1", "motor2")
     assert set(Study.load(started.path).recordings.columns) == set(columns)
 
+    other = {"m1": log.pop("motor1"), "m2": log.pop("motor2"), "m3": np.cos(9 * time), **log}
+    pd.DataFrame(other).to_csv(tmp_path / "other.csv", index=False)
+    named = init(tmp_path / "quad.xml", [tmp_path / "other.csv"], tmp_path / "other.yaml")
+    text = named.path.read_text()
+    assert "ctrl.m2: {from: m2}  # likely: the same name" in text
+    assert "GUESS, look at it: the order" not in text
+
 
 @pytest.mark.parametrize(("kind", "size"), [("free", 7), ("ball", 4)])
 def test_a_log_that_names_every_coordinate_of_a_pose_needs_no_guess(

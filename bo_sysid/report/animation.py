@@ -20,6 +20,7 @@ _MOST = 60  # pictures
 _PAUSE = 1_000  # [ms] on the last picture
 _COLOURS = 48
 _FILL, _EDGE, _PAPER = "#CDD3DA", "#8A949E", "#FFFFFF"
+_FAR = 4.0  # times its own size, that a robot may travel before it is followed
 _MARGIN = 0.12  # of a panel
 
 
@@ -44,10 +45,9 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
     posed = Posed.of(model, poses["recorded"][0])
     onto = view(posed)
     shapes = {m: [_shapes(posed, pose, onto) for pose in poses[m]] for m in poses}
-    everything = np.concatenate([s for m in shapes for frame in shapes[m] for s in frame])
-    place = _Place.of(everything)
+    shown, place = _placed(shapes)
     frames = [
-        _frame([(m, shapes["recorded"][k], shapes[m][k]) for m in _COMPARED], place)
+        _frame([(m, shown["recorded"][k], shown[m][k]) for m in _COMPARED], place)
         for k in range(len(poses["recorded"]))
     ]
     times = [1000 // _RATE] * (len(frames) - 1) + [_PAUSE]
@@ -93,11 +93,35 @@ def _shapes(
     return [outline(posed.surface(int(g)), onto) for g in order]
 
 
+_Shapes = Mapping[str, list[list[Float[np.ndarray, "n 2"]]]]
+"""Outlines by model, picture and geom."""
+
+
+def _placed(shapes: _Shapes) -> tuple[_Shapes, "_Place"]:
+    """Return the outlines, and a place that holds them; a robot that travels far is followed."""
+    own = [np.concatenate(frame) for frame in shapes["recorded"]]
+    size = max(float(np.ptp(points, axis=0).max()) for points in own)
+    place = _Place.of(_all(shapes))
+    if place.size < _FAR * size:
+        return shapes, place
+    middle = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in own]
+    followed = {
+        m: [[s - at for s in frame] for frame, at in zip(frames, middle, strict=True)]
+        for m, frames in shapes.items()
+    }
+    side = min(2 * float(np.abs(_all(followed)).max()), _FAR * size)
+    return followed, _Place(np.full(2, -side / 2), side)
+
+
+def _all(shapes: _Shapes) -> Float[np.ndarray, "P 2"]:
+    return np.concatenate([s for frames in shapes.values() for frame in frames for s in frame])
+
+
 class _Place:
     """Where the world's points lie in a panel."""
 
     def __init__(self, low: Float[np.ndarray, " 2"], size: float) -> None:
-        self._low, self._size = low, size
+        self._low, self.size = low, size
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "P 2"]) -> "_Place":
@@ -108,7 +132,7 @@ class _Place:
     def pixels(self, points: Float[np.ndarray, "n 2"], panel: int) -> list[tuple[float, float]]:
         """Return pixels of a panel; up is up."""
         side = _PANEL * _FINER
-        at = (points - self._low) / self._size * (1 - 2 * _MARGIN) + _MARGIN
+        at = (points - self._low) / self.size * (1 - 2 * _MARGIN) + _MARGIN
         return [(panel * side + x * side, (1 - y) * side) for x, y in at]
 
 

@@ -14,7 +14,10 @@ VERDICTS = {
     "numerics": "The physics is right; the time step is too coarse.",
     "nothing-missing": "Nothing is missing from the model.",
 }
-_AFTER_FIT = "The model needs the fitted parameters of the study; no more is seen to be missing."
+_AFTER_FIT = (
+    "The model needs what was fitted, parameters of the study or a finer time step; no more is "
+    "seen to be missing."
+)
 _HELPED = 1.15  # by how much the forecast gains from what the study fits, before that is a verdict
 _SHOWN = 5  # of the other sets
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")

@@ -20,11 +20,15 @@ _SECONDS = 12.0
 _BETWEEN = 0.03  # of their length: gap between recordings in a row
 _UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
 _SETS = 8
+_TURNS = re.compile(r"qpos\..+\.[3-6]")  # of the pose of a floating base
 _LINE = 18  # letters of a name in a line beside a panel
 
 
 def worst_channels(traces: pd.DataFrame) -> list[str]:
-    """Return the channels, those first that the nominal model predicts worst for their range."""
+    """Return the channels, those first that the nominal model predicts worst for their range.
+
+    Parts of a quaternion come last, which say nothing one by one, and jump where it turns about.
+    """
 
     def badness(part: pd.DataFrame) -> float:
         recorded = part["recorded"].dropna()
@@ -36,7 +40,7 @@ def worst_channels(traces: pd.DataFrame) -> list[str]:
 
     names = list(dict.fromkeys(traces["channel"]))
     size = {n: badness(traces[traces["channel"] == n]) for n in names}
-    return sorted(names, key=lambda n: -size[n])
+    return sorted(names, key=lambda n: (bool(_TURNS.fullmatch(n)), -size[n]))
 
 
 def in_lines(name: str) -> str:

@@ -211,8 +211,9 @@ def _shortened(addresses: str, most: int = 2) -> str:
 
 
 def notes_text(notes: Sequence[str]) -> list[str]:
-    """Return the lines that say what was done to the data."""
+    """Return the lines that say what was done to the data, which column is which at the end."""
     if not notes:
         return []
+    notes = sorted(notes, key=lambda note: " is column '" in note)
     more = [f"- and {len(notes) - _FEW} more"] if len(notes) > _FEW else []
     return ["", "What was done to the data:", *[f"- {n}" for n in notes[:_FEW]], *more]

@@ -15,6 +15,7 @@ from bo_sysid.starter.naming import PLACED, WORDS, Column, words
 from bo_sysid.starter.numbers import numbered
 from bo_sysid.starter.reading import driven, told_unit
 
+_SAME_NAME = 0.8  # confidence in a column that nothing but its name says to be a control
 Asked = Literal["position", "velocity", "force"]
 """What an actuator is told: where to go, how fast, or what to exert."""
 _SAYING: dict[Asked, frozenset[str]] = {
@@ -81,9 +82,10 @@ def matched_controls(
 def left_over(
     model: Model, table: RawTable, columns: Sequence[Column], known: Sequence[Guess]
 ) -> list[Guess]:
-    """Match actuators without a column with the only columns that are left and change.
+    """Match actuators without a column with columns that are left and change.
 
-    One with one; several with as many whose names differ by a number alone, in its order.
+    By the same name; then one with the only one, several with as many whose names differ by a
+    number alone, in its order.
     """
     used, told = {g.column for g in known}, {g.channel for g in known}
     without = [a for a in model.controlled if f"ctrl.{a}" not in told]
@@ -91,6 +93,14 @@ def left_over(
     left = [c for c in columns if c.name not in used and c.kind not in never]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     compiled = model.compile()
+    same = [
+        Guess(f"ctrl.{a}", c.name, c.unit, "the same name", _SAME_NAME)
+        for a in without
+        for c in left
+        if words(c.name) == words(a) and fits_control(compiled, a, c)
+    ]
+    if len(same) == len(without):
+        return same
     left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
     if len(without) == 1:
         reason, chosen = "nothing else is left", left if len(left) == 1 else []

@@ -53,6 +53,12 @@ def keys_at(annotation: Any, path: KeyPath) -> set[str]:
     return set().union(*[keys_at(a, inner) for a in get_args(annotation)])
 
 
+def _elsewhere(root: type[Section], path: KeyPath) -> str:
+    """Return in words which sections have a key of that name, nothing where none has."""
+    sections = [s for s in sorted(keys_at(root, ())) if path[-1] in keys_at(root, (s,))]
+    return f"{path[-1]!r} is a key of {' or '.join(sections)}" if sections else ""
+
+
 def _problem(source: Source, path: KeyPath, rules: list[str]) -> str:
     unique = list(dict.fromkeys(rules))
     rule = unique[0]
@@ -84,7 +90,8 @@ def _holds(data: Any, part: str | int) -> bool:
 def _rule(detail: ErrorDetails, path: KeyPath, root: type[Section]) -> str:
     kind, value = detail["type"], detail["input"]
     if kind == "extra_forbidden":
-        return f"unknown key; {nearest(str(path[-1]), keys_at(root, path[:-1]))}"
+        valid = nearest(str(path[-1]), keys_at(root, path[:-1]))
+        return f"unknown key; {_elsewhere(root, path) or valid}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
     rule = _RULES.get(kind) or detail["msg"].replace("Input should be", "must be")

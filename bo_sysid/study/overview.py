@@ -277,7 +277,7 @@ def _remedy(model: Model, recording: Recording, joint: str) -> str:
     still = f"To hold the joint still instead: model: {{file: …, hold: [{joint}]}}"
     if f"qpos.{joint}" not in model.qpos_channels:  # several coordinates: a ball, a free joint
         return still
-    return f"{still}; to let it move unmeasured: unrecorded: {{{joint}: null}}"
+    return f"{still}; to let it move unmeasured: model: {{file: …, unrecorded: {{{joint}: null}}}}"
 
 
 def _joint(model: Model, position: str) -> str:

@@ -55,6 +55,7 @@ class Unexplained:
         depends_on: what it depends on: position, speed, control, load, time, other_joint.
         learned: whether a learned law stands for it, if it is known what it depends on.
         much: whether far more is left than a law at one joint explains.
+        sought: whether there is a hinge or slide at which a law could act.
     """
 
     share: float = 0.0
@@ -63,6 +64,7 @@ class Unexplained:
     depends_on: tuple[str, ...] = ()
     learned: bool = True
     much: bool = False
+    sought: bool = True
 
     @property
     def flagged(self) -> bool:
@@ -83,6 +85,8 @@ class Unexplained:
                 ". No force law at one joint explains most of it: more effects may be missing at "
                 "once than were looked for (diagnosis: {most: …})"
             )
+        elif not self.sought:
+            text += ". Force laws are looked for at hinges and slides alone, and there is none"
         else:
             text += (
                 ". No force law of position, speed, command, load or time predicts it, as is so of "
@@ -145,6 +149,7 @@ def explain(located: Located) -> Outcome:
             unexplained = _said(found)
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
+    unexplained = replace(unexplained, sought=bool(problem.machine.joints))
     step = problem.windows.timestep
     return Outcome(fit, refitted, repaired, unexplained, step, sessions, alone, disputed)
 

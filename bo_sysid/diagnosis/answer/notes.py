@@ -17,7 +17,28 @@ from bo_sysid.study.inputs import held_notes, study_effects
 
 def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
     """Return what is not as a study asks."""
-    return (*effects_without_site(study, evidence), *parameters_out_of_bounds(study, evidence))
+    return (
+        *effects_without_site(study, evidence),
+        *parameters_out_of_bounds(study, evidence),
+        *not_compared(evidence),
+    )
+
+
+def not_compared(evidence: Evidence) -> tuple[str, ...]:
+    """Return at which joints nothing is looked for, and which sensors are not compared."""
+    said = []
+    silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
+    if silent:
+        said.append(f"Nothing is looked for at {_listed(silent)}, whose position was not recorded.")
+    channels = dict.fromkeys(n for r in evidence.recordings for n in r.channels)
+    sensors = [n for n in channels if n.startswith("sensor.")]
+    if sensors:
+        said.append(f"Positions of joints are compared, not {_listed(sensors)}.")
+    return tuple(said)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
