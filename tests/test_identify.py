@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +18,7 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
+from bo_sysid.identify.discretisation import step_notes, step_shift
 from bo_sysid.identify.errors import compared, remarks, side_by_side
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
@@ -550,3 +552,49 @@ def test_another_mesh_of_the_same_name_is_another_problem(tmp_path: Path) -> Non
     first = fingerprint(1.0)
     assert fingerprint(1.0) == first
     assert fingerprint(1.1) != first
+
+
+def damped_study(folder: Path, timestep: float) -> Study:
+    """A pendulum recorded at a fine step, and modelled at a coarse one by Euler's method."""
+    text = """
+    <mujoco>
+      <option timestep="{}" integrator="Euler"><flag eulerdamp="disable"/></option>
+      <worldbody><body>
+        <joint name="hinge" axis="0 1 0" damping=".02"/>
+        <geom name="bob" type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".5"/>
+      </body></worldbody>
+    </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text.format(1e-4))
+    data, rows = mujoco.MjData(model), []
+    data.qpos[:] = 1.0
+    for k in range(60_000):
+        if k % 100 == 0:
+            rows.append((data.time, *data.qpos, *data.qvel))
+        mujoco.mj_step(model, data)
+    time, qpos, qvel = np.array(rows).T
+    recording = Recording.from_arrays(time, qpos={"hinge": qpos}, qvel={"hinge": qvel})
+    recording.to_frame().to_parquet(folder / "swing.parquet")
+    (folder / "swing.xml").write_text(text.format(timestep))
+    damping = {"address": "joint[hinge].damping", "low": 0.0, "high": 0.04, "steps": 401}
+    data_ = {
+        "model": "swing.xml",
+        "recordings": {"train": ["swing.parquet"], "noise": {"qpos": 1e-3, "qvel": 1e-2}},
+        "deviation": {"horizon": 20},
+        "parameters": [{"name": "damping", **damping}],
+    }
+    return Study.from_dict(data_, folder)
+
+
+@pytest.mark.parametrize("timestep", [0.01, 0.0005])
+def test_what_the_time_step_does_to_a_parameter_is_told(tmp_path: Path, timestep: float) -> None:
+    """Explicit Euler feeds energy in; the damping that makes up for it is found in its place."""
+    problem = make_problem(damped_study(tmp_path, timestep), threads=1)
+    deviations = problem.deviation(problem.candidates.points).deviation
+    best = problem.candidates.points[deviations.argmin()]
+    (shift,) = step_shift(problem, best)
+    assert shift == pytest.approx(best[0] - 0.02, abs=2e-4, rel=0.1)
+    found = pd.DataFrame({"name": ["damping"], "unit": [""], "low95": best - 5e-4,
+                          "high95": best + 5e-4})  # fmt: skip
+    notes = step_notes(problem, best, found)
+    assert (len(notes) == 1) == (timestep == 0.01)
+    assert all("time step of 10 ms moves damping by about +" in n for n in notes)

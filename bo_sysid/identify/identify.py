@@ -10,6 +10,7 @@ from bo_sysid.arrays import Point, Points, Probabilities
 from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import OnProgress, Progress, silent, threads
+from bo_sysid.identify.discretisation import step_notes
 from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
@@ -73,6 +74,7 @@ def identify(
         notes=(
             *remarks(errors),
             *held_notes(study),
+            *step_notes(problem, best, parameters),
             *_notes(problem),
             *problem.unscaled(holdout),
         ),

@@ -2,13 +2,14 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
+from bo_sysid.execution import threads as cores
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
@@ -88,6 +89,17 @@ class Problem:
             windows,
             whitening.restricted(windows.channels),
             fitted_starts=self.deviation.fitted_starts,
+        )
+
+    def at_timestep(self, timestep: float) -> Deviation:
+        """Return the deviation on the same recordings, simulated with another time step in [s]."""
+        own = self.deviation
+        simulator = make_simulator(self.study, self.model, self.parameters, threads=cores())
+        return Deviation(
+            replace(simulator, timestep=timestep),
+            _cut(self.study, self.model, self.recordings, self.horizon, timestep),
+            own.whitening,
+            fitted_starts=own.fitted_starts,
         )
 
     def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -226,11 +238,18 @@ def _stamps(model: Model, recording: Recording) -> Float[np.ndarray, " T"]:
     return np.unique(np.concatenate([np.zeros(0), *times]))
 
 
-def _cut(study: Study, model: Model, recordings: Sequence[Recording], horizon: int) -> Windows:
+def _cut(
+    study: Study,
+    model: Model,
+    recordings: Sequence[Recording],
+    horizon: int,
+    timestep: float | None = None,
+) -> Windows:
     return cut(
         model,
         recordings,
         horizon=horizon,
+        timestep=timestep,
         signals=study_signals(study, recordings),
         controlled=tuple(study.actuators),
         parameters=study.parameter_set(model),
