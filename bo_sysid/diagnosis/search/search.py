@@ -165,7 +165,11 @@ class Search:
         labels = grouped_labels(fit.members, self.candidates)
         kept = self._not_worse(self._in_turn(fit, effort), labels, effort)
         self.fits[kept.key] = kept
-        self.doing(f"{len(self.fits)} sets fitted, the nearest leaves {self.least:.3f} sigma")
+        windows, instants = self.prepared.problem.windows.observed.shape[:2]
+        self.doing(
+            f"{len(self.fits)} sets fitted to {windows} windows of {instants} instants, the "
+            f"nearest leaves {self.least:.3f} sigma"
+        )
         return kept
 
     def _not_worse(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
