@@ -231,6 +231,15 @@ def test_blocks_that_are_too_much_alike_are_told(phi: float, short: bool) -> Non
         assert np.mean(told) == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.parametrize("count", [2, 8, 12, 16, 20, 40])
+def test_few_windows_whose_errors_are_not_alike_are_not_told_to_be(count: int) -> None:
+    told = [Blocks.of(alike(0.0, count, s), np.zeros(count, int)).short for s in range(200)]
+    assert np.mean(told) < 0.03
+    if count >= 40:
+        told = [Blocks.of(alike(0.97, count, s), np.zeros(count, int)).short for s in range(200)]
+        assert np.mean(told) > 0.5
+
+
 def test_what_goes_as_far_astray_as_a_diverged_window_counts_as_one() -> None:
     windows = oscillator_windows(horizon=20)
     deviation = Deviation(Oscillator((STIFFNESS, DAMPING)), windows, Whitening.of(windows))

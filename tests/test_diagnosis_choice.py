@@ -507,7 +507,9 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     near = replace(best, rms=1.4)
     assert "3 sensor sigmas are left" in left_sentence(poor, 3, poor)
     assert "No further effect" in left_sentence(poor, 3, poor)
-    assert "down to 1.4 (dry friction at the elbow), but" in left_sentence(poor, 3, near)
+    assert "Other sets leave down to 1.4 (dry friction at the elbow), but" in left_sentence(
+        poor, 3, near
+    )
     assert "All 1 effects" in left_sentence(poor, 1, near)
     assert "does not stand out" in left_sentence(doubt, 3, doubt)
     assert "does not stand out" not in left_sentence(poor, 3, poor)

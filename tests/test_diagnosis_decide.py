@@ -100,6 +100,28 @@ def test_far_off_an_effect_is_as_large_as_the_best_fit_without_it_leaves(machine
     assert decided(nominal, strong).best is strong
 
 
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_group_that_does_what_one_effect_does_is_as_probable_and_comes_after_it(
+    machine, alike: bool
+) -> None:
+    """By what it leaves alone the group leads, and a third set stands between the two."""
+    one = fit((candidate(machine, "link_mass", "forearm"),), 1.003)
+    both = tuple(candidate(machine, "viscous_damping", j) for j in ("shoulder", "elbow"))
+    group = replace(fit(both, 1.0), groups=("viscous_damping",) * 2)
+    group = replace(group, residual=one.residual + (0.01 if alike else 0.5))
+    third = fit((candidate(machine, "payload", "upper"),), 1.0015, seed=4)
+    decision = decided(fit((), 9.0, seed=3), one, group, third)
+    shares = dict(zip((f.key for f in decision.fits), decision.probability, strict=True))
+    if alike:
+        assert decision.best is one
+        assert shares[one.key] == pytest.approx(shares[group.key], rel=1e-6)
+        assert decision.equivalents[0] is group
+    else:
+        assert decision.best is group
+        assert shares[group.key] > 2 * shares[one.key]
+    assert shares[third.key] < shares[group.key]
+
+
 def test_sets_that_differ_by_less_than_both_leave_are_told_apart_by_nothing(machine) -> None:
     one = fit((candidate(machine, "payload", "forearm"),), 2.0)
     other = replace(

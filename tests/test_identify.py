@@ -292,9 +292,11 @@ def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path
     assert len(found.evaluations) == found.evaluations["mass"].nunique() == 20
 
 
-def test_zooming_ends_where_the_recordings_tell_no_more(tmp_path: Path) -> None:
+@pytest.mark.parametrize("steps", [6, 11])
+def test_zooming_ends_where_the_recordings_tell_no_more(tmp_path: Path, steps: int) -> None:
     search = {"budget": 200, "stop": {"entropy": 0}, "refine": True}
-    found = identify(cart_study(tmp_path, search=search))
+    mass = {"name": "mass", "address": "geom[cart].mass", "low": 0.5, "high": 1.5, "steps": steps}
+    found = identify(cart_study(tmp_path, search=search, parameters=[mass]))
     row = found.parameters.iloc[0]
     width = row["high95"] - row["low95"]
     finest = np.diff(np.sort(found.candidates.points[:, 0])).min()

@@ -78,6 +78,24 @@ def test_a_robot_that_travels_far_is_followed(tmp_path: Path) -> None:
         assert wide > wanted
 
 
+def test_a_forecast_that_strays_stays_in_its_panel_beside_a_robot_that_does_not(
+    tmp_path: Path,
+) -> None:
+    slide = '<joint name="x" type="slide" axis="1 0 0"/>'
+    model = Model.from_xml(
+        f'<mujoco><worldbody><body>{slide}<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    time = np.linspace(0, 1, 51)
+    told = pd.DataFrame(
+        {"recording": "a", "time": time, "window": 0, "channel": "qpos.x", "recorded": 10 * time,
+         "nominal": 10 * time + 3 * time, "repaired": 10 * time}
+    )  # fmt: skip
+    write_animation(tmp_path / "a.gif", model, told)
+    left, right = lines(tmp_path / "a.gif")
+    assert not left.any()  # cut off
+    assert 0 < np.ptp(np.flatnonzero(right.any(axis=0))) < right.shape[1] / 2
+
+
 def test_joints_with_clocks_of_their_own_are_drawn_between_their_samples(tmp_path: Path) -> None:
     """The elbow at a third of the shoulder's rate: two in three of its samples are not there."""
     slow = traces(0.8)

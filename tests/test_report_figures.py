@@ -147,8 +147,13 @@ def test_what_diverged_or_was_not_recorded_is_drawn_without_a_warning() -> None:
     silent = calm.assign(channel="qpos.silent", recorded=np.nan)
     both = pd.concat([calm, silent, lost], ignore_index=True)
     assert worst_channels(both) == ["qpos.lost", "qpos.boom", "qpos.silent"]
-    turned = both.replace({"channel": {"qpos.lost": "qpos.base.3"}})
-    assert worst_channels(turned) == ["qpos.boom", "qpos.silent", "qpos.base.3"]
+    pose = [lost.assign(channel=f"qpos.base.{k}") for k in range(7)]
+    order = worst_channels(pd.concat([calm, *pose], ignore_index=True))
+    assert order == [f"qpos.base.{k}" for k in range(3)] + ["qpos.boom"] + [
+        f"qpos.base.{k}" for k in range(3, 7)
+    ]
+    arm = lost.assign(channel="qpos.arm.3")  # a hinge of that name
+    assert worst_channels(pd.concat([calm, arm], ignore_index=True)) == ["qpos.arm.3", "qpos.boom"]
     predictions(both).draw_without_rendering()
     names = [t.name for t in interactive.held_out(both, "qpos.lost").data]
     assert "nominal model (no prediction)" in names

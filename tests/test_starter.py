@@ -764,6 +764,11 @@ def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_pat
     text = named.path.read_text()
     assert "ctrl.m2: {from: m2}  # likely: the same name" in text
     assert "GUESS, look at it: the order" not in text
+    twice = other | {"M_1": np.sin(5 * time)}  # which of both m1 is, nothing tells
+    pd.DataFrame(twice).to_csv(tmp_path / "twice.csv", index=False)
+    some = init(tmp_path / "quad.xml", [tmp_path / "twice.csv"], tmp_path / "twice.yaml")
+    assert "ctrl.m2: {from: m2}  # likely: the same name" in some.path.read_text()
+    assert "ctrl.m1: {from: FILL IN" in some.path.read_text()
 
 
 @pytest.mark.parametrize(("kind", "size"), [("free", 7), ("ball", 4)])

@@ -31,11 +31,13 @@ def message(folder: Path, text: str, **overrides: object) -> str:
         ("serach: {budget: 3}", "arm.yaml, line 4: serach: unknown key; did you mean 'search'?"),
         (
             "unrecorded: {caster: null}",
-            "arm.yaml, line 4: unrecorded: unknown key; 'unrecorded' is a key of model",
+            "arm.yaml, line 4: unrecorded: unknown key; did you mean 'recordings'? "
+            "('unrecorded' is a key of model)",
         ),
         (
             "search: {stop: {budget: 3}}",
-            "arm.yaml, line 4: search.stop.budget: unknown key; 'budget' is a key of search",
+            "arm.yaml, line 4: search.stop.budget: unknown key; valid: 'entropy', 'last' "
+            "('budget' is a key of search)",
         ),
         (
             "search:\n  seed: 3\n  budgett: 3",

@@ -116,7 +116,7 @@ class ArgminPosterior:
         mean: `s` posterior means there.
         factor: `r x s` matrix `F`; `FᵀF` is the posterior covariance of `rows`.
         floor: least value that is known exactly; +inf where none is.
-        holders: the rows that have it, up to rounding.
+        incumbents: the rows that have it, up to rounding.
         lost: bound on the probability of all other candidates.
         exact: whether `factor` is exact.
     """

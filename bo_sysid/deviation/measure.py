@@ -26,7 +26,8 @@ PENALTY = 10.0  # a diverged window deviates by this many times the recorded ran
 _MOST_BLOCKS = 40
 _LEAST_BLOCKS = 8  # a bootstrap of fewer says little
 _LONG = 5  # correlation times that a block lasts, where the recordings are long enough
-_SHORT = 2  # the same, below which blocks are too much alike
+_SHORT = 2  # times as long as errors are alike (τ - 1), below which blocks are too much alike
+_ALIKE = 3.0  # correlation time from which errors are alike: of few windows none is told exactly
 SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
 
 
@@ -103,6 +104,8 @@ class Blocks:
     def of(cls, series: Float[np.ndarray, " W"], recording: Int[np.ndarray, " W"]) -> "Blocks":
         """Return blocks five times longer than the correlation time of a series, 8 at least.
 
+        There are fewer where there are no more windows.
+
         Args:
             series: `W` deviations of one candidate, in order of time within each recording.
             recording: `W` number of the recording.
@@ -114,7 +117,8 @@ class Blocks:
         index, session = blocks_of(recording, int(total))
         weight = np.bincount(index, minlength=len(session)) / len(series)
         several = len(np.unique(recording)) >= SESSIONS
-        short = len(series) < _SHORT * time * len(weight)
+        apart = len(series) / len(weight)  # windows in a block
+        short = time > _ALIKE and apart < 1 + _SHORT * (time - 1)
         return cls(index, weight, session if several else None, short and not several)
 
 

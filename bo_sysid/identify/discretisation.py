@@ -1,5 +1,6 @@
 """What the model's time step does to the parameters that are found."""
 
+import mujoco
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
@@ -10,6 +11,7 @@ from bo_sysid.identify.problem import Problem
 
 _STEP = 0.01  # of a parameter's range, for its column
 _MOST = 200_000  # predicted numbers that are looked at
+_RUNGE_KUTTA, _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4), 4  # an integrator, and its order
 _DEAD = 1e-3  # of the largest singular value: directions that say less say nothing
 
 
@@ -18,11 +20,12 @@ def step_shift(problem: Problem, best: Point) -> Float[np.ndarray, " d"]:
 
     A model whose step h is coarse is fitted with parameters that make up for it,
 
-        β̂ - β ≈ 2 J⁺ (F_{h/2}(β̂) - F_h(β̂)),
+        β̂ - β ≈ κ J⁺ (F_{h/2}(β̂) - F_h(β̂)),
 
-    with J the response of the whitened predictions F_h to the parameters. Twice, since the error of
-    an integrator of first order, as MuJoCo's are by default, halves with the step; of a better one
-    it is less. Starts are fitted to each prediction where they are nuisances.
+    with J the response of the whitened predictions F_h to the parameters. κ is 2 since the error of
+    an integrator of first order, as MuJoCo's Euler's and implicit ones are, halves with the step;
+    that of order p falls to 1/2ᵖ, and κ = 1/(1 - 1/2ᵖ). Starts are fitted to each prediction where
+    they are nuisances.
 
     Args:
         problem: what was searched.
@@ -34,27 +37,28 @@ def step_shift(problem: Problem, best: Point) -> Float[np.ndarray, " d"]:
     own, step = problem.deviation, problem.deviation.windows.timestep
     shift = np.zeros(len(best))
     free = [k for k in range(len(best)) if k not in problem.candidates.categories]
-    there = _whitened(own, best)
-    finer = _whitened(problem.at_timestep(step / 2), best)
+    every = own.windows.observed.size // _MOST + 1
+    there = _whitened(own, best, every)
+    finer = _whitened(problem.at_timestep(step / 2), best, every)
     low, high = problem.candidates.bounds
     sizes = _STEP * (high - low) * np.where(best > (low + high) / 2, -1.0, 1.0)
-    moved = [_whitened(own, best + size) for size in np.diag(sizes)[free]]
-    told = np.flatnonzero(np.isfinite([there, finer, *moved]).all(axis=0))
-    told = told[:: len(told) // _MOST + 1]
-    if not (free and len(told)):
+    moved = [_whitened(own, best + size, every) for size in np.diag(sizes)[free]]
+    told = np.isfinite([there, finer, *moved]).all(axis=0)
+    if not (free and told.any()):
         return shift
     columns = np.stack([(m - there)[told] for m in moved], axis=1)
     solved = np.linalg.lstsq(columns, (finer - there)[told], rcond=_DEAD)[0]
-    shift[free] = 2 * solved * sizes[free]
+    order = _RK4 if problem.model.compile().opt.integrator == _RUNGE_KUTTA else 1
+    shift[free] = solved * sizes[free] / (1 - 0.5**order)
     return shift
 
 
-def _whitened(deviation: Deviation, point: Point) -> Float[np.ndarray, " n"]:
-    """Return all predictions in units of their scales, NaN where a window diverged."""
+def _whitened(deviation: Deviation, point: Point, every: int) -> Float[np.ndarray, " n"]:
+    """Return each n-th prediction in units of its scale, NaN where a window diverged."""
     prediction = deviation.prediction(point)
     values = prediction.values / deviation.whitening.scale
     values = np.where(np.isfinite(deviation.windows.observed), values, 0.0)
-    return np.where(prediction.diverged[:, None, None], np.nan, values).ravel()
+    return np.where(prediction.diverged[:, None, None], np.nan, values).ravel()[::every]
 
 
 def step_notes(problem: Problem, best: Point, parameters: pd.DataFrame) -> list[str]:

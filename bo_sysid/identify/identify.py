@@ -138,8 +138,9 @@ def _searched(
         tell = _Teller(journal, progress, number, candidates, spent, most)
         outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
         levels.append(Level(candidates, outcome.history))
+        whole, cells, found = _together(problem, levels, outcome)
         finer = None
-        if settings.refine and not _resolved(problem, candidates, outcome):
+        if settings.refine and not resolved(candidates, whole, _bootstrap(problem, whole, found)):
             mass = outcome.belief.probabilities
             finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
         if finer is None or spent + len(outcome.history) >= settings.budget:
@@ -148,17 +149,19 @@ def _searched(
         candidates, known = finer
         stored = journal.history(number + 1, blocks)
         history = stored if len(stored) else known
+    return whole, cells, found
+
+
+def _together(
+    problem: Problem, levels: list[Level], last: SearchOutcome
+) -> tuple[CandidateSet, Points, SearchOutcome]:
+    """Return the candidates of all levels, the sides of their boxes, and what is known of them."""
     if len(levels) == 1:
-        return candidates, np.tile(candidates.cell, (len(candidates), 1)), outcome
+        candidates = levels[0].candidates
+        return candidates, np.tile(candidates.cell, (len(candidates), 1)), last
     whole, cells = joined(levels)
     surrogate, belief = believe(whole.candidates, whole.history, _rules(problem.study, 0, 0))
-    outcome = SearchOutcome(whole.history, surrogate, belief, outcome.reason)
-    return whole.candidates, cells, outcome
-
-
-def _resolved(problem: Problem, candidates: CandidateSet, outcome: SearchOutcome) -> bool:
-    bootstrap = _bootstrap(problem, candidates, outcome)
-    return resolved(candidates, bootstrap, problem.candidates)
+    return whole.candidates, cells, SearchOutcome(whole.history, surrogate, belief, last.reason)
 
 
 def _rules(study: Study, level: int, spent: int) -> Rules:

@@ -21,9 +21,8 @@ from bo_sysid.parameters import CandidateSet, Parameter
 MASS = 0.999  # of P that the new box must hold
 WORTHWHILE = 0.8  # a box that keeps more than this share of every side is no zoom
 _SAME = 1e-6  # of a cell: nearer candidates are one
-_FINE = (
-    0.1  # of what P_boot leaves open, between candidates: nearer ones say nothing of the machine
-)
+# of what P_boot leaves open, between candidates: nearer ones say nothing of the machine
+_FINE = 0.1
 _FINEST = 1e-6  # of the stated range, the same where the recordings are explained exactly
 
 
@@ -80,7 +79,7 @@ def _inside(points: Points, finer: CandidateSet, stated: CandidateSet) -> Bool[n
     return np.asarray((above & below).all(axis=1))
 
 
-def resolved(candidates: CandidateSet, bootstrap: Probabilities, stated: CandidateSet) -> bool:
+def resolved(candidates: CandidateSet, known: CandidateSet, bootstrap: Probabilities) -> bool:
     """Return whether no finer set would say anything of the machine.
 
     P shrinks with every evaluation, so that it asks for finer sets without end. Candidates need not
@@ -88,11 +87,11 @@ def resolved(candidates: CandidateSet, bootstrap: Probabilities, stated: Candida
 
     Args:
         candidates: the set that was searched last.
-        bootstrap: P_boot of each.
-        stated: the set that the study states.
+        known: all sets that were searched, joined: a zoomed box may be narrower than the interval.
+        bootstrap: P_boot of each of `known`.
     """
-    low, high = credible_interval(candidates.points, bootstrap, 0.95)
-    least = _FINEST * np.ptp(stated.bounds, axis=0)
+    low, high = credible_interval(known.points, bootstrap, 0.95)
+    least = _FINEST * np.ptp(known.bounds, axis=0)
     return bool((candidates.cell <= np.maximum(_FINE * (high - low), least)).all())
 
 

@@ -20,6 +20,8 @@ def clopper_pearson(right: int, of: int, level: float = 0.95) -> tuple[float, fl
         of: among how many.
         level: of confidence.
     """
+    if not of:
+        return 0.0, 1.0
     low, high = binomtest(right, of).proportion_ci(level, method="exact")
     return float(low), float(high)
 

@@ -101,9 +101,9 @@ def _placed(shapes: _Shapes) -> tuple[_Shapes, "_Place"]:
     """Return the outlines, and a place that holds them; a robot that travels far is followed."""
     own = [np.concatenate(frame) for frame in shapes["recorded"]]
     size = max(float(np.ptp(points, axis=0).max()) for points in own)
-    place = _Place.of(_all(shapes))
-    if place.size < _FAR * size:
-        return shapes, place
+    travelled = float(np.ptp(np.concatenate(own), axis=0).max())
+    if travelled < _FAR * size:
+        return shapes, _Place.of(_all(shapes))
     middle = [(points.min(axis=0) + points.max(axis=0)) / 2 for points in own]
     followed = {
         m: [[s - at for s in frame] for frame, at in zip(frames, middle, strict=True)]
@@ -121,7 +121,7 @@ class _Place:
     """Where the world's points lie in a panel."""
 
     def __init__(self, low: Float[np.ndarray, " 2"], size: float) -> None:
-        self._low, self.size = low, size
+        self._low, self._size = low, size
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "P 2"]) -> "_Place":
@@ -129,11 +129,11 @@ class _Place:
         size = max(float((high - low).max()), 1e-9)
         return cls(0.5 * (low + high) - 0.5 * size, size)
 
-    def pixels(self, points: Float[np.ndarray, "n 2"], panel: int) -> list[tuple[float, float]]:
+    def pixels(self, points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
         """Return pixels of a panel; up is up."""
         side = _PANEL * _FINER
-        at = (points - self._low) / self.size * (1 - 2 * _MARGIN) + _MARGIN
-        return [(panel * side + x * side, (1 - y) * side) for x, y in at]
+        at = (points - self._low) / self._size * (1 - 2 * _MARGIN) + _MARGIN
+        return [(x * side, (1 - y) * side) for x, y in at]
 
 
 def _frame(
@@ -141,14 +141,22 @@ def _frame(
 ) -> Image.Image:
     side = _PANEL * _FINER
     image = Image.new("RGB", (side * len(panels), side), _PAPER)
+    for k, panel in enumerate(panels):
+        image.paste(_panel(*panel, place), (k * side, 0))
+    return image.resize((_PANEL * len(panels), _PANEL), Image.Resampling.LANCZOS)
+
+
+def _panel(
+    name: str, recorded: Sequence[np.ndarray], forecast: Sequence[np.ndarray], place: _Place
+) -> Image.Image:
+    """Return one panel; what lies beyond it is cut off."""
+    image = Image.new("RGB", (_PANEL * _FINER,) * 2, _PAPER)
     draw = ImageDraw.Draw(image)
     font = ImageFont.load_default(13 * _FINER)
-    for k, (name, recorded, forecast) in enumerate(panels):
-        for shape in recorded:
-            draw.polygon(place.pixels(shape, k), fill=_FILL, outline=_EDGE)
-        for shape in forecast:
-            draw.polygon(place.pixels(shape, k), outline=COLOURS[name], width=2 * _FINER)
-        corner = (k * side + 8 * _FINER, 6 * _FINER)
-        draw.text(corner, MODELS[name], fill=COLOURS[name], font=font)
-        draw.text((corner[0], 22 * _FINER), "recorded", fill=_EDGE, font=font)
-    return image.resize((_PANEL * len(panels), _PANEL), Image.Resampling.LANCZOS)
+    for shape in recorded:
+        draw.polygon(place.pixels(shape), fill=_FILL, outline=_EDGE)
+    for shape in forecast:
+        draw.polygon(place.pixels(shape), outline=COLOURS[name], width=2 * _FINER)
+    draw.text((8 * _FINER, 6 * _FINER), MODELS[name], fill=COLOURS[name], font=font)
+    draw.text((8 * _FINER, 22 * _FINER), "recorded", fill=_EDGE, font=font)
+    return image

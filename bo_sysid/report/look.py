@@ -20,7 +20,6 @@ _SECONDS = 12.0
 _BETWEEN = 0.03  # of their length: gap between recordings in a row
 _UNSURE = 0.5  # of the largest missing force: the deviation above which a piece says nothing
 _SETS = 8
-_TURNS = re.compile(r"qpos\..+\.[3-6]")  # of the pose of a floating base
 _LINE = 18  # letters of a name in a line beside a panel
 
 
@@ -40,7 +39,13 @@ def worst_channels(traces: pd.DataFrame) -> list[str]:
 
     names = list(dict.fromkeys(traces["channel"]))
     size = {n: badness(traces[traces["channel"] == n]) for n in names}
-    return sorted(names, key=lambda n: (bool(_TURNS.fullmatch(n)), -size[n]))
+    return sorted(names, key=lambda n: (_turns(n, names), -size[n]))
+
+
+def _turns(name: str, names: Sequence[str]) -> bool:
+    """Whether a channel is a part of the quaternion of a floating base."""
+    stem, _, index = name.rpartition(".")
+    return index in "3456" and all(f"{stem}.{k}" in names for k in range(7))
 
 
 def in_lines(name: str) -> str:

@@ -54,12 +54,18 @@ def recorded_start(
             zero = np.zeros((len(first), compiled.nv))
             state = State(qpos, zero, np.zeros((len(first), 0)))
             qpos = state.moved(compiled, np.hstack([fit.offset, zero])).qpos
-        used = fit.samples[~np.array(at_rest)]
-        few, many = int(used.min()), int(used.max())
-        count = f"{few}" if few == many else f"{few} to {many}"
-        notes = (f"{recording.name}: start velocities are estimated from {count} samples each",)
+        notes = _estimated(recording, fit.samples[~kept.all(axis=0)])
     act = activations(model, compiled, recording, time[first], ctrl)
     return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
+
+
+def _estimated(recording: Recording, samples: Int[np.ndarray, " j"]) -> tuple[str, ...]:
+    """Return in words from how many samples the velocities of some joints are estimated."""
+    if not len(samples):
+        return ()
+    few, many = int(samples.min()), int(samples.max())
+    count = f"{few}" if few == many else f"{few} to {many}"
+    return (f"{recording.name}: start velocities are estimated from {count} samples each",)
 
 
 def on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, tuple[str, ...]]:

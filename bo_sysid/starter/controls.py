@@ -93,20 +93,24 @@ def left_over(
     left = [c for c in columns if c.name not in used and c.kind not in never]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     compiled = model.compile()
-    same = [
-        Guess(f"ctrl.{a}", c.name, c.unit, "the same name", _SAME_NAME)
-        for a in without
-        for c in left
-        if words(c.name) == words(a) and fits_control(compiled, a, c)
-    ]
-    if len(same) == len(without):
+    same = []
+    for a in without:
+        alike = [c for c in left if words(c.name) == words(a) and fits_control(compiled, a, c)]
+        if len(alike) == 1:
+            same.append(
+                Guess(f"ctrl.{a}", alike[0].name, alike[0].unit, "the same name", _SAME_NAME)
+            )
+    named = {g.channel for g in same}
+    without = [a for a in without if f"ctrl.{a}" not in named]
+    left = [c for c in left if c.name not in {g.column for g in same}]
+    if not without:
         return same
     left = [c for c in left if all(fits_control(compiled, a, c) for a in without)]
     if len(without) == 1:
         reason, chosen = "nothing else is left", left if len(left) == 1 else []
     else:
         reason, chosen = "the order alone", numbered(left, len(without))
-    return [
+    return same + [
         Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
         for a, c in zip(without, chosen, strict=False)  # or there are none
     ]

@@ -56,7 +56,7 @@ def keys_at(annotation: Any, path: KeyPath) -> set[str]:
 def _elsewhere(root: type[Section], path: KeyPath) -> str:
     """Return in words which sections have a key of that name, nothing where none has."""
     sections = [s for s in sorted(keys_at(root, ())) if path[-1] in keys_at(root, (s,))]
-    return f"{path[-1]!r} is a key of {' or '.join(sections)}" if sections else ""
+    return f" ({path[-1]!r} is a key of {' or '.join(sections)})" if sections else ""
 
 
 def _problem(source: Source, path: KeyPath, rules: list[str]) -> str:
@@ -91,7 +91,7 @@ def _rule(detail: ErrorDetails, path: KeyPath, root: type[Section]) -> str:
     kind, value = detail["type"], detail["input"]
     if kind == "extra_forbidden":
         valid = nearest(str(path[-1]), keys_at(root, path[:-1]))
-        return f"unknown key; {_elsewhere(root, path) or valid}"
+        return f"unknown key; {valid}{_elsewhere(root, path)}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
     rule = _RULES.get(kind) or detail["msg"].replace("Input should be", "must be")

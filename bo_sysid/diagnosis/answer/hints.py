@@ -21,7 +21,7 @@ _MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
 _MORE = 0.15  # share by which a compliance must explain more than a late motor to be no hint
 _AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
-_OWN = 0.5  # share of what a set explains, that one of its effects must hold by itself
+_OWN = 0.5  # share of what a set explains, that its effects must have of their own
 _SMALL = 1.0  # [sigma] size above which an effect that overlaps with others is believed
 _STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
@@ -55,23 +55,25 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
 def overlapping(best: Fit, others: Sequence[Fit]) -> bool:
     """Return whether effects explain little by themselves, and much together.
 
-    What each has that the others cannot take over is then the smaller part: they may be the shape
-    of something else. A cable between two joints was cogging and a shift of the centre of mass of
-    one, with .39 and .38 of 1.19 sigma their own. Sizes are linear, and say less of large effects.
+    Effects that do not overlap explain the root of the sum of their squares. Where that is less
+    than half of what they do explain, most of it any of them may take over, and they may be the
+    shape of something else: a cable between two joints was cogging and a shift of the centre of
+    mass of one, with .39 and .38 of 1.19 sigma their own. Sizes are linear, and say less of large
+    effects.
     """
     nothing = next((f for f in others if not f.members), None)
     sizes = [hypot(*(best.unique[k] for k in unit)) for unit in units_of(best)]
     if nothing is None or len(sizes) < 2:
         return False
     gained = sqrt(max(nothing.rms**2 - max(best.rms, 1.0) ** 2, 0.0))
-    return max(sizes) < min(_OWN * gained, _SMALL)
+    return hypot(*sizes) < _OWN * gained and max(sizes) < _SMALL
 
 
 def _overlapping_sentence() -> str:
     """Return in words that effects may be the shape of something else."""
     return (
-        "None of these holds half of what they explain together: they may be the shape of "
-        "something else, and are hints. Other motions, which need each of them alone, would tell."
+        "Most of what these effects explain together is the own part of none: they may be the "
+        "shape of something else, and are hints. Motions that need each of them alone would tell."
     )
 
 
@@ -250,7 +252,7 @@ def left_sentence(best: Fit, most: int, nearest: Fit) -> str:
         )
     if nearest.rms < _MUCH_LESS * best.rms:
         return (
-            f"{said}. Larger sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
+            f"{said}. Other sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
             "effects too small beside what stays unexplained to be named."
         )
     return f"{said}. No further effect that was tried explains more."

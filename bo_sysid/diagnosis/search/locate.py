@@ -61,8 +61,8 @@ def locate(
 ) -> Located:
     """Find the set of effects that explains the training recordings.
 
-    Far from them no set with a joint that it added is an answer (`follows`): where one leads, it is
-    looked for without such joints.
+    Far from them no set with a joint that it added is an answer (`follows_anything`): where one
+    leads, it is looked for without such joints.
 
     Args:
         evidence: what it is found from.

@@ -216,17 +216,22 @@ def _no_likelier(
     """Return the scores where a group has no more than what does the same with fewer magnitudes.
 
     All thrusts that are too small by one share are a mass that is too large, or a low battery: that
-    their magnitudes agree would be chance, or have one cause.
+    their magnitudes agree would be chance, or have one cause. The plainer set has the group's score
+    then, so that neither falls behind a third one for it.
     """
     out = score.copy()
     for k, fit in enumerate(fits):
-        if any(fit.groups):
-            plain = [
-                s
-                for f, s in zip(fits, score, strict=True)
-                if f.size == fit.size and _width(f) < _width(fit) and _apart(f, fit, Q, dof) < _SAME
-            ]
-            out[k] = min([score[k], *(s - _AFTER for s in plain)])
+        if not any(fit.groups) or fit.rms > ROUGH:
+            continue
+        plain = [
+            i
+            for i, f in enumerate(fits)
+            if f.size == fit.size and _width(f) < _width(fit) and _apart(f, fit, Q, dof) < _SAME
+        ]
+        best = max(plain, key=lambda i: out[i], default=None)
+        if best is not None and out[best] <= out[k]:
+            out[best] = out[k]
+            out[k] -= _AFTER
     return out
 
 
