@@ -289,7 +289,7 @@ def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path
     assert row["low95"] < 1.0 < row["high95"]
     assert found.identifiability["of_range"][0] == pytest.approx(row["high95"] - row["low95"])
     assert found.unsure == ()
-    assert len(found.evaluations) == found.evaluations["mass"].nunique() == 20
+    assert len(found.evaluations) == found.evaluations["mass"].nunique() <= 20
 
 
 @pytest.mark.parametrize("steps", [6, 11])
