@@ -172,7 +172,7 @@ def test_what_no_motion_separates_is_said_in_words(rotor) -> None:
     found = next_experiment(rotor, explain(rotor), {})
     assert found.controls is None
     assert found.separation < 0.1
-    assert "rotor inertia at shoulder" in found.sentence
+    assert "rotor inertia at the shoulder" in found.sentence
     assert {e["effect"] for s in found.separates for e in s} == {"armature", "link_inertia"}
 
 
@@ -187,7 +187,7 @@ def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> N
     (beside,) = rivals(made.decision, made.evidence.machine)
     assert beside.startswith("Instead of an encoder offset at the shoulder it may be a tilt (0.0")
     said = next_experiment(made, explain(made), {}).sentence
-    assert "tells an encoder offset at shoulder from a tilt by" in said
+    assert "tells an encoder offset at the shoulder from a tilt by" in said
     assert said.endswith("What tells them apart: several postures; a known posture at rest.")
 
 
@@ -199,7 +199,7 @@ def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:
     told = next_experiment(open_, explain(friction), limits)
     assert told.controls is not None
     assert told.separation > 0.5
-    assert "dry friction at elbow" in told.sentence
+    assert "dry friction at the elbow" in told.sentence
     assert told.as_json()["file"] == "next_experiment.csv"
     model = arm().compile([lambda spec: setattr(spec.joint("elbow"), "frictionloss", 0.02)])
     data = mujoco.MjData(model)
