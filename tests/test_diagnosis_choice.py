@@ -23,7 +23,6 @@ from bo_sysid.diagnosis.answer.hints import (
     holding,
     leaves_much,
     left_sentence,
-    overlapping,
     perhaps_nothing,
     unrepeated,
 )
@@ -396,29 +395,6 @@ def test_an_effect_whose_interval_holds_zero_is_a_hint(friction, half, held, mos
     for said in hints(fit, machine):
         assert said.startswith("The rotor inertia at the elbow (")
         assert (", the most that was looked for, may as well be none" in said) == most
-
-
-@pytest.mark.parametrize(
-    ("own", "without", "told"),
-    [
-        ((0.39, 0.38), 1.55, True),  # of 1.19 sigma that they explain
-        ((0.9, 0.38), 1.55, False),  # one is most of it
-        ((0.39, 0.38), 1.2, False),  # .66 sigma: two of a size that overlap little
-        ((5.0, 4.0), 30.0, False),  # large, where sizes are too small
-        ((0.39,), 1.55, False),
-    ],
-)
-def test_effects_that_explain_much_together_and_little_alone_are_hints(
-    friction, own: tuple[float, ...], without: float, told: bool
-) -> None:
-    best, machine = friction.decision.best, friction.prepared.problem.machine
-    members = [*best.members, candidate(machine, "armature", "shoulder")][: len(own)]
-    x = [*best.x, members[-1].point[: members[-1].size]][: len(own)]
-    hypothesis = replace(best.hypothesis, members=tuple(members), x=tuple(x))
-    fit = replace(best, hypothesis=hypothesis, groups=(None,) * len(own), unique=own, rms=0.999)
-    others = [fit, replace(friction.decision.nominal, rms=without)]
-    assert overlapping(fit, others) == told
-    assert not overlapping(fit, [fit])
 
 
 @pytest.mark.parametrize("swept", [0.9, 1.1])

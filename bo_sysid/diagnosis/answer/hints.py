@@ -21,8 +21,6 @@ _MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
 _MORE = 0.15  # share by which a compliance must explain more than a late motor to be no hint
 _AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
-_OWN = 0.5  # share of what a set explains, that its effects must have of their own
-_SMALL = 1.0  # [sigma] size above which an effect that overlaps with others is believed
 _STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
 
@@ -45,36 +43,9 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
     said += [_nothing_sentence(*told) for told in perhaps_nothing(best, machine)]
-    if overlapping(best, others):
-        said.append(_overlapping_sentence())
     if best.members and (joints := balls(machine)):
         said.append(_balls_sentence(joints))
     return tuple(said)
-
-
-def overlapping(best: Fit, others: Sequence[Fit]) -> bool:
-    """Return whether effects explain little by themselves, and much together.
-
-    Effects that do not overlap explain the root of the sum of their squares. Where that is less
-    than half of what they do explain, most of it any of them may take over, and they may be the
-    shape of something else: a cable between two joints was cogging and a shift of the centre of
-    mass of one, with .39 and .38 of 1.19 sigma their own. Sizes are linear, and say less of large
-    effects.
-    """
-    nothing = next((f for f in others if not f.members), None)
-    sizes = [hypot(*(best.unique[k] for k in unit)) for unit in units_of(best)]
-    if nothing is None or len(sizes) < 2:
-        return False
-    gained = sqrt(max(nothing.rms**2 - max(best.rms, 1.0) ** 2, 0.0))
-    return hypot(*sizes) < _OWN * gained and max(sizes) < _SMALL
-
-
-def _overlapping_sentence() -> str:
-    """Return in words that effects may be the shape of something else."""
-    return (
-        "Most of what these effects explain together is the own part of none: they may be the "
-        "shape of something else, and are hints. Motions that need each of them alone would tell."
-    )
 
 
 def balls(machine: Machine) -> tuple[str, ...]:
