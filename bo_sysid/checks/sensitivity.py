@@ -169,7 +169,7 @@ def bounds_flags(parameters: Sequence[Parameter], point: Point) -> list[Flag]:
         return []
     more = f", and {len(outside) - _SHOWN} more" if len(outside) > _SHOWN else ""
     sentence = (
-        f"The model as it is lies outside the bounds of {_listed(list(outside.values())[:_SHOWN])}"
+        f"The model as it is lies outside the bounds of {listed(list(outside.values())[:_SHOWN])}"
         f"{more}: it is none of the candidates, as is right only where it is known to be wrong."
     )
     return [Flag("look", "bounds", tuple(outside), sentence)]
@@ -183,11 +183,12 @@ def in_words(combination: Mapping[str, float]) -> str:
     up = [n for n in names if combination[n] > 0]
     down = [n for n in names if combination[n] < 0]
     if not down:
-        return f"{_listed(up)} rising together"
+        return f"{listed(up)} rising together"
     if not up:
-        return f"{_listed(down)} falling together"
-    return f"{_listed(up)} rising while {_listed(down)} fall{'s' * (len(down) == 1)}"
+        return f"{listed(down)} falling together"
+    return f"{listed(up)} rising while {listed(down)} fall{'s' * (len(down) == 1)}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return "a, b and c"."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

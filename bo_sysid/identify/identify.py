@@ -51,10 +51,10 @@ def identify(
     problem = make_problem(study, threads=threads(), strict=strict)
     _require_long_enough(problem)
     journal = Journal(run, problem.fingerprint)
-    candidates, cells, outcome = _searched(problem, journal, progress)
+    found = _searched(problem, journal, progress)
+    candidates, outcome, bootstrap = found.candidates, found.outcome, found.bootstrap
     best = candidates.points[outcome.history.rows[outcome.history.evaluation.deviation.argmin()]]
-    bootstrap = _bootstrap(problem, candidates, outcome)
-    parameters = _parameters(problem, candidates.points, cells, best, bootstrap)
+    parameters = _parameters(problem, candidates.points, found.cells, best, bootstrap)
     if run is not None:
         _write_answer(run, problem, best, candidates, outcome.belief.probabilities, bootstrap)
     holdout = load_holdout(study, strict=strict)  # read once, after the answer is written
@@ -121,14 +121,18 @@ def _write_answer(
     run.write_frame("belief.parquet", belief)
 
 
-def _searched(
-    problem: Problem, journal: Journal, progress: OnProgress
-) -> tuple[CandidateSet, Points, SearchOutcome]:
-    """Search B and, where the study says so, finer sets around the mass of P.
+@dataclass(frozen=True)
+class _Searched:
+    """All candidates, `N x d` sides of the box that each stands for, what is known, and P_boot."""
 
-    Returns:
-        All candidates, `N x d` sides of the box that each stands for, and what is known of all.
-    """
+    candidates: CandidateSet
+    cells: Points
+    outcome: SearchOutcome
+    bootstrap: Probabilities
+
+
+def _searched(problem: Problem, journal: Journal, progress: OnProgress) -> _Searched:
+    """Search B and, where the study says so, finer sets around the mass of P."""
     settings, blocks = problem.study.search, len(problem.deviation.blocks.weight)
     candidates, history, spent = problem.candidates, journal.history(0, blocks), 0
     most = settings.budget if settings.refine else min(settings.budget, len(candidates))
@@ -138,30 +142,31 @@ def _searched(
         tell = _Teller(journal, progress, number, candidates, spent, most)
         outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
         levels.append(Level(candidates, outcome.history))
-        whole, cells, found = _together(problem, levels, outcome)
-        finer = None
-        if settings.refine and not resolved(candidates, whole, _bootstrap(problem, whole, found)):
-            mass = outcome.belief.probabilities
-            finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
-        if finer is None or spent + len(outcome.history) >= settings.budget:
+        found = _together(problem, levels, outcome)
+        over = not settings.refine or spent + len(outcome.history) >= settings.budget
+        if over or resolved(candidates, found.candidates, found.bootstrap):
+            break
+        mass = outcome.belief.probabilities
+        finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
+        if finer is None:
             break
         spent += len(outcome.history) - len(finer[1])
         candidates, known = finer
         stored = journal.history(number + 1, blocks)
         history = stored if len(stored) else known
-    return whole, cells, found
+    return found
 
 
-def _together(
-    problem: Problem, levels: list[Level], last: SearchOutcome
-) -> tuple[CandidateSet, Points, SearchOutcome]:
-    """Return the candidates of all levels, the sides of their boxes, and what is known of them."""
-    if len(levels) == 1:
-        candidates = levels[0].candidates
-        return candidates, np.tile(candidates.cell, (len(candidates), 1)), last
-    whole, cells = joined(levels)
-    surrogate, belief = believe(whole.candidates, whole.history, _rules(problem.study, 0, 0))
-    return whole.candidates, cells, SearchOutcome(whole.history, surrogate, belief, last.reason)
+def _together(problem: Problem, levels: list[Level], last: SearchOutcome) -> _Searched:
+    """Return the candidates of all levels, and what is known of them."""
+    candidates, outcome = levels[0].candidates, last
+    cells = np.tile(candidates.cell, (len(candidates), 1))
+    if len(levels) > 1:
+        whole, cells = joined(levels)
+        candidates, history = whole.candidates, whole.history
+        surrogate, belief = believe(candidates, history, _rules(problem.study, 0, 0))
+        outcome = SearchOutcome(history, surrogate, belief, last.reason)
+    return _Searched(candidates, cells, outcome, _bootstrap(problem, candidates, outcome))
 
 
 def _rules(study: Study, level: int, spent: int) -> Rules:

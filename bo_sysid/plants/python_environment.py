@@ -26,7 +26,7 @@ class PythonMachine:
         index: of this machine among several.
 
     Attributes:
-        observed: names of what the last observation held, in order, with how many numbers each
+        observed: names of what observations hold, in order, with how many numbers each
             has; none where the task gives an array.
     """
 
@@ -84,7 +84,8 @@ class PythonMachine:
             entries = self.task.get_observation(self.physics)
             if isinstance(entries, Mapping):
                 names = entries if isinstance(entries, OrderedDict) else sorted(entries)
-                self.observed = tuple(_numbered(n, np.size(entries[n])) for n in names)
+                if not self.observed:
+                    self.observed = tuple(_numbered(n, np.size(entries[n])) for n in names)
                 entries = np.concatenate([np.ravel(entries[name]) for name in names])
             row = np.asarray(entries, float).reshape(1, -1)
         if diverged:

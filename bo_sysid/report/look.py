@@ -45,7 +45,7 @@ def worst_channels(traces: pd.DataFrame) -> list[str]:
 def _turns(name: str, names: Sequence[str]) -> bool:
     """Whether a channel is a part of the quaternion of a floating base."""
     stem, _, index = name.rpartition(".")
-    return index in "3456" and all(f"{stem}.{k}" in names for k in range(7))
+    return index in {*"3456"} and all(f"{stem}.{k}" in names for k in range(7))
 
 
 def in_lines(name: str) -> str:

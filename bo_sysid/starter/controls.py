@@ -93,13 +93,7 @@ def left_over(
     left = [c for c in columns if c.name not in used and c.kind not in never]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
     compiled = model.compile()
-    same = []
-    for a in without:
-        alike = [c for c in left if words(c.name) == words(a) and fits_control(compiled, a, c)]
-        if len(alike) == 1:
-            same.append(
-                Guess(f"ctrl.{a}", alike[0].name, alike[0].unit, "the same name", _SAME_NAME)
-            )
+    same = _same_names(compiled, without, left)
     named = {g.channel for g in same}
     without = [a for a in without if f"ctrl.{a}" not in named]
     left = [c for c in left if c.name not in {g.column for g in same}]
@@ -114,6 +108,19 @@ def left_over(
         Guess(f"ctrl.{a}", c.name, c.unit, reason, 0.3)
         for a, c in zip(without, chosen, strict=False)  # or there are none
     ]
+
+
+def _same_names(
+    compiled: mujoco.MjModel, actuators: Sequence[str], columns: Sequence[Column]
+) -> list[Guess]:
+    """Match actuators with the only column that is called like them."""
+    found = []
+    for a in actuators:
+        alike = [c for c in columns if words(c.name) == words(a) and fits_control(compiled, a, c)]
+        if len(alike) == 1:
+            (c,) = alike
+            found.append(Guess(f"ctrl.{a}", c.name, c.unit, "the same name", _SAME_NAME))
+    return found
 
 
 def _feeds(column: Column) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bo_sysid.checks.sensitivity import bounds_flags
+from bo_sysid.checks.sensitivity import bounds_flags, listed
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.windows.evidence import Evidence, rates_note
@@ -29,16 +29,12 @@ def not_compared(evidence: Evidence) -> tuple[str, ...]:
     said = []
     silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
     if silent:
-        said.append(f"Nothing is looked for at {_listed(silent)}, whose position was not recorded.")
+        said.append(f"Nothing is looked for at {listed(silent)}, whose position was not recorded.")
     channels = dict.fromkeys(n for r in evidence.recordings for n in r.channels)
     sensors = [n for n in channels if n.startswith("sensor.")]
     if sensors:
-        said.append(f"Positions of joints are compared, not {_listed(sensors)}.")
+        said.append(f"Positions of joints are compared, not {listed(sensors)}.")
     return tuple(said)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
