@@ -19,6 +19,7 @@ from bo_sysid.effects import CATALOGUE, survey
 from bo_sysid.recording import Recording
 
 _TRIES = 40  # draws until every effect of a case can be sized
+_NEAR = 0.03  # [m] by fifths of which a load lies beside a body whose usual place is its frame
 _BEYOND = 1.5  # times the largest size, that an effect may have in the training recording
 
 
@@ -53,14 +54,20 @@ def draw(
     duration: float = 20.0,
     lugre: bool = False,
     log: Log | None = None,
+    elsewhere: bool = False,
 ) -> Case:
-    """Draw a case with `count` effects of the given ids, at sites where they apply."""
+    """Draw a case with `count` effects of the given ids, at sites where they apply.
+
+    With `elsewhere` loads lie anywhere about their bodies.
+    """
     model, sigma = load(rig), 10 ** rng.uniform(np.log10(3e-4), -3)
     setting, none = RIGS[rig], Case(rig, (), (), (), sigma)
     seed = int(rng.integers(2**31))
     nominal = simulate(model, setting, None, (), seed=seed, duration=10.0, sigma=sigma, log=log)
     machine = survey(model.compile(), [nominal])
     pool = [c for c in candidates([CATALOGUE[i] for i in ids], machine) if not c.secant]
+    if elsewhere:
+        pool = [c.with_shapes(_place(rng, c)) for c in pool if c.extent.places]
     drawn = _drawn(rng, pool, count, Sizes(model, machine, nominal, sigma), (low, high))
     if len(drawn) < count:
         return none
@@ -121,6 +128,13 @@ def _drawn(
         if x is not None:
             drawn.append((c, x, target))
     return drawn
+
+
+def _place(rng: np.random.Generator, load: Candidate) -> np.ndarray:
+    """Return a place of a load: a fifth of the way to its usual one to beyond it, and beside."""
+    usual = np.array(load.extent.probe[load.size :])
+    beside = 0.2 * max(float(np.linalg.norm(usual)), _NEAR) * rng.normal(size=3)
+    return usual * float(rng.uniform(0.2, 1.3)) + beside
 
 
 def draw_strange(rng: np.random.Generator, rig: str, kind: str) -> Case:

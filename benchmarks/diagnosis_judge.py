@@ -34,7 +34,7 @@ from bo_sysid.proof.marks import MOST_IN_CLASS, class_size, named, offers
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
 ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 16, 37, 2
-_GEARED_ROUNDS, _MASSES_ROUNDS = 10, 4
+_GEARED_ROUNDS, _MASSES_ROUNDS, _LOAD_ROUNDS = 10, 4, 6
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
 SKIPPED = (
@@ -83,6 +83,9 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
     for seed in range(ROUNDS, ROUNDS if quick else PAIR_ROUNDS):  # few of a round reach 2 sigma
         for rig in rigs:
             yield "pair", (rig,), seed, ""
+    for seed in range(0 if quick else _LOAD_ROUNDS):
+        for rig in rigs:
+            yield "load", (rig,), seed, ""
     for seed in range(0 if quick else CONTACT_ROUNDS):  # minutes each
         for rig in CONTACT:
             for id in TOUCHING:
@@ -102,6 +105,8 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
     ids = [i for i, e in CATALOGUE.items() if e.family != "learned" and i not in SKIPPED]
     if suite in ("single", "off"):
         case = draw(rng, rig, [detail], 1)
+    elif suite == "load":
+        case = draw(rng, rig, ["payload"], 1, low=2.0, elsewhere=True)
     elif suite == "contact":
         case = draw(rng, rig, [detail], 1, low=3.0)
     elif suite == "lugre":
@@ -119,7 +124,8 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw_group(rng, rig, detail)
     else:
         case = draw(rng, rig, ids, 0)
-    wanted = {"single": 1, "off": 1, "log": 1, "lugre": 1, "contact": 1, "pair": 2}.get(suite, 0)
+    alone = ("single", "off", "log", "lugre", "contact", "load")
+    wanted = 2 if suite == "pair" else int(suite in alone)
     if not case.train or len(case.truth) < wanted:
         return None
     if suite == "off":  # what was planted is a parameter of the study
@@ -153,6 +159,7 @@ def judged(case: Case) -> dict[str, object]:
         "planted": case.notes,
         "probability": float(located.decision.probability[0]),
         "inside": _inside(case.truth, said),
+        "place_inside": _place_inside(case.truth, said),
         "rms": found.rms,
         "nominal_rms": located.decision.nominal.rms,
         "forecasts": _forecasts(evidence, located, outcome, case),
@@ -192,6 +199,17 @@ def _inside(truth: tuple[Planted, ...], said: Sequence[Finding]) -> list[bool]:
     known = [p for p in truth if (p.effect, p.site) in intervals]
     held = ((p.value, intervals[p.effect, p.site]) for p in known)
     return [low <= value <= high for value, (low, high) in held]
+
+
+def _place_inside(truth: tuple[Planted, ...], said: Sequence[Finding]) -> list[bool]:
+    """Return for each coordinate that is said of a load whether its interval holds the truth."""
+    loads = {p.site: p.x[1:] for p in truth if p.effect == "payload"}
+    told = [f for f in said if f.effect == "payload" and f.site in loads and f.details]
+    return [
+        f.details[axis].interval[0] <= place <= f.details[axis].interval[1]
+        for f in told
+        for axis, place in zip("xyz", loads[f.site], strict=True)
+    ]
 
 
 def _forecasts(

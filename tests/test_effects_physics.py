@@ -260,6 +260,15 @@ class TestInertia:
         exact = 2 * np.pi * np.sqrt((inertia + m * 0.4**2) / torque)
         assert period(t, q[:, 0]) == pytest.approx(exact, rel=1e-4)
 
+    def test_a_payload_hangs_where_it_is_put(self) -> None:
+        rod, m = pendulum(damping=0.5), 0.3
+        _, q, _ = rod.effect("payload", "body", "rod", [m, 0.1, 0.0, -0.3], 20.0)
+        lean = m * 0.1 / (0.5 * 0.2 + m * 0.3)
+        assert abs(q[-1, 0]) == pytest.approx(np.arctan(lean), rel=1e-3)
+        model, _ = rod.edited("payload", "body", "rod", [m, 0.1, 0.0, -0.3])
+        inertia = rod.machine.model.dof_M0[0]
+        assert model.dof_M0[0] == pytest.approx(inertia + m * (0.1**2 + 0.3**2))
+
     def test_armature_and_inertia_slow_a_pendulum_as_computed(self) -> None:
         rod = pendulum()
         inertia = rod.machine.model.dof_M0[0]

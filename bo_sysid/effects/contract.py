@@ -163,6 +163,8 @@ class Extent:
         variants: other shapes of friction that are tried then, where the set leaves something
             unexplained, NaN for one that stays as it is. The last is by how much it bends before
             it slips, 0 for not at all; `refine` is of that, too, where it is positive.
+        places: shapes that are a place on a body, other than the usual one of the probe, from which
+            it is fitted where the set leaves something unexplained; () where it is known.
     """
 
     probe: tuple[float, ...]
@@ -173,6 +175,7 @@ class Extent:
     refine: tuple[float, ...] = ()
     secants: tuple[tuple[float, ...], ...] = ()
     variants: tuple[tuple[float, ...], ...] = ()
+    places: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         named = {

@@ -1,6 +1,6 @@
 """Masses and inertias that differ from the model's."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,6 +14,8 @@ from bo_sysid.mjcf.joints import SLIDE
 _SMALL = 0.02  # [m] size of a body that its frame sits in
 _POINT = 1e-9  # [m²] inertia of a point load, per kg
 _MOST = 5.0  # times the model's inertia or mass, that may be missing beside it
+_HELD_OUT = 0.5  # times the longest body, by which a load may lie beyond the end of its own
+_INSIDE = 0.6  # of the way to that end, from where the place of a load is fitted
 
 
 def _armature(site: Site, machine: Machine) -> float:
@@ -57,32 +59,55 @@ def _carried(site: Site, machine: Machine) -> float:
 
 
 def _payload_extent(site: Site, machine: Machine) -> Extent:
-    """Bound a load by the mass of all that moves: a wrist carries many times its last link."""
-    mass = machine.bodies[site.name].mass
-    most = max(_MOST * mass, sum(b.mass for b in machine.bodies.values()))
-    return Extent((0.03 * mass,), (-_carried(site, machine) - 1e-12,), (most,))
+    """Bound a load by the mass of all that moves: a wrist carries many times its last link.
+
+    And its place by how far bodies reach: a tool may extend beyond its flange.
+    """
+    body = machine.bodies[site.name]
+    most = max(_MOST * body.mass, sum(b.mass for b in machine.bodies.values()))
+    carried = _carried(site, machine)
+    reach = _reach(body.tip) + _HELD_OUT * max(_reach(b.tip) for b in machine.bodies.values())
+    inside = tuple(_INSIDE * d for d in body.tip)
+    return Extent(
+        (0.03 * body.mass, *body.tip),
+        (-carried - 1e-12, *(min(-reach, d - 1e-9) for d in body.tip)),
+        (most, *(max(reach, d + 1e-9) for d in body.tip)),
+        places=(inside,) if carried == 0.0 else (),
+    )
+
+
+def _reach(point: Sequence[float]) -> float:
+    return max(float(np.linalg.norm(point)), _SMALL)
 
 
 @effect(
     "payload",
     kind="body",
-    components=(Component("mass", "kg"),),
+    components=(
+        Component("mass", "kg"),
+        Component("x", "m"),
+        Component("y", "m"),
+        Component("z", "m"),
+    ),
+    shapes=3,
     extent=_payload_extent,
     nominal=_carried,
     noun="a payload",
     sentence="{site} carries a load of {value} that the model lacks.",
-    form="child body with an inertial, at the first site, else the end",
+    form="child body with an inertial, at the first site, else the end or where it fits",
     evidence="inertia that changes with posture and loads gravity",
     separation="several postures",
 )
 def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """A point mass at the first site of a body, else at its end."""
+    """A point mass at x[1:4] in the body's frame; left out, at its first site, else at its end.
+
+    One that the model has there already stays where it is.
+    """
     name = f"{site.name}_payload"
     load = spec.body(name)
     if load is None:
-        load = spec.body(site.name).add_body(
-            name=name, pos=list(machine.bodies[site.name].tip), explicitinertial=True, mass=0.0
-        )
+        place = [float(d) for d in x[1:]] or list(machine.bodies[site.name].tip)
+        load = spec.body(site.name).add_body(name=name, pos=place, explicitinertial=True, mass=0.0)
     load.ipos, load.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # undefined, it would be at pos
     load.mass = max(load.mass + float(x[0]), 0.0)
     load.inertia = [max(_POINT * load.mass, 1e-12)] * 3

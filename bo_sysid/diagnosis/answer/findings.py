@@ -20,6 +20,7 @@ _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
 _TIME = 0.3e-3  # [s] the same for times
 _ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
+_UNTOLD = 0.6  # of the range of a coordinate, that its interval leaves open
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
     "larger forwards than backwards": "larger backwards than forwards",
@@ -203,7 +204,26 @@ def sentence(
         text = text.format_map({**more, "site": site, "value": size, "interval": between})
     if bend:
         text += f" It gives way by {amount(bend)} before it slips."
+    if candidate.moved:
+        text += f" {_place_sentence(candidate, details)}"
     return text[0].upper() + text[1:]
+
+
+def _place_sentence(c: Candidate, details: Mapping[str, Quantity]) -> str:
+    """Return where a load lies, and which of its coordinates the recordings do not tell."""
+    told: list[str] = []
+    untold: list[str] = []
+    for component, low, high in zip(c.effect.components, c.extent.low, c.extent.high, strict=True):
+        if component.name in details:
+            first, last = details[component.name].interval
+            unknown = last - first > _UNTOLD * (high - low)
+            words = f"{component.name} = {amount(details[component.name])}"
+            (untold if unknown else told).append(component.name if unknown else words)
+    text = f"It lies at {', '.join(told)} in the frame of {spoken(c.site)}" if told else ""
+    if untold:
+        text += "; the" if told else "The"
+        text += f" recordings do not tell its {' and '.join(untold)}"
+    return f"{text}."
 
 
 def _sum(before: float, change: float) -> float:
@@ -290,7 +310,7 @@ def _details(
     for i in range(shown, len(full)):
         fitted, last = i < c.size, i == len(full) - 1
         optional = not fitted and ((c.bendable and last) or not c.extent.grid)
-        if optional and full[i] == c.extent.probe[i]:
+        if optional and full[i] == c.extent.probe[i] and not c.moved:
             continue  # as it usually is
         component = c.effect.components[i]
         unit = unit_at(component.unit, c.site, machine)

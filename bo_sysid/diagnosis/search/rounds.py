@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.search.loads import place_loads
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import reshape, simplify
 from bo_sysid.diagnosis.sets import subsets
@@ -38,6 +39,7 @@ def round_at(search: Search, base: Fit) -> None:
     simplify(search, base)
     if not clean(base):
         reshape(search, base)
+    place_loads(search, base)
     _refine(search, base)
     screen = search.screened(base)
     if not base.members:
@@ -65,6 +67,7 @@ def _first(search: Search, screen: Screen) -> None:
     _run(search, alone(found.get(1, [])), _TOP[1], None)
     if not clean(search.best):
         reshape(search, search.best)
+        place_loads(search, search.best)
     for size in (1, 2, 3):
         if search.least**2 - 1 <= CLEAN:
             return

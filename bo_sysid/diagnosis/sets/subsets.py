@@ -246,8 +246,13 @@ def _promising(
             seen[key] = seen.get(key, 0) + 1
             if seen[key] <= _PER_SITE:
                 keep.append(i)
-    rest = [i for i in living if i not in keep and not len(table.candidates[i].shapes)]
+    rest = [i for i in living if i not in keep and not _one_of_many(table.candidates[i])]
     return [Unit((i,)) for i in (keep + rest)[:most]]
+
+
+def _one_of_many(c: Candidate) -> bool:
+    """Whether there are others with other shapes; a place on a body is fitted later."""
+    return bool(len(c.shapes)) and not c.extent.places
 
 
 def _combined(table: Gram, units: Sequence[Unit], size: int, most: int) -> list[tuple[Unit, ...]]:

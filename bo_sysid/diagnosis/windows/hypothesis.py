@@ -94,6 +94,11 @@ class Candidate:
         return self.bendable and bool(self.shapes[-1] > 0)
 
     @property
+    def moved(self) -> bool:
+        """Whether it is a load elsewhere than at the usual place of its body."""
+        return bool(self.extent.places) and not np.array_equal(self.shapes, self.usual.shapes)
+
+    @property
     def without_bend(self) -> "Candidate":
         """The same friction, which does not bend."""
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))

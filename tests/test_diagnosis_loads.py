@@ -1,0 +1,55 @@
+"""Loads at a place that the model does not say."""
+
+import numpy as np
+import pytest
+from diagnosis_helpers import SIGMA, arm, record
+
+from bo_sysid.diagnosis.answer.answer import Answer, make_answer
+from bo_sysid.diagnosis.answer.explain import explain
+from bo_sysid.diagnosis.search.locate import locate
+from bo_sysid.diagnosis.windows.evidence import make_evidence
+from bo_sysid.effects import CATALOGUE
+
+MASS, TIP = 0.15, (0.0, 0.0, -0.25)  # of the load; the site at the end of the forearm
+
+
+def answered(place: tuple[float, float, float]) -> Answer:
+    """Return the answer to recordings of an arm that carries a load, seen by what weighs."""
+    recorded = record([("payload", "body", "forearm", [MASS, *place])], duration=8.0)
+    ids = ("payload", "link_mass", "com_shift", "link_inertia", "gravity_compensation")
+    evidence = make_evidence(
+        arm(), [recorded], effects=[CATALOGUE[i] for i in ids], noise={"qpos": SIGMA}, threads=1
+    )
+    located = locate(evidence)
+    return make_answer(located.decision, explain(located), evidence.machine)
+
+
+@pytest.fixture(scope="module")
+def elsewhere() -> Answer:
+    return answered((0.05, 0.02, -0.16))
+
+
+def test_a_load_is_found_where_it_lies(elsewhere: Answer) -> None:
+    (load,) = elsewhere.findings
+    assert (load.effect, load.site) == ("payload", "forearm")
+    assert load.quantity.value == pytest.approx(MASS, rel=0.02)
+    assert load.details["x"].value == pytest.approx(0.05, rel=0.03)
+    assert load.details["z"].value == pytest.approx(-0.16, rel=0.03)
+    for name, truth in (("x", 0.05), ("y", 0.02), ("z", -0.16)):
+        low, high = load.details[name].interval
+        assert low < truth < high, name
+
+
+def test_what_the_recordings_do_not_tell_of_its_place_is_said(elsewhere: Answer) -> None:
+    (load,) = elsewhere.findings  # both joints turn about y
+    assert "carries a load of 0.150" in load.sentence
+    assert "It lies at x = 0.0" in load.sentence
+    assert load.sentence.endswith("in the frame of the forearm; the recordings do not tell its y.")
+
+
+def test_a_load_at_its_usual_place_stays_there() -> None:
+    (load,) = answered(TIP).findings
+    assert (load.effect, load.site) == ("payload", "forearm")
+    assert load.quantity.value == pytest.approx(MASS, rel=0.02)
+    assert not load.details
+    np.testing.assert_allclose(load.x[1:], TIP)
