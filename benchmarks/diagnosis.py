@@ -6,9 +6,9 @@ the number of its cases and its 95 % interval; "singles", "pairs" and "logs" (si
 50 to 1000 Hz, one of them uneven) count sizes from 2 sigma up, "contact" (dm-control's cheetah and
 hopper) from 3 sigma up, "geared" a six-joint arm that lacks friction, damping and rotors at all
 joints, as a URDF does, "masses" the same where the links' masses are off by up to a fifth and
-parameters of the study, "load" a load anywhere about a body, "unknown" what the training recordings show at all. Cases are computed in
-parallel, one thread each. BO_SYSID_SUITES=unknown,pair computes no other suites; figures are made
-of all cases that are there.
+parameters of the study, "load" a load anywhere about a body, "unknown" what the training recordings
+show at all. Cases are computed in parallel, one thread each. BO_SYSID_SUITES=unknown,pair computes
+no other suites; figures are made of all cases that are there.
 """
 
 import os
