@@ -8,7 +8,7 @@ Everything else (its signature in the predictions, its fit, its report) follows 
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 import mujoco
@@ -163,8 +163,9 @@ class Extent:
         variants: other shapes of friction that are tried then, where the set leaves something
             unexplained, NaN for one that stays as it is. The last is by how much it bends before
             it slips, 0 for not at all; `refine` is of that, too, where it is positive.
-        places: shapes that are a place on a body, other than the usual one of the probe, from which
-            it is fitted where the set leaves something unexplained; () where it is known.
+        place: where on its body a fit of the place begins, other than the usual one of the probe;
+            () where the place is held.
+        step: how far that fit looks around at first.
     """
 
     probe: tuple[float, ...]
@@ -175,7 +176,8 @@ class Extent:
     refine: tuple[float, ...] = ()
     secants: tuple[tuple[float, ...], ...] = ()
     variants: tuple[tuple[float, ...], ...] = ()
-    places: tuple[tuple[float, ...], ...] = ()
+    place: tuple[float, ...] = ()
+    step: float = 0.0
 
     def __post_init__(self) -> None:
         named = {
@@ -206,6 +208,8 @@ class Effect:
         evidence: what gives it away in recordings.
         separation: which experiment separates it from what looks alike.
         shapes: how many of the last components are shapes, in which predictions are not linear.
+        placed: how many of the last components are a place: shapes where it is held, magnitudes
+            where it is fitted (`free`).
         vector: how many of the first components form a vector whose norm is the value.
         nominal: the quantity that the effect changes, as the model has it.
         family: which verdict a finding leads to.
@@ -241,6 +245,7 @@ class Effect:
     evidence: str
     separation: str
     shapes: int = 0
+    placed: int = 0
     vector: int = 1
     nominal: Callable[[Site, Machine], float] = lambda site, machine: 0.0
     family: Family = "physics"
@@ -264,6 +269,16 @@ class Effect:
         return len(self.components) - self.shapes
 
     @property
+    def acting(self) -> int:
+        """How many components there are whatever its place, all 0 where nothing is there."""
+        return len(self.components) - max(self.shapes, self.placed)
+
+    @property
+    def free(self) -> "Effect":
+        """The same effect with its place among the magnitudes."""
+        return replace(self, shapes=self.shapes - self.placed)
+
+    @property
     def unit(self) -> str:
         """Unit of the value at a hinge."""
         return self.components[0].unit
@@ -283,7 +298,7 @@ class Effect:
     def _made(
         self, apply: Apply, spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
     ) -> tuple[Part, ...]:
-        if not np.any(x[: self.linear]):
+        if not np.any(x[: self.acting]):
             return ()
         made = apply(spec, site, x, machine)
         if made is None:

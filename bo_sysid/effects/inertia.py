@@ -16,6 +16,7 @@ _POINT = 1e-9  # [m²] inertia of a point load, per kg
 _MOST = 5.0  # times the model's inertia or mass, that may be missing beside it
 _HELD_OUT = 0.5  # times the longest body, by which a load may lie beyond the end of its own
 _INSIDE = 0.6  # of the way to that end, from where the place of a load is fitted
+_AROUND = 0.1  # of its reach, that is looked around there
 
 
 def _armature(site: Site, machine: Machine) -> float:
@@ -67,12 +68,12 @@ def _payload_extent(site: Site, machine: Machine) -> Extent:
     most = max(_MOST * body.mass, sum(b.mass for b in machine.bodies.values()))
     carried = _carried(site, machine)
     reach = _reach(body.tip) + _HELD_OUT * max(_reach(b.tip) for b in machine.bodies.values())
-    inside = tuple(_INSIDE * d for d in body.tip)
     return Extent(
         (0.03 * body.mass, *body.tip),
         (-carried - 1e-12, *(min(-reach, d - 1e-9) for d in body.tip)),
         (most, *(max(reach, d + 1e-9) for d in body.tip)),
-        places=(inside,) if carried == 0.0 else (),
+        place=() if carried else tuple(_INSIDE * d for d in body.tip),
+        step=_AROUND * reach,
     )
 
 
@@ -90,6 +91,7 @@ def _reach(point: Sequence[float]) -> float:
         Component("z", "m"),
     ),
     shapes=3,
+    placed=3,
     extent=_payload_extent,
     nominal=_carried,
     noun="a payload",

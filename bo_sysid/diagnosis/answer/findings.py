@@ -213,7 +213,8 @@ def _place_sentence(c: Candidate, details: Mapping[str, Quantity]) -> str:
     """Return where a load lies, and which of its coordinates the recordings do not tell."""
     told: list[str] = []
     untold: list[str] = []
-    for component, low, high in zip(c.effect.components, c.extent.low, c.extent.high, strict=True):
+    bounds = zip(c.effect.components, c.low, c.high, strict=True)
+    for component, low, high in list(bounds)[c.effect.acting :]:
         if component.name in details:
             first, last = details[component.name].interval
             unknown = last - first > _UNTOLD * (high - low)
@@ -310,7 +311,7 @@ def _details(
     for i in range(shown, len(full)):
         fitted, last = i < c.size, i == len(full) - 1
         optional = not fitted and ((c.bendable and last) or not c.extent.grid)
-        if optional and full[i] == c.extent.probe[i] and not c.moved:
+        if optional and full[i] == c.extent.probe[i]:
             continue  # as it usually is
         component = c.effect.components[i]
         unit = unit_at(component.unit, c.site, machine)

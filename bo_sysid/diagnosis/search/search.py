@@ -46,6 +46,7 @@ class Search:
         prior: of sets.
         frame: the linear model at the present leader.
         fits: by identity of their set.
+        placed: identities of the sets in which the place of a load was fitted.
         doing: told after every fit how far the search is.
     """
 
@@ -55,6 +56,7 @@ class Search:
     prior: SetPrior
     frame: Linear
     fits: dict[frozenset[tuple[object, ...]], Fit] = field(default_factory=dict)
+    placed: set[frozenset[tuple[object, ...]]] = field(default_factory=set)
     doing: Callable[[str], None] = lambda text: None
     _screen: Screen | None = None
     _framed: float = np.inf  # rms of the fit at which the frame was taken

@@ -79,7 +79,7 @@ class Screen:
 
     def jacobian(self, members: Sequence[Candidate]) -> Float[np.ndarray, "W R p"] | None:
         """Return the columns of members and nuisances, None where one is not among them."""
-        known = {id(c) for c in self.candidates}
+        known = {id(c) for c in self.candidates if not c.moved}  # no slope to a place is known
         if any(id(c) not in known for c in members):
             return None
         if beside(self.parameters, members) != self.nuisances:

@@ -35,9 +35,6 @@ Place = tuple[int, int]
 
 def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
     """Return where the shapes of a member may lie, by their places; only those that are fitted."""
-    if c.moved:
-        bounds = zip(c.extent.low[c.size :], c.extent.high[c.size :], strict=True)
-        return dict(enumerate(bounds))
     if not (c.extent.refine and len(c.shapes)):
         return {}
     first, last = float(c.shapes[0]), float(c.shapes[-1])

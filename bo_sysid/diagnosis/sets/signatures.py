@@ -103,8 +103,10 @@ def _no_forcing(linear: Linear, candidate: Candidate) -> tuple[np.ndarray, np.nd
 def _forcing(linear: Linear, candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """Return what each magnitude adds in a macro step, and directly to the observations."""
     w, shown = _no_forcing(linear, candidate)
-    for i in range(candidate.size):
+    acting = min(candidate.size, candidate.effect.acting)  # a place of nothing is nothing
+    for i in range(acting):
         x = np.zeros(candidate.size)
+        x[acting:] = candidate.point[acting : candidate.size]
         x[i] = candidate.point[i]
         w[..., i], shown[..., i] = _difference(linear, candidate, x)
         w[..., i] /= x[i]

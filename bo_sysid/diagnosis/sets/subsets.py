@@ -251,8 +251,8 @@ def _promising(
 
 
 def _one_of_many(c: Candidate) -> bool:
-    """Whether there are others with other shapes; a place on a body is fitted later."""
-    return bool(len(c.shapes)) and not c.extent.places
+    """Whether there are others with other shapes; a place on a body is none."""
+    return len(c.shapes) > c.effect.placed
 
 
 def _combined(table: Gram, units: Sequence[Unit], size: int, most: int) -> list[tuple[Unit, ...]]:

@@ -95,8 +95,15 @@ class Candidate:
 
     @property
     def moved(self) -> bool:
-        """Whether it is a load elsewhere than at the usual place of its body."""
-        return bool(self.extent.places) and not np.array_equal(self.shapes, self.usual.shapes)
+        """Whether it is a load whose place is among its magnitudes."""
+        return self.effect.placed > self.effect.shapes
+
+    @property
+    def free(self) -> "Candidate":
+        """The same load with its place among the magnitudes."""
+        e, n = self.extent, self.effect.acting
+        extent = replace(e, probe=(*e.probe[:n], *(e.step for _ in e.place)), place=())
+        return Candidate(self.effect.free, self.site, extent, np.array((*e.probe[:n], *e.place)))
 
     @property
     def without_bend(self) -> "Candidate":
@@ -133,8 +140,10 @@ class Candidate:
         """Return the magnitudes of all that a member is, for changes `x` of the model.
 
         Friction that bends is all the friction of its joint, and its least change takes away what
-        the model has.
+        the model has. A load is its mass, where it lies.
         """
+        if self.moved:
+            return np.where(np.arange(self.size) < self.effect.acting, x, 0.0)
         return x - self.low if self.bent else x
 
     def parts(
