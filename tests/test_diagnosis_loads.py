@@ -52,4 +52,5 @@ def test_a_load_at_its_usual_place_stays_there() -> None:
     assert (load.effect, load.site) == ("payload", "forearm")
     assert load.quantity.value == pytest.approx(MASS, rel=0.02)
     assert not load.details
+    assert "It is taken to lie at (0, 0, -0.25) m in the frame of the forearm." in load.sentence
     np.testing.assert_allclose(load.x[1:], TIP)

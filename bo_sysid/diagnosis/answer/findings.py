@@ -206,6 +206,9 @@ def sentence(
         text += f" It gives way by {amount(bend)} before it slips."
     if candidate.moved:
         text += f" {_place_sentence(candidate, details)}"
+    elif candidate.extent.place:
+        at = ", ".join(f"{d:.3g}" for d in candidate.shapes)
+        text += f" It is taken to lie at ({at}) m in the frame of {site}."
     return text[0].upper() + text[1:]
 
 
