@@ -67,7 +67,7 @@ def draw(
     machine = survey(model.compile(), [nominal])
     pool = [c for c in candidates([CATALOGUE[i] for i in ids], machine) if not c.secant]
     if elsewhere:
-        pool = [c.with_shapes(_place(rng, c)) for c in pool if c.extent.places]
+        pool = [c.with_shapes(_place(rng, c)) for c in pool if c.extent.place]
     drawn = _drawn(rng, pool, count, Sizes(model, machine, nominal, sigma), (low, high))
     if len(drawn) < count:
         return none
