@@ -53,7 +53,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "geared_within_10": share(of("geared"), _near),
         "masses": share(of("masses"), lambda r: r["right"] and not r["flagged"]),
         "masses_within_10": share(of("masses"), _near),
-        "loads": share(of("load"), right),
+        "loads": share(seen(of("load")), right),
         "loads_place_inside_95": _share([i for r in of("load") for i in r["place_inside"]]),
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),

@@ -6,6 +6,8 @@ inertia of its body at once, or like springs and weak motors where only three na
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset
@@ -44,17 +46,19 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
     """
     members, x = subset(base, rest)
     free, effort = load.free, Effort()
-    held, begun = (*members, free), (*x, free.point)
+    held = (*members, free)
     if set_key(held) in search.placed:
         return
     search.placed.add(set_key(held))
+    usual = search.fit((*members, load), (*x, load.probe), guess=base.hypothesis)
+    mass = np.maximum(usual.x[-1], load.probe)  # the slope to a place is nothing without a mass
+    begun = (*x, np.concatenate([mass, free.point[len(mass) :]]))
     made = search.refit(held, begun, start=base.start, guess=base.hypothesis, effort=effort)
     for _ in range(_AFRESH):
         left = made.rms
         made = search.refit(held, made.x, start=made.start, guess=made.hypothesis, effort=effort)
         if made.rms > _NEARER * left:
             break
-    usual = search.fit((*members, load), (*x, load.probe), guess=base.hypothesis)
     if made.rms < _USUAL * usual.rms:
         search.listed(made)
     else:
