@@ -9,7 +9,8 @@ from bo_sysid.checks.estimate import Estimate
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.traces import LATEST
 
-_LATE = 2.5e-3  # [s] a delay below is not worth a word
+LATE = 2.5e-3  # [s] a delay below is not worth a word
+_UNTOLD = 0.5  # of a sampling interval and a step of the model: a delay below is no other clock
 _SURE = 4.0  # standard deviations that a delay must differ from nothing, or from another
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
 _FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay
@@ -30,20 +31,40 @@ class Clock:
         common: weighted mean of the delays in [s], without those far from their median.
         apart: delays that differ from it, by control.
         shared: whether more than half of the controls agree, so that it is their clock's.
+        least: the shortest delay that is told, in [s].
     """
 
     common: Estimate
     apart: Mapping[str, Estimate] = field(default_factory=dict)
     shared: bool = True
+    least: float = LATE
 
     @property
     def delay(self) -> float:
         """How much later than stamped all controls act, in [s]; 0 where that is not certain."""
-        return self.common.value if self.shared and _certain(self.common) else 0.0
+        return self.common.value if self.shared and self.certain(self.common) else 0.0
+
+    def certain(self, e: Estimate) -> bool:
+        """Whether a delay is told from none."""
+        return max(self.least, _SURE * e.sigma) < abs(e.value) < LATEST
 
 
-def clock_of(late: Mapping[str, Estimate]) -> Clock:
-    """Return the clock that controls share, from the delay of each that tells one."""
+def least_delay(sampling: float, timestep: float) -> float:
+    """Return the shortest delay, in [s], that logs with such an interval tell from none.
+
+    Accelerations are of positions at samples, smoothed over several of them, and positions of a
+    simulated machine lead by half a step: of brisk motion both look like a command that is early.
+    """
+    return max(LATE, _UNTOLD * (sampling + timestep))
+
+
+def clock_of(late: Mapping[str, Estimate], least: float = LATE) -> Clock:
+    """Return the clock that controls share, from the delay of each that tells one.
+
+    Args:
+        late: of each control.
+        least: the shortest delay that is told, in [s].
+    """
     late = {n: e for n, e in late.items() if np.isfinite(e.sigma)}
     if not late:
         return Clock(Estimate(0.0, np.inf))
@@ -54,17 +75,13 @@ def clock_of(late: Mapping[str, Estimate]) -> Clock:
     weight = 1 / sigmas[near] ** 2
     common = Estimate(float(weight @ values[near] / weight.sum()), float(weight.sum() ** -0.5))
     apart = {n: e for n, e in late.items() if _differ(e, common)}
-    return Clock(common, apart, shared=2 * len(apart) < len(late))
+    return Clock(common, apart, 2 * len(apart) < len(late), least)
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
     order = np.argsort(values)
     share = np.cumsum(weight[order]) / weight.sum()
     return float(values[order][np.searchsorted(share, 0.5)])
-
-
-def _certain(e: Estimate) -> bool:
-    return max(_LATE, _SURE * e.sigma) < abs(e.value) < LATEST
 
 
 def _differ(one: Estimate, two: Estimate) -> bool:
@@ -83,7 +100,7 @@ def clock_flags(clock: Clock, late: Mapping[str, Estimate]) -> list[Flag]:
         sentence = f"The controls act {_told(size)} {side} than their stamps say: another "
         evidence = {"delay": clock.delay, "sigma": clock.common.sigma}
         flags.append(Flag("wrong", "clock", tuple(late), f"{sentence}clock, or {cause}.", evidence))
-    odd = clock.apart if clock.shared else {n: e for n, e in late.items() if _certain(e)}
+    odd = clock.apart if clock.shared else {n: e for n, e in late.items() if clock.certain(e)}
     for name, e in odd.items():
         others = [f"{n} {_told(o)}" for n, o in late.items() if n != name]
         if clock.shared:

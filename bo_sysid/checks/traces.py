@@ -22,6 +22,7 @@ WIDTHS = (0.006, 0.01, 0.016, 0.024, 0.03, 0.04, 0.05, 0.07)
 _NOISE_SHARE = 0.03  # of an acceleration, that the filter may leave
 _EDGE = 4.0  # standard deviations at both ends that are not used
 _APART = 1.5  # standard deviations between two instants
+_FEW_INSTANTS = 20  # of a recording, that must be left away from gaps
 _FEW = 4  # recordings whose noise is looked at
 LATEST = 0.12
 """Largest delay that is looked for, in s."""
@@ -195,6 +196,12 @@ def blocks(count: int, number: int = 8) -> list[Bool[np.ndarray, " n"]]:
     return [index == k for k in range(number)]
 
 
+def interval(recordings: Sequence[Recording], names: Iterable[str]) -> float:
+    """Return the median interval between samples of some channels, in [s], of the slowest log."""
+    held = list(names)
+    return max(_dt(r, held) for r in recordings)
+
+
 def _dt(recording: Recording, names: Iterable[str]) -> float:
     return float(np.median([np.median(np.diff(recording.channels[n].time)) for n in names]))
 
@@ -215,7 +222,7 @@ def _width(recordings: Sequence[Recording], measured: Sequence[str]) -> float:
 
 def _usable(recordings: Sequence[Recording], measured: Sequence[str]) -> Sequence[float]:
     """Return the widths that the samples resolve."""
-    least = 1.5 * max(_dt(r, measured) for r in recordings)
+    least = 1.5 * interval(recordings, measured)
     return [w for w in WIDTHS if w >= least] or [least]
 
 
@@ -251,17 +258,31 @@ def _grid(recording: Recording, measured: Sequence[str], width: float) -> np.nda
 def _instants(
     recording: Recording, measured: Sequence[str], grid: np.ndarray, width: float, most: int
 ) -> np.ndarray:
-    """Return instants about a filter's width apart, away from the ends and from gaps."""
+    """Return instants about a filter's width apart, away from the ends and from gaps.
+
+    Next to gaps, where too few were left otherwise.
+    """
     margin = _EDGE * width + LATEST
     first, last = grid[0] + margin, grid[-1] - margin
     if last - first < 2 * width:
         return grid[len(grid) // 2 :][:1]
     count = int(np.clip((last - first) / (_APART * width), 2, most))
     t = np.linspace(first, last, count)
-    good = np.ones(count, bool)
-    for name in measured:
-        stamps = recording.channels[name].time
-        near = np.clip(np.searchsorted(stamps, t), 1, len(stamps) - 1)
-        gap = stamps[near] - stamps[near - 1]
-        good &= gap <= 2 * width + 1.75 * float(np.median(np.diff(stamps)))
+    for clear in (_EDGE * width, 0.0):
+        good = np.ones(count, bool)
+        for name in measured:
+            good &= _away_from_gaps(t, recording.channels[name].time, width, clear)
+        if good.sum() >= _FEW_INSTANTS:
+            break
     return np.asarray(t[good])
+
+
+def _away_from_gaps(
+    t: Float[np.ndarray, " n"], stamps: Float[np.ndarray, " m"], width: float, clear: float
+) -> Bool[np.ndarray, " n"]:
+    """Return which instants are neither in a gap between stamps nor within `clear` of one."""
+    apart = np.diff(stamps)
+    gaps = np.flatnonzero(apart > 2 * width + 1.75 * float(np.median(apart)))
+    first, last = stamps[gaps] - clear, stamps[gaps + 1] + clear
+    inside = np.searchsorted(first, t) > np.searchsorted(last, t)
+    return np.asarray(~inside)

@@ -10,14 +10,14 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.checks import estimate, motors
-from bo_sysid.checks.clocks import clock_flags, clock_of
+from bo_sysid.checks.clocks import clock_flags, clock_of, least_delay
 from bo_sysid.checks.comparable import comparable
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, WiringHypothesis
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
-from bo_sysid.checks.traces import LATEST
+from bo_sysid.checks.traces import LATEST, interval
 from bo_sysid.checks.wiring_text import balance_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
@@ -83,7 +83,7 @@ def find_wiring(
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     told = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
-    clock = clock_of(told)
+    clock = clock_of(told, least_delay(interval(recordings, traces.measured), model.opt.timestep))
     first = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
         {"joint": fine.joints, "before": first, "after": left, "used": fine.weights > 0}
