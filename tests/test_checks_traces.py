@@ -33,7 +33,8 @@ def test_instants_keep_away_from_ends_and_gaps() -> None:
     instants = traces.instants[0]
     assert instants.min() > LATEST
     assert instants.max() < 5.0 - LATEST
-    assert not ((instants > 2.0) & (instants < 3.0)).any()
+    wide = 3.0 * traces.width  # what smoothing next to a gap would make up
+    assert not ((instants > 2.0 - wide) & (instants < 3.0 + wide)).any()
 
 
 def test_more_noise_takes_a_wider_filter() -> None:

@@ -345,9 +345,20 @@ def test_two_robots_keep_apart(tmp_path: Path) -> None:
         messages.append(("/js", kind, JOINTS, joints(k, *names), START + k * 10**7))
     table = read_table(mcap(tmp_path / "log.mcap", messages))
     assert table.clocks["/js.position.gripper"] != table.clocks["/js.position.wrist"]
-    messages.append(("/js", kind, JOINTS, joints(9, "elbow"), START + 10**8))
+    messages.append(("/js", kind, JOINTS, joints(9, "elbow"), START + 25 * 10**6))
     with pytest.raises(RecordingError, match=r"two publishers on /js name 'elbow'.*namespaces"):
         read_table(mcap(tmp_path / "log.mcap", messages))
+
+
+def test_a_publisher_whose_messages_grow_is_one(tmp_path):
+    kind, messages = "sensor_msgs/msg/JointState", []
+    for k in range(6):
+        names = ("elbow",) if k < 2 else ("elbow", "wrist")
+        messages.append(("/js", kind, JOINTS, joints(k, *names), START + k * 10**7))
+    columns = read_table(mcap(tmp_path / "log.mcap", messages)).columns
+    assert len(columns["/js.position.elbow"]) == len(columns["/js.position.wrist"]) == 6
+    np.testing.assert_array_equal(np.isnan(columns["/js.position.wrist"]), np.arange(6) < 2)
+    assert not np.isnan(columns["/js.position.elbow"]).any()
 
 
 def test_headers_of_another_clock_are_told(tmp_path: Path) -> None:

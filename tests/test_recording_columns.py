@@ -172,6 +172,14 @@ def test_a_kind_or_a_channel_can_have_a_clock_of_its_own():
     np.testing.assert_array_equal(channels["qpos.a"].time, TIME)
 
 
+def test_the_recordings_time_can_be_named_where_a_channel_has_stamps_of_its_own():
+    arrays = {"ctrl__m": WAVE, "time__ctrl": TIME + 0.1}
+    own = read(None, None, **arrays).channels["ctrl.m"]
+    np.testing.assert_array_equal(own.time, TIME + 0.1)
+    common = read(None, {"ctrl": "time"}, **arrays).channels["ctrl.m"]
+    np.testing.assert_array_equal(common.time, TIME)
+
+
 @pytest.mark.parametrize("clock", [{"unit": "ms"}, {"from": "time", "unit": "ms"}])
 def test_the_unit_of_a_clock_is_used_also_where_it_is_the_time_of_the_recording(clock):
     arrays = {"time": 1000 * TIME, "ctrl__m": WAVE}
@@ -250,6 +258,8 @@ def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
     assert "Interpolated between samples: aux.duty." in recording.notes
     with pytest.raises(RecordingError, match=r"sensor.s: hold is 'linear', which is for inputs"):
         read({"sensor.s": {"from": "s", "hold": "linear"}}, s=WAVE)
+    with pytest.raises(RecordingError, match=r"qpos.a: hold is 'zero', which is for inputs"):
+        read({"qpos.a": {"from": "s", "hold": "zero"}}, s=WAVE)
 
 
 def test_empty_cells_of_a_sampled_input_are_interpolated_across():

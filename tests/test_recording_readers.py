@@ -15,7 +15,13 @@ import pytest
 import scipy.io
 
 from bo_sysid.errors import RecordingError
-from bo_sysid.recording import READERS, read_recording, read_tables, write_recording
+from bo_sysid.recording import (
+    READERS,
+    read_recording,
+    read_table,
+    read_tables,
+    write_recording,
+)
 from bo_sysid.recording.value import Recording
 
 RNG = np.random.default_rng(0)
@@ -527,6 +533,31 @@ def test_time_is_the_axis_that_is_as_long_as_the_clock(shape, tmp_path):
     recording = read_recording(tmp_path / "log.npz", rules)
     for i in range(6):
         np.testing.assert_array_equal(recording.channels[f"qpos.j{i}"].values, samples[:, i])
+
+
+def test_a_short_vector_is_no_clock(tmp_path):
+    samples = np.arange(80.0).reshape(40, 2)  # one command fewer than stamps
+    np.savez(tmp_path / "log.npz", time=np.arange(41.0), gains=np.ones(2), u=samples)
+    np.testing.assert_array_equal(read_table(tmp_path / "log.npz").columns["u.1"], samples[:, 1])
+
+
+def test_vectors_and_objects_in_json_become_columns(tmp_path):
+    rows = [{"time": k, "q": [k, 2 * k], "u": {"elbow": 3 * k}} for k in range(3)]
+    (tmp_path / "log.json").write_text(json.dumps(rows))
+    columns = read_table(tmp_path / "log.json").columns
+    assert {n: c.tolist() for n, c in columns.items()} == {
+        "time": [0, 1, 2], "q.0": [0, 1, 2], "q.1": [0, 2, 4], "u.elbow": [0, 3, 6],
+    }  # fmt: skip
+    (tmp_path / "log.json").write_text(json.dumps({"time": [0, 1], "q": [[1, 2], [3, None]]}))
+    columns = read_table(tmp_path / "log.json").columns
+    np.testing.assert_array_equal(columns["q.1"], [2, np.nan])
+
+
+def test_the_index_that_pandas_writes_is_a_column(tmp_path):
+    frame = pd.DataFrame({"time": [0.0, 0.1, 0.2], "qpos.a": [1.0, 2.0, 3.0]})
+    frame.to_csv(tmp_path / "log.csv")
+    np.testing.assert_array_equal(read_table(tmp_path / "log.csv").columns["index"], range(3))
+    assert set(read_recording(tmp_path / "log.csv").channels) == {"qpos.a"}
 
 
 def test_what_init_left_open_is_to_be_filled_in(tmp_path):

@@ -151,9 +151,10 @@ class _Mapper:
         clock_rule = self._clock_rule(name)
         stated = rule.hold or (clock_rule.hold if clock_rule else None)
         default: Hold = "zero" if kind_of(name) in HELD_KINDS else "none"
-        if stated == "linear" and default == "none":
+        moves = kind_of(name) in ("qpos", "qvel") and stated == "zero"
+        if default == "none" and (stated == "linear" or moves):
             raise RecordingError(
-                f"{self.table.source}: {name}: hold is 'linear', which is for inputs "
+                f"{self.table.source}: {name}: hold is {stated!r}, which is for inputs "
                 f"({', '.join(sorted(HELD_KINDS))}); what is predicted is never interpolated"
             )
         return stated or self.table.holds.get(column, default)
@@ -171,8 +172,9 @@ class _Mapper:
         )
         if rule.clock is not None:
             stated = ColumnRule(rule.clock)
-        elif clock_rule is not None and clock_rule.source not in (None, "time"):
-            stated = ColumnRule(clock_rule.source, clock_rule.unit)
+        elif clock_rule is not None and clock_rule.source is not None:
+            named = clock_rule.source
+            stated = timed if named == "time" else ColumnRule(named, clock_rule.unit)
         elif own is not None:
             stated = ColumnRule(own)
         else:
@@ -237,7 +239,7 @@ class _Mapper:
         """Refuse stamps without a unit that are seconds apart and would be usual in another."""
         if stated.unit or self.table.units.get(clock.column) or len(clock.stamps) < _SEVERAL:
             return
-        apart = float(np.nanmedian(np.diff(clock.stamps)))
+        apart = float(np.nanmedian(np.diff(np.unique(clock.stamps))))  # a stamp may be twice
         units = (u for u in ("ms", "us", "ns") if _FAST < (UNITS[u].factor or 1.0) * apart < _SLOW)
         if apart > _SLOW and (fitting := next(units, None)):
             raise RecordingError(

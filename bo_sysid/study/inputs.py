@@ -3,19 +3,21 @@
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from bo_sysid.effects import Effect, Part, Reading, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
-from bo_sysid.errors import UserError, nearest
+from bo_sysid.errors import RecordingError, UserError, nearest
 from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recordings
 from bo_sysid.runs import versions
 from bo_sysid.study.study import Study
 
+_MOTION = ("qpos", "qvel")
 TRAINED_SHARE = 0.75  # of the time of each recording, where the study names no hold-out
 
 
@@ -250,7 +252,18 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
     """
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
-    return tuple(r for f in files for r in read_recordings(f, columns, clocks, strict))
+    found = (r for f in files for r in read_recordings(f, columns, clocks, strict))
+    return tuple(_without_held(r, study.model.hold) for r in found)
+
+
+def _without_held(recording: Recording, held: Sequence[str]) -> Recording:
+    """Return a recording without the motion of joints that the study takes out of the model."""
+    unused = [n for n in recording.channels if n in {f"{k}.{j}" for k in _MOTION for j in held}]
+    if not unused:
+        return recording
+    channels = {n: c for n, c in recording.channels.items() if n not in unused}
+    notes = [f"{n} is not used: its joint is held where the model puts it." for n in unused]
+    return replace(recording, channels=channels).with_notes(notes)
 
 
 def _rule(section: Any) -> Mapping[str, Any]:
@@ -261,9 +274,21 @@ def _part(recording: Recording, *, train: bool) -> Recording:
     start, stop = recording.span
     split = start + TRAINED_SHARE * (stop - start)
     if train:
+        _require_both_parts(recording, split, stop)
         note = (
             f"{recording.name}: no hold-out is named; the last quarter, from {split:g} s on, is "
             "set aside"
         )
         return recording.between(start, split).with_notes([note])
     return recording.between(split, stop + 1.0)
+
+
+def _require_both_parts(recording: Recording, split: float, stop: float) -> None:
+    """Refuse a recording with a channel that ends before what is set aside, before long work."""
+    try:
+        recording.between(split, stop + 1.0)
+    except RecordingError as error:
+        raise RecordingError(
+            f"{error}, in the last quarter, which is set aside since the study names no hold-out; "
+            "name one under recordings: holdout, or leave that channel out"
+        ) from None

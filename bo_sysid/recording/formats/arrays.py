@@ -10,6 +10,8 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording.formats.registry import content, first_bytes, reader, require_content
 from bo_sysid.recording.table import RawTable
 
+_SHORT = 10  # times shorter than the longest vector of a file, from which one is no clock
+
 
 @reader(".npz")
 def read_npz(path: Path) -> RawTable:
@@ -64,7 +66,8 @@ def split(
     Time is the axis that is as long as a vector of the file, such as its clock. Where neither or
     both are, it is the longer one.
     """
-    lengths = {len(a) for a in map(np.squeeze, arrays.values()) if a.ndim == 1}
+    sizes = {len(a) for a in map(np.squeeze, arrays.values()) if a.ndim == 1}
+    lengths = {n for n in sizes if _SHORT * n > max(sizes)}  # no gains, or names of joints
     units = units or {}
     known: dict[str, str] = {}
     columns: dict[str, np.ndarray] = {}

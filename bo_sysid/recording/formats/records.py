@@ -15,6 +15,8 @@ from bo_sysid.recording.table import RawTable
 def read_json(path: Path) -> RawTable:
     """Read records (objects of one shape in a list) or columns (lists of one length).
 
+    Vectors, and objects in records, become one column for each element.
+
     Numbers beside the records become columns that never change.
 
     Raises:
@@ -31,9 +33,10 @@ def read_json(path: Path) -> RawTable:
         longest = max(records, key=lambda k: len(lists[k]))
         rows = _objects(lists[longest], f"{path}: {longest}" if longest else str(path))
         names = list(dict.fromkeys(k for row in rows for k in row))
-        columns = {n: _column([row.get(n) for row in rows]) for n in names}
+        fields = [_columns(n, [row.get(n) for row in rows]) for n in names]
     else:
-        columns = {k: _column(v) for k, v in lists.items()}
+        fields = [_columns(k, v) for k, v in lists.items()]
+    columns = {name: cells for made in fields for name, cells in made.items()}
     if not columns:
         raise RecordingError(f"{path}: holds neither a list of records nor lists of numbers")
     length = max(map(len, columns.values()))
@@ -56,6 +59,19 @@ def _objects(records: list[Any], where: str) -> list[dict[str, Any]]:
                 'records every entry is an object, as in {"time": 0.0, "qpos.elbow": 0.1}'
             )
     return records
+
+
+def _columns(name: str, cells: list[Any]) -> dict[str, np.ndarray]:
+    """Return a field as columns: of vectors and objects one for each element, q.0 or q.elbow."""
+    first = _first(cells)
+    if not isinstance(first, list | dict):
+        return {name: _column(cells)}
+    rows = [dict(enumerate(c)) if isinstance(c, list) else c for c in cells]
+    if not all(isinstance(row, dict | None) for row in rows):
+        return {name: _column(list(map(str, cells)))}
+    keys = list(dict.fromkeys(k for row in rows if row for k in row))
+    parts = [_columns(f"{name}.{k}", [(row or {}).get(k) for row in rows]) for k in keys]
+    return {n: column for made in parts for n, column in made.items()}
 
 
 def _column(cells: list[Any]) -> np.ndarray:

@@ -10,7 +10,7 @@ that a later one replaces, the points are left out that were no longer gone to.
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -93,6 +93,16 @@ class _Rows:
             del column[kept:]
         self.plan = kept
 
+    def followed_by(self, later: "_Rows") -> "_Rows":
+        """Return these rows and later ones, with NaN in columns that either has not."""
+        names = dict.fromkeys((*self.values, *later.values))
+        values = {
+            n: [v for r in (self, later) for v in r.values.get(n, [np.nan] * len(r.stamps))]
+            for n in names
+        }
+        stamps, received = self.stamps + later.stamps, self.received + later.received
+        return _Rows(values, stamps, received, replaced=self.replaced + later.replaced)
+
     def left_out(self, topic: str) -> list[str]:
         """Return a sentence about the points that were replaced, where there are any."""
         if not self.replaced:
@@ -153,7 +163,7 @@ def _table(
     clocks: dict[str, str] = {}
     notes = [f"Topic {t} ({k}) is not read." for t, k in skipped.items()]
     for topic, groups in topics.items():
-        for number, rows in enumerate(groups.values()):
+        for number, rows in enumerate(_joined(groups.values())):
             name = f"{topic}.time" if number == 0 else f"{topic}.time{number + 1}"
             stamps, told = _clock(topic, rows, origin, foreign, source)
             notes += told
@@ -177,6 +187,23 @@ def _table(
                 columns[key] = array
                 clocks[key] = name
     return RawTable(source, columns, clocks=clocks, notes=tuple(dict.fromkeys(notes)))
+
+
+def _joined(groups: Iterable[_Rows]) -> list[_Rows]:
+    """Return the rows of a topic, one publisher's together where what it sends has changed.
+
+    A first message without velocities, or a joint that comes later, is followed by messages that
+    fill other columns and take over for good.
+    """
+    found: list[_Rows] = []
+    for rows in sorted(groups, key=lambda r: r.received[0]):
+        last = found[-1] if found else rows
+        shared = last is not rows and last.values.keys() & rows.values.keys()
+        if shared and last.received[-1] <= rows.received[0]:
+            found[-1] = last.followed_by(rows)
+        else:
+            found.append(rows)
+    return found
 
 
 def _foreign(

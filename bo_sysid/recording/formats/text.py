@@ -20,6 +20,7 @@ _COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
 _SEPARATOR = re.compile(r'"?sep=.?"?')  # a first line that Excel writes and reads
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")  # the first bytes of what Excel calls Unicode text
 _TRAILING = ""  # name of the empty column after a separator at the end of each line
+_INDEX = "index"  # name of a first column that has none
 
 
 @reader(".csv", ".csv.gz", ".tsv", ".txt")
@@ -127,6 +128,8 @@ def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
         )
     if lines and lines[0].count(separator) == len(names) and lines[0].endswith(separator):
         names.append(_TRAILING)  # every line ends with a separator, only the header does not
+    if not names[0] and _INDEX not in names:  # as pandas writes a frame
+        names[0] = _INDEX
     for name in names:
         if (not name and name is not names[-1]) or names.count(name) > 1:
             raise RecordingError(
