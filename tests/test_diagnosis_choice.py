@@ -397,6 +397,21 @@ def test_an_effect_whose_interval_holds_zero_is_a_hint(friction, half, held, mos
         assert (", the most that was looked for, may as well be none" in said) == most
 
 
+@pytest.mark.parametrize(("size", "hinted"), [(1.5, True), (2.5, False)])
+def test_a_small_load_at_a_place_of_its_own_is_a_hint(friction, size, hinted) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    usual = candidate(machine, "payload", "forearm")
+    for c in (usual, usual.free):
+        J = np.zeros((*best.residual.shape, c.size))
+        hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
+        fit = replace(
+            best, hypothesis=hypothesis, jacobian=J, covariance=1e-12 * np.eye(c.size),
+            unique=(size,), groups=(None,),
+        )  # fmt: skip
+        told = [s for s in hints(fit, machine) if "with a place of its own it has four" in s]
+        assert bool(told) == (hinted and c.moved)
+
+
 @pytest.mark.parametrize("swept", [0.9, 1.1])
 def test_cogging_of_which_no_whole_period_was_seen_is_a_hint(friction, swept) -> None:
     best, machine = friction.decision.best, friction.prepared.problem.machine

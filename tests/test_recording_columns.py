@@ -258,8 +258,6 @@ def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
     assert "Interpolated between samples: aux.duty." in recording.notes
     with pytest.raises(RecordingError, match=r"sensor.s: hold is 'linear', which is for inputs"):
         read({"sensor.s": {"from": "s", "hold": "linear"}}, s=WAVE)
-    with pytest.raises(RecordingError, match=r"qpos.a: hold is 'zero', which is for inputs"):
-        read({"qpos.a": {"from": "s", "hold": "zero"}}, s=WAVE)
 
 
 def test_empty_cells_of_a_sampled_input_are_interpolated_across():
@@ -388,3 +386,19 @@ def test_a_shift_moves_the_stamps_of_a_kind():
     np.testing.assert_array_equal(recording.channels["ctrl.m"].time, np.arange(5.0) + 0.25)
     np.testing.assert_array_equal(recording.channels["qpos.a"].time, np.arange(5.0))
     assert any("shifted by 250 ms" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("begin", [5.7, 354.3, 359.9])
+def test_logs_of_one_encoder_begin_nearest_to_zero(begin):
+    """An encoder of 0 to 360 degrees that begins on either side of zero."""
+    angle = begin + 20 * np.sin(TIME)
+    rule = {"qpos.b": {"from": "enc", "unit": "deg", "unwrap": True}}
+    read_back = np.degrees(read(rule, enc=angle % 360.0).channels["qpos.b"].values)
+    np.testing.assert_allclose(read_back, angle - 360 * round(begin / 360), atol=1e-9)
+
+
+def test_what_an_offset_takes_to_zero_is_not_moved_by_a_turn():
+    angle = 200 + 170 * np.sin(TIME / TIME[-1])
+    rule = {"qpos.b": {"from": "enc", "unit": "deg", "unwrap": True, "offset": -np.pi}}
+    read_back = np.degrees(read(rule, enc=angle % 360.0).channels["qpos.b"].values)
+    np.testing.assert_allclose(read_back, angle - 180, atol=1e-9)

@@ -37,6 +37,7 @@ from bo_sysid.study.overview import Overview, overview, too_many
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
 _LEAST = 1e-3  # of a channel's spread, that no model predicts better
+_STILL = 1e-12  # of the largest value, below which a spread is rounding
 _ORDER = {"wrong": 0, "look": 1, "note": 2}
 
 
@@ -149,7 +150,10 @@ def _noise(study: Study, recordings: Sequence[Recording]) -> dict[str, float]:
     estimates: dict[str, list[float]] = {}
     for r in recordings:
         for name, sigma in sensor_noise(r).items():
-            floor = _LEAST * float(r.channels[name].values.std())
+            moved = float(r.channels[name].values.std())
+            if moved <= _STILL * float(np.abs(r.channels[name].values).max(initial=0.0)):
+                continue  # it never moves, and what rounding leaves is no noise
+            floor = _LEAST * moved
             estimates.setdefault(name, []).append(max(sigma, floor))
     stated = study.recordings.noise
     return {n: stated_for(n, stated, float(np.median(s))) for n, s in estimates.items()}

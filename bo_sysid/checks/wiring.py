@@ -173,7 +173,7 @@ def _borne_out(
     shares = evidence.shares(h, tried.tolist())[:, j]
     best = int(np.argmin(shares))
     if shares[best] > SUSPICIOUS or np.log((left + FLOOR) / (shares[best] + FLOOR)) < MARGIN:
-        helps = left < max(_HALVED * stamped, _LITTLE)
+        helps = left <= stamped and left < max(_HALVED * stamped, _LITTLE)
         return e if helps else replace(e, sigma=float(np.hypot(e.sigma, e.value)))
     moved = float(tried[best])
     return estimate.Estimate(moved, float(np.hypot(e.sigma, e.value - moved)))

@@ -223,9 +223,13 @@ def _acting(
 
 
 def _require_effort_follows(model: mujoco.MjModel) -> None:
-    """Refuse actuators whose command says no effort: those that integrate it, and muscles."""
+    """Refuse actuators whose command says no effort: those that integrate it, and muscles.
+
+    And those whose gain changes with position or speed, as a damper's does.
+    """
     for a in controlled(model):
-        if not follows(model, a):
+        affine = int(model.actuator_gaintype[a]) == mujoco.mjtGain.mjGAIN_AFFINE
+        if not follows(model, a) or (affine and model.actuator_gainprm[a, 1:3].any()):
             raise StudyError(
                 f"limits: effort is not known of actuator {model.actuator(a).name!r}: its force "
                 "does not follow from its command; leave effort out, and watch the machine"

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.recording.cleaning import (
@@ -151,10 +152,9 @@ class _Mapper:
         clock_rule = self._clock_rule(name)
         stated = rule.hold or (clock_rule.hold if clock_rule else None)
         default: Hold = "zero" if kind_of(name) in HELD_KINDS else "none"
-        moves = kind_of(name) in ("qpos", "qvel") and stated == "zero"
-        if default == "none" and (stated == "linear" or moves):
+        if stated == "linear" and default == "none":
             raise RecordingError(
-                f"{self.table.source}: {name}: hold is {stated!r}, which is for inputs "
+                f"{self.table.source}: {name}: hold is 'linear', which is for inputs "
                 f"({', '.join(sorted(HELD_KINDS))}); what is predicted is never interpolated"
             )
         return stated or self.table.holds.get(column, default)
@@ -271,6 +271,7 @@ class _Mapper:
         if rule.scale != 1.0:
             done.append(f"scaled by {rule.scale:g}")
         if rule.period:
+            within = bool(np.ptp(values[np.isfinite(values)]) <= rule.period)
             unwrapped = np.unwrap(values, period=rule.period)
             jumps = _jumps(values, unwrapped, rule.period)
             done.append(f"unwrapped ({jumps} jumps of {rule.period:g})")
@@ -281,6 +282,11 @@ class _Mapper:
         if rule.offset:
             values = values + rule.offset
             done.append(f"offset by {rule.offset:g}")
+        if rule.period and within:
+            near = nearest_turn(values, rule.period)
+            if turns := round(float((near - values)[0] / rule.period)):
+                done.append(f"moved by {turns:+d} x {rule.period:g}, to begin nearest to zero")
+            values = near
         if done or column != name:
             self.notes.append(f"{name} is " + ", ".join([f"column {column!r}", *done]) + ".")
         return values, si
@@ -289,6 +295,15 @@ class _Mapper:
 def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
     """Return what unsigned integers mean where they hold signed ones."""
     return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
+
+
+def nearest_turn(values: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:
+    """Return angles that were unwrapped, moved by whole turns to begin nearest to zero.
+
+    Of two logs of one machine, one begins at 1 degree and one at 359.
+    """
+    begin = next(iter(values[np.isfinite(values)]), 0.0)
+    return np.asarray(values - period * np.rint(begin / period))
 
 
 def _jumps(values: np.ndarray, unwrapped: np.ndarray, period: float) -> int:

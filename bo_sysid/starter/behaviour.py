@@ -18,6 +18,7 @@ from bo_sysid.starter.movers import with_movers
 from bo_sysid.starter.reading import driven
 from bo_sysid.starter.signs import Tested, tested_signs, turned_by_range
 
+_LOOKED_AT = 4  # logs whose motion is looked at
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
 _LIKELY = 0.7
 _AGREED = "the motion agrees"
@@ -30,14 +31,14 @@ def by_behaviour(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rule
 
     A sign that the model's range asks for stands, unless the motion asks for another one there.
     """
-    compiled = model.compile()
-    turned = turned_by_range(compiled, [read(t, rules) for t in tables], rules)
+    compiled, moved = model.compile(), tables[:_LOOKED_AT]
+    turned = turned_by_range(compiled, [read(t, rules) for t in moved], rules)
     found, wiring = _wired(model, tables, turned)
     for channel, rule in turned.columns.items():
         if rule != rules.columns[channel] and _turns(compiled, wiring, channel):
             found, wiring = _wired(model, tables, rules)
             break
-    tested = tested_signs(compiled, [read(t, found) for t in tables])
+    tested = tested_signs(compiled, [read(t, found) for t in moved])
     return replace(found, guesses=_judged(compiled, found.guesses, tested))
 
 
@@ -48,10 +49,13 @@ def _turns(model: mujoco.MjModel, wiring: Wiring, position: str) -> bool:
 
 
 def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rules, Wiring]:
-    """Return the rules corrected by the motion, and what was found (`checks.wiring`)."""
-    rules = with_movers(model, tables, rules)
-    recordings = [read(t, rules) for t in tables]
-    wraps = find_wraps(recordings)
+    """Return the rules corrected by the motion, and what was found (`checks.wiring`).
+
+    Jumps are looked for in all logs, motion in the first ones.
+    """
+    rules = with_movers(model, tables[:_LOOKED_AT], rules)
+    wraps = find_wraps([read(t, rules) for t in tables])
+    recordings = [read(t, rules) for t in tables[:_LOOKED_AT]]
     compiled = model.compile()
     wiring = find_wiring(compiled, unwrapped(recordings, wraps))
     changed = proposed_columns(rules.columns, wiring.wires, wraps)

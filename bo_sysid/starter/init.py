@@ -29,7 +29,6 @@ from bo_sysid.starter.reading import constant_hint, without_constant
 from bo_sysid.starter.write import relative, study_text
 
 _WINDOW = 0.3  # [s]
-_LOOKED_AT = 4  # logs whose motion is looked at
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def _guessed(
             rules = rules.without_controls(set(free) - set(nominal.controlled))
         if rules.missing:
             return edits, rules, pd.DataFrame(), {}
-        rules = by_behaviour(nominal, tables[:_LOOKED_AT], rules)
+        rules = by_behaviour(nominal, tables, rules)
         told = [e for e in edits if e.joint not in rules.unmatched]
         if any(f"ctrl.{e.joint}" in rules.columns for e in told) and len(told) < len(edits):
             return _guessed(source, whole, told, tables, base)

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
+from bo_sysid.recording import units
 from bo_sysid.study.base import (
     CodePath,
     Count,
@@ -147,9 +148,9 @@ class ParameterEntry(Section):
     address: Names
     """MJCF address or addresses, such as geom[forearm].mass; several are tied."""
     low: Real
-    """Lower bound, in `unit`."""
+    """Lower bound, in SI units: rad, m, kg, N m."""
     high: Real
-    """Upper bound, in `unit`."""
+    """Upper bound, in SI units."""
     name: Name | None = None
     """Name in tables and figures; the address where left out."""
     apply: Literal["set", "scale", "add"] = "set"
@@ -161,7 +162,7 @@ class ParameterEntry(Section):
     ordered: bool | None = None
     """false: the grid values are categories without an order, such as numbers of variants."""
     unit: str = ""
-    """Unit of the value."""
+    """Unit of the value in tables and figures, an SI unit; nothing is converted."""
 
     @model_validator(mode="after")
     def _extent(self) -> "ParameterEntry":
@@ -169,6 +170,13 @@ class ParameterEntry(Section):
             raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
         if self.steps < 2:
             raise ValueError(f"steps is {self.steps}; at least 2")
+        if self.apply != "scale" and units.is_unit(self.unit):
+            known = units.unit(self.unit, "parameters")
+            if known.factor != 1.0 and known.si:
+                raise ValueError(
+                    f"unit is {self.unit}, and bounds are in SI units: write low and high in "
+                    f"{known.si}, and unit: {known.si}"
+                )
         return self
 
 

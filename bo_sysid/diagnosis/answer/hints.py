@@ -21,6 +21,7 @@ _MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
 _MORE = 0.15  # share by which a compliance must explain more than a late motor to be no hint
 _AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
+_SLIGHT = 2.0  # [sigma] below which a load with a place of its own may be something else
 _STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
 
@@ -40,6 +41,8 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
         said.append(_holding_sentence(held))
     if unseen := unrepeated(best, machine):
         said.append(_unrepeated_sentence(unseen, machine))
+    if small := slight(best):
+        said.append(_slight_sentence(small))
     if late := meshing(best, machine):
         said.append(_meshing_sentence(late))
     said += [_nothing_sentence(*told) for told in perhaps_nothing(best, machine)]
@@ -159,6 +162,25 @@ def unrepeated(best: Fit, machine: Machine) -> Mapping[str, float]:
             if joint.span < period:
                 found[joint.name] = period
     return found
+
+
+def slight(best: Fit) -> Mapping[str, float]:
+    """Return the bodies with a small load at a place of its own, and its size in sigma.
+
+    It has four magnitudes, and a cable that pulls by 1.2 sigma was one with certainty.
+    """
+    sized = zip(best.members, best.unique, strict=True)
+    return {spoken(c.site): size for c, size in sized if c.moved and size < _SLIGHT}
+
+
+def _slight_sentence(loads: Mapping[str, float]) -> str:
+    """Return in words that what a load does is little for four numbers, and what would tell."""
+    which = " and ".join(loads)
+    return (
+        f"What the load of {which} does is little ({max(loads.values()):.1f} sigma), and with a "
+        "place of its own it has four numbers: something else may do the same. Faster motion, "
+        f"over more of the range that {which} moves in, would tell."
+    )
 
 
 def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:

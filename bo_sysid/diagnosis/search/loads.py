@@ -50,6 +50,7 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
     if set_key(held) in search.placed:
         return
     search.placed.add(set_key(held))
+    known = set_key((*members, load)) in search.fits
     usual = search.fit((*members, load), (*x, load.probe), guess=base.hypothesis)
     mass = np.maximum(usual.x[-1], load.probe)  # the slope to a place is nothing without a mass
     begun = (*x, np.concatenate([mass, free.point[len(mass) :]]))
@@ -59,6 +60,8 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
         made = search.refit(held, made.x, start=made.start, guess=made.hypothesis, effort=effort)
         if made.rms > _NEARER * left:
             break
+    if not known:  # it was on the way
+        del search.fits[usual.key]
     if made.rms < _USUAL * usual.rms:
         search.listed(made)
     else:
