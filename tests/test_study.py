@@ -10,7 +10,7 @@ import yaml
 
 from bo_sysid.diagnosis.diagnose import gather
 from bo_sysid.effects.learned import ELAPSED
-from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.errors import ModelError, RecordingError, StudyError
 from bo_sysid.excite.excite import excite
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.plants.build import study_task
@@ -565,3 +565,42 @@ def test_a_log_that_is_a_folder_is_known_by_all_that_is_in_it(folder: Path) -> N
     assert told("a.bin", "1") == first
     assert len({first, told("a.bin", "2"), told("b.bin", "1")}) == 3
     assert set(fingerprints(study, recorded=False)) == {"the model"}
+
+
+def test_a_channel_that_ends_before_what_is_set_aside_is_told_before_the_search(
+    tmp_path: Path,
+) -> None:
+    lines = ["time,qpos.shoulder,qpos.elbow,ctrl.elbow"]
+    lines += [f"{k / 100},{k},{k if k < 60 else ''},0" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    (tmp_path / "arm.xml").write_text(ARM)
+    columns = {"qpos.elbow": {"missing": "skip"}}
+    content = {"model": "arm.xml", "recordings": {"train": ["log.csv"], "columns": columns}}
+    with pytest.raises(RecordingError, match=r"'qpos.elbow' ends at 0.59 s.*name one under"):
+        load_train(Study.from_dict(content, tmp_path))
+
+
+def test_the_motion_of_a_joint_that_is_held_is_not_used(tmp_path: Path) -> None:
+    lines = ["time,qpos.shoulder,qpos.elbow", *(f"{k / 100},{k},{k}" for k in range(100))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    (tmp_path / "arm.xml").write_text(ARM)
+    model = {"file": "arm.xml", "hold": ["elbow"]}
+    content = {"model": model, "recordings": {"train": ["log.csv"]}}
+    (recording,) = load_train(Study.from_dict(content, tmp_path))
+    assert set(recording.channels) == {"qpos.shoulder"}
+    assert any("qpos.elbow is not used: its joint is held" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(("unit", "apply"), [("deg", "set"), ("rad", None), ("deg", "scale")])
+def test_bounds_in_another_unit_than_the_models_are_refused(
+    folder: Path, unit: str, apply: str | None
+) -> None:
+    entry = {"address": "joint[elbow].springref", "low": -1, "high": 1, "unit": unit}
+    study = load(folder, parameters=[entry | {"apply": apply or "set"}])
+    if (unit, apply) == ("deg", "set"):
+        with pytest.raises(
+            StudyError, match=r"parameters.0.unit: deg, and .*in rad, and unit: rad"
+        ):
+            study.parameter_set(load_model(study))
+    else:
+        study.parameter_set(load_model(study))

@@ -30,11 +30,6 @@ def message(folder: Path, text: str, **overrides: object) -> str:
     [
         ("serach: {budget: 3}", "arm.yaml, line 4: serach: unknown key; did you mean 'search'?"),
         (
-            "parameters: [{address: 'joint[a].springref', low: -10, high: 10, unit: deg}]",
-            "arm.yaml, line 4: parameters.0: unit is deg, and bounds are in SI units: write low "
-            "and high in rad, and unit: rad",
-        ),
-        (
             "unrecorded: {caster: null}",
             "arm.yaml, line 4: unrecorded: unknown key; did you mean 'recordings'? "
             "('unrecorded' is a key of model)",

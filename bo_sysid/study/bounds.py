@@ -13,6 +13,30 @@ if TYPE_CHECKING:
 Bound = Literal["low", "high"]
 
 
+def require_si(study: "Study", number: int) -> None:
+    """Refuse bounds that are written in another unit than the model's, since none is converted.
+
+    Args:
+        study: with the parameter.
+        number: of the parameter.
+
+    Raises:
+        StudyError: its unit is known and no SI unit, and bounds are no factors.
+    """
+    from bo_sysid.recording import units
+
+    entry = study.parameters[number]
+    if entry.apply == "scale" or not units.is_unit(entry.unit):
+        return
+    known = units.unit(entry.unit, "parameters")
+    if known.si and known.factor != 1.0:
+        raise study.error(
+            ("parameters", number, "unit"),
+            f"{entry.unit}, and bounds are in SI units: write low and high in {known.si}, and "
+            f"unit: {known.si}",
+        )
+
+
 def require_one_step(
     study: "Study", parameters: Sequence["Parameter"], entries: Mapping[str, int]
 ) -> None:

@@ -18,6 +18,7 @@ from bo_sysid.runs import versions
 from bo_sysid.study.study import Study
 
 _MOTION = ("qpos", "qvel")
+_LEAST = 2  # samples of a channel that a part must have
 TRAINED_SHARE = 0.75  # of the time of each recording, where the study names no hold-out
 
 
@@ -274,7 +275,7 @@ def _part(recording: Recording, *, train: bool) -> Recording:
     start, stop = recording.span
     split = start + TRAINED_SHARE * (stop - start)
     if train:
-        _require_both_parts(recording, split, stop)
+        _require_both_parts(recording, split)
         note = (
             f"{recording.name}: no hold-out is named; the last quarter, from {split:g} s on, is "
             "set aside"
@@ -283,12 +284,18 @@ def _part(recording: Recording, *, train: bool) -> Recording:
     return recording.between(split, stop + 1.0)
 
 
-def _require_both_parts(recording: Recording, split: float, stop: float) -> None:
-    """Refuse a recording with a channel that ends before what is set aside, before long work."""
-    try:
-        recording.between(split, stop + 1.0)
-    except RecordingError as error:
+def _require_both_parts(recording: Recording, split: float) -> None:
+    """Refuse a channel that ends before what is set aside, before long work.
+
+    Where all do the log is too short, which is told by what needs it to be longer.
+    """
+    measured = {n: c for n, c in recording.channels.items() if not c.continuous}
+    left = {n: int((c.time >= split).sum()) for n, c in measured.items()}
+    short = [n for n, count in left.items() if count < _LEAST]
+    if short and len(short) < len(left):
+        last = float(measured[short[0]].time[-1])
         raise RecordingError(
-            f"{error}, in the last quarter, which is set aside since the study names no hold-out; "
+            f"{recording.name}: channel {short[0]!r} ends at {last:g} s, and what is from "
+            f"{split:g} s on, the last quarter, is set aside since the study names no hold-out; "
             "name one under recordings: holdout, or leave that channel out"
-        ) from None
+        )

@@ -5,7 +5,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
-from bo_sysid.recording import units
 from bo_sysid.study.base import (
     CodePath,
     Count,
@@ -170,13 +169,6 @@ class ParameterEntry(Section):
             raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
         if self.steps < 2:
             raise ValueError(f"steps is {self.steps}; at least 2")
-        if self.apply != "scale" and units.is_unit(self.unit):
-            known = units.unit(self.unit, "parameters")
-            if known.factor != 1.0 and known.si:
-                raise ValueError(
-                    f"unit is {self.unit}, and bounds are in SI units: write low and high in "
-                    f"{known.si}, and unit: {known.si}"
-                )
         return self
 
 

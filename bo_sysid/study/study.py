@@ -12,7 +12,7 @@ from bo_sysid.runs import digest
 from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
-from bo_sysid.study.bounds import require_bounds, require_one_step
+from bo_sysid.study.bounds import require_bounds, require_one_step, require_si
 from bo_sysid.study.messages import study_error
 from bo_sysid.study.outer import (
     Compare,
@@ -178,8 +178,8 @@ class Study(Section):
 
         Raises:
             StudyError: an address is none, matches nothing or is the time step, two parameters have
-                one name, one has the name of a column of the tables, or the model does not compile
-                at a bound.
+                one name, one has the name of a column of the tables, a unit is no SI unit, or the
+                model does not compile at a bound.
             ModelError: two parameters share an address.
         """
         from bo_sysid.mjcf import Address
@@ -194,6 +194,7 @@ class Study(Section):
                     f"{entry.name!r} is a column of the tables that are written; choose another "
                     f"name, none of {', '.join(COLUMNS)}",
                 )
+            require_si(self, i)
             try:
                 matched = [m for a in entry.address for m in Address.parse(a).matches(model)]
             except ModelError as error:
