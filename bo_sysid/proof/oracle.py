@@ -105,6 +105,8 @@ def true_magnitudes(e: Mapping[str, Any], machine: Machine) -> tuple[float, ...]
             return value * cos(phase), value * sin(phase), details["periods"]
         case "gravity_tilt":
             return details["about x"], details["about y"]
+        case "payload":
+            return value, *machine.bodies[e["site"]].tip
         case "actuator_saturation":
             return (machine.actuators[e["site"]].force_max - value,)
     return (value,)
