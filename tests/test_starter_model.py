@@ -87,6 +87,8 @@ def test_a_urdf_gets_motors_where_a_column_may_tell_about_them(
     assert [exported.actuator(a).name for a in range(exported.nu)] == expected
     dropped = "drives grip, which got no motor"
     assert any(dropped in n for n in started.notes) == (efforts == ("elbow",))
+    passive = "If nothing drives the machine, write model: arm.urdf and remove the lines of ctrl."
+    assert (passive in started.notes) == (not efforts)
 
 
 CASTER = """

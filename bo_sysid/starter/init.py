@@ -79,6 +79,11 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     notes += _motor_notes(source, motors, edits, kept)
     if not_found := rules.to_fill_in:
         notes.append(f"No column was found for: {', '.join(not_found)}. Fill in what is marked.")
+        if kept and len(rules.unmatched) == len(kept):
+            notes.append(
+                f"If nothing drives the machine, write model: {relative(source, out.parent)} and "
+                "remove the lines of ctrl."
+            )
     if not_found or rules.held:
         notes += [f"{sentence}." for sentence in spoilt(tables[0])]
     out.parent.mkdir(parents=True, exist_ok=True)
