@@ -397,6 +397,14 @@ def test_logs_of_one_encoder_begin_nearest_to_zero(begin):
     np.testing.assert_allclose(read_back, angle - 360 * round(begin / 360), atol=1e-9)
 
 
+def test_an_encoder_whose_first_reading_is_missing_begins_nearest_to_zero():
+    angle = 354.3 + np.zeros_like(TIME)
+    angle[0] = np.nan
+    rule = {"qpos.b": {"from": "enc", "unit": "deg", "unwrap": True, "missing": "skip"}}
+    read_back = np.degrees(read(rule, enc=angle).channels["qpos.b"].values)
+    np.testing.assert_allclose(read_back, -5.7, atol=1e-9)
+
+
 def test_what_an_offset_takes_to_zero_is_not_moved_by_a_turn():
     angle = 200 + 170 * np.sin(TIME / TIME[-1])
     rule = {"qpos.b": {"from": "enc", "unit": "deg", "unwrap": True, "offset": -np.pi}}

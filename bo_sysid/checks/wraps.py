@@ -9,7 +9,7 @@ import numpy as np
 from bo_sysid.checks.flags import Flag
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import GAP
-from bo_sysid.recording.mapping import nearest_turn, twos_complement
+from bo_sysid.recording.mapping import turns_at_start, twos_complement
 
 PERIODS = (2 * pi, pi, 360.0, 1.0, 256.0, 1024.0, 4096.0, 65536.0)
 """Jumps that are a turn: in radians, degrees, turns, encoder ticks.
@@ -40,7 +40,8 @@ class Wrap:
         """Return samples without the jumps."""
         if self.signed:
             return twos_complement(values, self.signed)
-        return nearest_turn(np.unwrap(values, period=self.period), self.period)
+        whole = np.unwrap(values, period=self.period)
+        return np.asarray(whole - turns_at_start(whole, self.period) * self.period)
 
 
 def find_wraps(recordings: Sequence[Recording]) -> dict[str, Wrap]:

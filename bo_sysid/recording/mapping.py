@@ -271,7 +271,8 @@ class _Mapper:
         if rule.scale != 1.0:
             done.append(f"scaled by {rule.scale:g}")
         if rule.period:
-            within = bool(np.ptp(values[np.isfinite(values)]) <= rule.period)
+            told = values[np.isfinite(values)]
+            within = bool(told.size) and bool(np.ptp(told) <= rule.period)
             unwrapped = np.unwrap(values, period=rule.period)
             jumps = _jumps(values, unwrapped, rule.period)
             done.append(f"unwrapped ({jumps} jumps of {rule.period:g})")
@@ -283,10 +284,9 @@ class _Mapper:
             values = values + rule.offset
             done.append(f"offset by {rule.offset:g}")
         if rule.period and within:
-            near = nearest_turn(values, rule.period)
-            if turns := round(float((near - values)[0] / rule.period)):
-                done.append(f"moved by {turns:+d} x {rule.period:g}, to begin nearest to zero")
-            values = near
+            if turns := turns_at_start(values, rule.period):
+                done.append(f"moved by {-turns:+d} x {rule.period:g}, to begin nearest to zero")
+            values = values - turns * rule.period
         if done or column != name:
             self.notes.append(f"{name} is " + ", ".join([f"column {column!r}", *done]) + ".")
         return values, si
@@ -297,13 +297,13 @@ def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
     return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
 
 
-def nearest_turn(values: Float[np.ndarray, " n"], period: float) -> Float[np.ndarray, " n"]:
-    """Return angles that were unwrapped, moved by whole turns to begin nearest to zero.
+def turns_at_start(values: Float[np.ndarray, " n"], period: float) -> int:
+    """Return how many whole turns from zero angles begin that were unwrapped.
 
     Of two logs of one machine, one begins at 1 degree and one at 359.
     """
     begin = next(iter(values[np.isfinite(values)]), 0.0)
-    return np.asarray(values - period * np.rint(begin / period))
+    return round(float(begin) / period)
 
 
 def _jumps(values: np.ndarray, unwrapped: np.ndarray, period: float) -> int:

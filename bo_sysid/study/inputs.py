@@ -259,7 +259,8 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
 
 def _without_held(recording: Recording, held: Sequence[str]) -> Recording:
     """Return a recording without the motion of joints that the study takes out of the model."""
-    unused = [n for n in recording.channels if n in {f"{k}.{j}" for k in _MOTION for j in held}]
+    motion = {f"{kind}.{joint}" for kind in _MOTION for joint in held}
+    unused = [n for n in recording.channels if n in motion]
     if not unused:
         return recording
     channels = {n: c for n, c in recording.channels.items() if n not in unused}
