@@ -70,6 +70,24 @@ def test_far_off_blocks_that_were_left_out_are_simulated(waves) -> None:
     assert search.fits[second.key].simulated == (second.rss < made.cv.sum())
 
 
+def test_no_far_set_is_fitted_without_blocks_beside_one_that_explains(monkeypatch) -> None:
+    damped = evidence("viscous_damping", missing=DAMPED)
+    search = Search.on(prepare(windows_of(damped, 100, 0.002)), [], 1, None)
+    near = search.fit([candidate(damped.machine, "viscous_damping", "elbow")], [np.zeros(1)])
+    far = search.nominal
+    assert near.rms < ROUGH < far.rms
+    assert near.cv.sum() < far.rss  # and so less than the far one can leave of other blocks
+    tried: list[Fit] = []
+    monkeypatch.setattr(
+        "bo_sysid.diagnosis.search.blocks.cross_validated", lambda _, fit: tried.append(fit) or fit
+    )
+    simulate_blocks(search)
+    assert not tried
+    del search.fits[near.key]
+    simulate_blocks(search)
+    assert [fit.key for fit in tried] == [far.key]
+
+
 def test_a_set_that_explains_is_compared(compared) -> None:
     located = locate(evidence("viscous_damping", missing=DAMPED))
     assert not located.decision.best.simulated

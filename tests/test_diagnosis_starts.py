@@ -68,6 +68,56 @@ def test_a_window_is_fitted_as_if_it_were_alone(windows):
         np.testing.assert_allclose(alone.qvel[0], together.qvel[w], atol=1e-4)
 
 
+def test_windows_settle_as_if_each_were_alone_and_those_that_are_done_are_left(
+    windows, monkeypatch
+):
+    problem, machine = windows
+    friction = candidate(machine, "dry_friction", "elbow")
+    hypothesis = replace(Hypothesis(), members=(friction,), x=(np.array([0.3]),))
+    begin = problem.windows.start
+    frame, simulated, rollout = linearise(problem, Hypothesis(), begin), [], Engine.rollout
+
+    def counted(engine, models, start, *args, **kwargs):
+        simulated.append(len(start))
+        return rollout(engine, models, start, *args, **kwargs)
+
+    monkeypatch.setattr(Engine, "rollout", counted)
+    together, r = settle(problem, frame, hypothesis, begin, 2, (1.0, 0.3, 0.09))
+    assert min(simulated) < max(simulated) == len(begin)
+    for w in range(0, len(begin), 3):
+        own = np.arange(len(begin)) == w
+        one, alone = problem.rows(own), frame.rows(own)
+        start, left = settle(one, alone, hypothesis, begin.rows(own), 2, (1.0, 0.3, 0.09))
+        np.testing.assert_array_equal(start.qvel[0], together.qvel[w])
+        np.testing.assert_array_equal(left[0], r[w])
+
+
+def test_a_simulation_is_not_repeated_and_shows_what_its_windows_observe(windows, monkeypatch):
+    problem, machine = windows
+    friction = candidate(machine, "dry_friction", "elbow")
+    first, second = (
+        replace(Hypothesis(), members=(friction,), x=(np.array([x]),)) for x in (0.02, 0.021)
+    )
+    begin, calls, rollout = problem.windows.start, [], Engine.rollout
+
+    def counted(engine, *args, **kwargs):
+        calls.append(args)
+        return rollout(engine, *args, **kwargs)
+
+    monkeypatch.setattr(Engine, "rollout", counted)
+    r = problem.residual(first, begin)
+    assert np.abs(problem.residual(second, begin) - r).max() > 0
+    np.testing.assert_array_equal(problem.residual(first, begin), r)
+    assert len(calls) == 2
+    observed = problem.windows.observed + 3 * SIGMA
+    other = replace(problem, windows=replace(problem.windows, observed=observed))
+    np.testing.assert_allclose(other.residual(first, begin) - r, 3.0, atol=1e-6)
+    assert len(calls) == 2
+    few = np.arange(len(begin)) < 2
+    np.testing.assert_array_equal(problem.rows(few).residual(first, begin.rows(few)), r[few])
+    assert len(calls) == 3
+
+
 def test_a_joint_that_is_kept_still_begins_as_it_was_given_and_others_follow(windows):
     problem, _ = windows
     begin = problem.windows.start

@@ -93,6 +93,12 @@ class State:
             added=added,
         )
 
+    def placed(self, rows: Int[np.ndarray, " L"], other: "State") -> "State":
+        """Return the starts with those of some windows replaced, as `picked` does."""
+        pick, place = np.zeros(len(self), bool), np.zeros(len(self), int)
+        pick[rows], place[rows] = True, np.arange(len(rows))
+        return self.picked(pick, other.rows(place)) if len(rows) else self
+
     def moved(self, model: mujoco.MjModel, tangent: Float[np.ndarray, "W n"]) -> "State":
         """Return the states moved along their tangent space.
 

@@ -204,7 +204,7 @@ class FittedStarts:
         better = other.cost < self.cost[rows]
         won = rows[better]
         self.cost[won], self.residual[won] = other.cost[better], other.residual[better]
-        self.start = _placed(self.start, won, other.start.rows(better))
+        self.start = self.start.placed(won, other.start.rows(better))
 
     def fit(self) -> None:
         """Gauss-Newton steps about the prior; each window leaves where it has settled.
@@ -299,21 +299,12 @@ class FittedStarts:
         better = cost < self.cost[rows]
         won = rows[better]
         self.residual[won], self.cost[won] = r[better], cost[better]
-        self.start = _placed(self.start, won, tried.rows(better))
+        self.start = self.start.placed(won, tried.rows(better))
         return np.asarray(better)
 
     def _residual(self, rows: Int[np.ndarray, " L"], start: State) -> Float[np.ndarray, "L R"]:
         problem = self._problem if len(rows) == len(self.start) else self._problem.rows(rows)
         return problem.residual(self._hypothesis, start, self._finer)
-
-
-def _placed(start: State, rows: Int[np.ndarray, " L"], other: State) -> State:
-    """Return the starts with those of some windows replaced."""
-    if not rows.size:
-        return start
-    pick, place = np.zeros(len(start), bool), np.zeros(len(start), int)
-    pick[rows], place[rows] = True, np.arange(len(rows))
-    return start.picked(pick, other.rows(place))
 
 
 def _at_rest(start: State, joint: JointScale) -> State:

@@ -1,7 +1,7 @@
 """The recordings cut into windows, and what a hypothesis predicts for them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import mujoco
@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, wit
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.observation import observe
+from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
 from bo_sysid.effects.learned import ELAPSED
@@ -78,6 +79,7 @@ class Problem:
         laws: controllers and force laws that belong to the nominal model.
         loops: closed chains of the nominal model, on which starts lie.
         kept: long fits of a diagnosis that was killed.
+        recent: the last simulations.
     """
 
     model: Model
@@ -93,6 +95,7 @@ class Problem:
     laws: tuple[Controller | ForceLaw, ...]
     loops: Loops
     kept: FitCache = NO_CACHE
+    recent: Recent[Simulated] = field(default_factory=Recent)
 
     @cached_property
     def identity(self) -> tuple[object, ...]:
@@ -212,6 +215,13 @@ class Problem:
     def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
         """Simulate all windows; `finer` divides the time step."""
         windows = self.windows if finer == 1 else refined(self.windows, finer)
+        inputs = (float(windows.timestep), windows.ctrl.shape[1], windows.recording, windows.time)
+        found = self.recent.of(
+            hypothesis, start, inputs, lambda: self._simulated(hypothesis, start, windows)
+        )
+        return replace(found, windows=windows)  # of which some are observed otherwise
+
+    def _simulated(self, hypothesis: Hypothesis, start: State, windows: Windows) -> "Simulated":
         model, parts = self.compiled(hypothesis, windows.timestep)
         ctrl, start = self.controls(parts, windows), self._after(model, parts, windows, start)
         coordinates = Coordinates.between(self.machine.model, model, parts)

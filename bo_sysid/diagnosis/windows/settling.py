@@ -35,15 +35,18 @@ def settle(
         r: residual at the first starts; simulated where left out.
     """
     r = problem.residual(hypothesis, start) if r is None else r
+    going = np.ones(len(r), bool)
     for _ in range(steps):
-        toward, done = r, np.zeros(len(r), bool)
+        left, toward = going.copy(), r
         for share in shares:
-            share_of = np.where(done, 0.0, share)[:, None] * toward
-            start, r, better = moved_along(problem, frame, hypothesis, start, r, share_of)
-            done |= better
-            if done.all():
+            start, r, better = moved_along(
+                problem, frame, hypothesis, start, r, share * toward, left
+            )
+            left &= ~better
+            if not left.any():
                 break
-        if not done.any():
+        going &= ~left  # one that no share of its step helped would try the same step again
+        if not going.any():
             break
     return start, r
 
@@ -70,11 +73,25 @@ def moved_along(
     start: State,
     r: Float[np.ndarray, "W R"],
     toward: Float[np.ndarray, "W R"],
+    among: Bool[np.ndarray, " W"] | None = None,
 ) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
-    """Return starts moved to explain `toward`, where that lowers the residual of a window."""
+    """Return starts moved to explain `toward`, where that lowers the residual of a window.
+
+    Only windows `among` them are moved and simulated, by default all.
+    """
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
-    moved = problem.moved(start, change)
-    return better_of(start, r, moved, problem.residual(hypothesis, moved))
+    if among is None or among.all():
+        moved = problem.moved(start, change)
+        return better_of(start, r, moved, problem.residual(hypothesis, moved))
+    part = problem.rows(among)
+    moved = part.moved(start.rows(among), change[among])
+    own, rn, better = better_of(
+        start.rows(among), r[among], moved, part.residual(hypothesis, moved)
+    )
+    rows = np.flatnonzero(among)
+    residual, taken = r.copy(), np.zeros(len(r), bool)
+    residual[rows], taken[rows] = rn, better
+    return start.placed(rows, own), residual, taken
 
 
 def better_of(
