@@ -402,6 +402,14 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
             {"actuators": {"torque": {"law": "servo.py:law", "uses": ["goal.torque"]}}},
             "actuators.torque.*a policy commands the actuators itself",
         ),
+        (
+            {
+                "parameters": [
+                    {"name": "most", "target": "actuator[torque].ctrlrange[1]", "bounds": [0.5, 1]}
+                ]
+            },
+            "actions are commands within the ctrlrange, which must be known",
+        ),
         ({"limits": {"hing": {"effort": 1.0}}}, "no such joint; did you mean 'hinge'"),
         (
             {"task": {"dm_control": {"domain": "pendulum", "task": "swigup"}}},

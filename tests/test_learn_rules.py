@@ -299,6 +299,70 @@ def test_noise_counts_only_where_something_was_recorded(tmp_path: Path) -> None:
     assert floor_of(problem, truth, found).noise == pytest.approx(found, rel=0.1)
 
 
+FLOATING = """<mujoco><option timestep="0.01" gravity="0 0 0" density="20"/><worldbody>
+<body pos="0 0 1"><freejoint name="root"/>
+<geom name="hull" type="box" size=".2 .1 .05" mass="1"/>
+<body pos=".2 0 0"><joint name="h" axis="0 1 0" damping=".05"/>
+<geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass=".2"/></body></body></worldbody>
+<actuator><motor name="m" joint="h" ctrlrange="-.3 .3"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("joint", ["free", "ball"])
+@pytest.mark.parametrize("horizon", [1, 10])
+def test_noise_counts_on_joints_that_turn_freely(tmp_path: Path, joint: str, horizon: int) -> None:
+    """At the truth Δ is that of the noise alone, which starts of free bodies have as well."""
+    ball = FLOATING.replace('<freejoint name="root"/>', '<joint name="root" type="ball"/>')
+    (tmp_path / "body.xml").write_text(FLOATING if joint == "free" else ball)
+    noise = {"qpos": 1e-3, "qvel": 1e-2}
+    study = Study.from_dict(
+        {
+            "model": "body.xml",
+            "recordings": {"train": ["none.csv"], "noise": noise},
+            "parameters": [{"address": "geom[hull].mass", "low": 0.5, "high": 1.5, "steps": 11}],
+            "deviation": {"horizon": horizon},
+            "plant": {"noise": noise},
+        },
+        tmp_path,
+    )
+    recordings = record(build_plant(study), load_model(study), 2, duration=5.0)
+    problem = make_problem(study, recordings)
+    truth = np.array([1.0])
+    found = float(problem.deviation(truth[None]).deviation[0])
+    assert floor_of(problem, truth, found).noise == pytest.approx(found, rel=0.06)
+
+
+def test_a_resolution_is_measured_within_the_bounds(tmp_path: Path, monkeypatch) -> None:
+    """Few candidates of many parameters stand for boxes wider than half of the bounds."""
+    (tmp_path / "two.xml").write_text(TWO)
+    wide = [f"joint[{j}].{what}" for j in "ab" for what in ("damping", "armature", "frictionloss")]
+    study = Study.from_dict(
+        {
+            "model": "two.xml",
+            "recordings": {"train": ["none.csv"], "noise": {"qpos": 1e-3, "qvel": 1e-2}},
+            "parameters": [{"address": a, "low": 0.01, "high": 0.1} for a in wide],
+            "search": {"candidates": {"sobol": 16}},
+            "plant": {"noise": {"qpos": 1e-3}},
+        },
+        tmp_path,
+    )
+    problem = make_problem(study, record(build_plant(study), load_model(study), 1, duration=1.0))
+    low, high = problem.candidates.bounds
+    assert (problem.candidates.cell > 0.5 * (high - low)).all()
+    simulator, seen = problem.deviation.simulator, []
+    predictions = type(simulator).predictions
+
+    def watched(self, points, *args, **kwargs):
+        seen.append(points)
+        return predictions(self, points, *args, **kwargs)
+
+    monkeypatch.setattr(type(simulator), "predictions", watched)
+    for best in problem.candidates.points:
+        assert floor_of(problem, best, 1.0).resolution > 0
+    points = np.concatenate(seen)
+    assert (points >= low - 1e-12).all()
+    assert (points <= high + 1e-12).all()
+
+
 @pytest.mark.parametrize("rates", [True, False])
 def test_categories_add_nothing_to_the_expected_floor(rates: bool) -> None:
     """As if the machine's own category had been written into the model."""
@@ -347,7 +411,7 @@ def test_that_noise_hides_the_parameters_is_said(starts: str, hint: str) -> None
     (said,) = doubts(ended(scene, middle, 1.44))
     assert said.startswith("the worst of the candidates that were tried leaves 1.4 times")
     assert (
-        f"over 3 control steps (deviation.horizon) parameters change little; a longer horizon"
+        f"over 3 recorded instants (deviation.horizon) parameters change little; a longer horizon"
         f"{', ' if hint else ' '}{hint}tells them better apart" in said
     )
 

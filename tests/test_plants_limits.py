@@ -142,6 +142,35 @@ def test_a_velocity_servo_keeps_to_the_effort_however_fast_its_joint_is(tmp_path
     np.testing.assert_allclose(made.actuator_forcerange[0], [-0.3, 0.3])  # its own is narrower
 
 
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<dcmotor joint="elbow" motorconst="1" resistance="0.1" ctrlrange="-24 24"/>',
+        '<dcmotor joint="elbow" motorconst="0.1" resistance="1" ctrlrange="-24 24"/>',
+        '<general joint="elbow" gainprm="10" dyntype="integrator" actrange="-5 5" '
+        'ctrlrange="-10 10"/>',
+        '<intvelocity joint="elbow" kp="50" actrange="-3 3" ctrlrange="-2 2"/>',
+        '<general joint="elbow" gaintype="affine" gainprm="1 0 0.5" ctrlrange="-10 10"/>',
+        '<muscle joint="elbow" force="80" lengthrange="0.1 3" ctrlrange="0 1"/>',
+    ],
+)
+def test_an_effort_is_kept_whatever_commands_mean(tmp_path, actuator):
+    """And commands keep their range where neither the effort nor a position says what they are."""
+    given = '<position name="elbow" joint="elbow" kp="20" ctrlrange="-3 3"/>'
+    named = actuator.replace("joint=", 'name="elbow" joint=', 1)
+    model = Model.from_xml(ARM.replace(given, named))
+    limits = {"elbow": {"effort": 2.0, "position": [-0.5, 1.0]}}
+    made, own = model.compile(limit_edits(study(tmp_path, limits), model)), model.compile()
+    np.testing.assert_array_equal(made.actuator_ctrlrange[1], own.actuator_ctrlrange[1])
+    data, most = mujoco.MjData(made), 0.0
+    for command in control_range(made):
+        data.ctrl[1] = command[1]
+        for _ in range(500):
+            mujoco.mj_step(made, data)
+            most = max(most, abs(data.qfrc_actuator[1]))
+    assert most == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize(("own", "kept"), [("-1 5", [-1, 5]), ("-1 50", [-1, 10]), ("3 5", [3, 5])])
 def test_an_effort_widens_no_range_of_the_model(tmp_path, own, kept):
     model = Model.from_xml(ARM.replace('kp="20"', f'kp="20" forcerange="{own}"'))

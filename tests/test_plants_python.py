@@ -9,9 +9,11 @@ from dm_control import suite
 from dm_control.mujoco import wrapper
 from dm_control.rl import control
 from dm_control.suite import base
+from dm_env import specs
 
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.mjcf import Model
+from bo_sysid.plants.build import record
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.load import compiled, load_task, make_environment
 from bo_sysid.plants.plant import Plant, PlantError
@@ -223,17 +225,68 @@ def test_an_episode_that_is_cut_ends_and_is_no_termination():
     assert plant.record(np.zeros((10, 2))).span[1] == pytest.approx(3 * Cut.control_timestep)
 
 
-def test_an_interrupted_environment_goes_on():
-    task = suite_task("reacher", "easy")
-    model = compiled(Model.from_dm_control("reacher", "easy"), task)
+@pytest.mark.parametrize("domain_and_task", [("reacher", "easy"), ("hopper", "hop")])
+def test_an_interrupted_environment_goes_on(domain_and_task):
+    """The hopper's observations hold forces that the last step left behind."""
+    task = suite_task(*domain_and_task)
+    model = compiled(Model.from_dm_control(*domain_and_task), task)
     whole = PythonEnvironment(task, model, 2, seed=5)
     whole.reset()
-    roll(whole, 30)
+    seen = roll(whole, 30)[-1].observation
     state = whole.get_state()
     expected = roll(whole, 30, seed=1)[-1]
     resumed = PythonEnvironment(task, model, 2, seed=5)
-    resumed.set_state(state)
+    np.testing.assert_array_equal(resumed.set_state(state), seen)
     np.testing.assert_array_equal(roll(resumed, 30, seed=1)[-1].observation, expected.observation)
+
+
+class OwnGenerator(Reach):
+    """A user's task that draws by a generator of its own, not by that of dm_control's suite."""
+
+    def __init__(self, random):
+        super().__init__()
+        del self._random
+        self.own, self.goal = np.random.default_rng(random), np.zeros(2)
+
+    def initialize_episode(self, physics):
+        physics.data.qpos[:] = self.own.uniform(-1, 1, 2)
+
+
+def test_machines_of_a_task_with_a_generator_of_its_own_differ():
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(OwnGenerator, model.compile())
+    task_model = compiled(model, task)
+    first, second = (PythonEnvironment(task, task_model, 4, seed=3).reset() for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert len(np.unique(first, axis=0)) == 4
+
+
+class OneAction(Reach):
+    """A user's task with one action of a range of its own for two motors."""
+
+    def action_spec(self, physics):
+        return specs.BoundedArray((1,), float, [0.0], [20.0])
+
+    def before_step(self, action, physics):
+        assert action.shape == (1,)
+        physics.data.ctrl[:] = [0.01 * action[0], -0.2 * action[0]]
+
+    def get_termination(self, physics):
+        return None
+
+
+def test_a_task_is_excited_by_its_own_actions_and_commands_are_recorded_as_they_act():
+    model = Model.from_dm_control("reacher", "easy")
+    plant = Plant(model, task=class_task(OneAction, model.compile()))
+    assert [e.tolist() for e in plant.command_range] == [[0.0], [20.0]]
+    (recording,) = record(plant, model, 1, duration=0.4)
+    first, second = (recording.channels[n].values for n in ("ctrl.shoulder", "ctrl.wrist"))
+    assert first.min() >= 0
+    assert np.ptp(first) > 0.05
+    np.testing.assert_allclose(second, np.maximum(-20.0 * first, -1.0), atol=1e-12)
+    assert second.min() == -1.0  # the end of its control range
+    with pytest.raises(PlantError, match="must be S x 1"):
+        plant.record(np.zeros((5, 2)))
 
 
 def test_wrong_tasks_name_the_rule():

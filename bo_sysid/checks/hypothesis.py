@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
 from bo_sysid.checks.traces import Traces
-from bo_sysid.effects.memory import LAGS, follows
-from bo_sysid.mjcf.commands import controlled, driven_joint
+from bo_sysid.mjcf.commands import LAGS, controlled, driven_joint, follows
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.simulation import Law, LawInputs
 

@@ -25,6 +25,8 @@ def run(args: argparse.Namespace) -> None:
     with open_run(args, study, "record") as run, shown("record") as progress:
         from bo_sysid.plants.recorded import record_into
 
-        path = record_into(run, study, args.study.stem, progress)
+        path, notes = record_into(run, study, args.study.stem, progress)
+    for note in notes:
+        print(note)
     verb = "identify" if study.parameters else "diagnose"
     print(f"{path.parent}: recordings of the plant. Now: bo-sysid {verb} {path}")

@@ -6,18 +6,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.mjcf.commands import driven_joint
+from bo_sysid.mjcf.commands import LAGS, driven_joint
 from bo_sysid.recording import Channel, Recording
 
-LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-"""Kinds of activation that follow a control as a first-order lag."""
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
-
-
-def follows(compiled: mujoco.MjModel, a: int) -> bool:
-    """Whether an actuator's force follows from its control, at once or as a first-order lag."""
-    return int(compiled.actuator_dyntype[a]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
 
 
 def remembers(compiled: mujoco.MjModel, a: int) -> bool:

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
-from bo_sysid.effects.memory import activation, follows, remembers
+from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint
+from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
 from bo_sysid.mjcf.touching import can_touch

@@ -7,10 +7,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.effects.memory import LAGS, follows
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import ALONG_JOINT, common_bounds, controlled
+from bo_sysid.mjcf.commands import ALONG_JOINT, LAGS, common_bounds, controlled, follows
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory

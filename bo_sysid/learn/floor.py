@@ -23,7 +23,7 @@ from bo_sysid.arrays import Point
 from bo_sysid.belief.stopping import StopReason
 from bo_sysid.deviation.starts import fit_starts
 from bo_sysid.identify.problem import Problem
-from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.mjcf.joints import FREE, SCALAR
 from bo_sysid.recording import sensor_noise, stated_for
 from bo_sysid.simulation import Prediction
 
@@ -124,11 +124,14 @@ def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: in
 
 def _resolution_part(problem: Problem, best: Point) -> float:
     """Return the sum over parameters of half a step's Δ, the worst that B can leave."""
-    high, step = problem.candidates.bounds[1], problem.candidates.cell
+    (low, high), step = problem.candidates.bounds, problem.candidates.cell
     points = [best]
     for k in np.flatnonzero(step):
-        inward = -step[k] if best[k] + step[k] > high[k] + 1e-12 else step[k]
-        points.append(best + inward * np.eye(len(best))[k])
+        up, down = high[k] - best[k], best[k] - low[k]
+        move = step[k] if step[k] <= up + 1e-12 else -step[k]
+        if step[k] > max(up, down) + 1e-12:  # few candidates stand for more than half of the range
+            move = up if up > down else -down
+        points.append(best + move * np.eye(len(best))[k])
     if problem.deviation.fitted_starts:
         recorded = problem.deviation.prediction(best).values
         return sum((0.5 * _were_recorded(problem, p, recorded) for p in points[1:]), 0.0)
@@ -169,20 +172,26 @@ def _mean_norm(problem: Problem, difference: Float[np.ndarray, "W H c"]) -> floa
 
 
 def _start_noise(problem: Problem, sigma: dict[str, float]) -> Float[np.ndarray, " n"]:
-    """Return σ of the starts, `2 nv`; of free and ball joints it is left out.
+    """Return σ of the starts, `2 nv`.
 
-    A velocity that was not recorded is worth what a difference of two positions is.
+    A turn of an orientation is twice the change of its quaternion, dq = q (0, dθ) / 2. A velocity
+    that was not recorded is worth what a difference of two positions is.
     """
-    compiled = problem.model.compile()
-    scale = np.zeros(2 * compiled.nv)
+    model, compiled = problem.model, problem.model.compile()
+    read = np.array([sigma.get(name, 0.0) for name in model.qpos_channels])
+    place = np.zeros(compiled.nv)
+    for j in range(compiled.njnt):
+        q, v = int(compiled.jnt_qposadr[j]), int(compiled.jnt_dofadr[j])
+        kind = int(compiled.jnt_type[j])
+        if kind in SCALAR:
+            place[v] = read[q]
+            continue
+        if kind == FREE:
+            place[v : v + 3] = read[q : q + 3]
+            q, v = q + 3, v + 3
+        place[v : v + 3] = 2.0 * read[q : q + 4].mean()
     spacing = [np.median(np.diff(c.time)) for r in problem.recordings
                for c in r.of_kind("qpos").values()]  # fmt: skip
-    for j in range(compiled.njnt):
-        if int(compiled.jnt_type[j]) not in SCALAR:
-            continue
-        name, dof = compiled.joint(j).name, int(compiled.jnt_dofadr[j])
-        position = sigma.get(f"qpos.{name}", 0.0)
-        scale[dof] = position
-        difference = position / (np.sqrt(2) * float(np.median(spacing)))
-        scale[compiled.nv + dof] = sigma.get(f"qvel.{name}", difference)
-    return scale
+    difference = place / (np.sqrt(2) * float(np.median(spacing)))
+    names = zip(model.qvel_channels, difference, strict=True)
+    return np.concatenate([place, [sigma.get(name, d) for name, d in names]])

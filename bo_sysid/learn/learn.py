@@ -241,8 +241,9 @@ def doubts(last: Iteration) -> list[str]:
         told = last.scene.study.deviation
         said.append(
             f"the worst of the candidates that were tried leaves {most / floor.noise:.1f} times "
-            f"what the sensors' noise alone makes: over {told.horizon} control "
-            f"step{'' if told.horizon == 1 else 's'} (deviation.horizon) parameters change little; "
+            f"what the sensors' noise alone makes: over {told.horizon} recorded "
+            f"instant{'' if told.horizon == 1 else 's'} (deviation.horizon) parameters change "
+            "little; "
             "a longer horizon"
             + ("" if told.starts == "fitted" else ", or starts: fitted,")
             + " tells them better apart"

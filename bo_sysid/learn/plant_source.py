@@ -10,7 +10,7 @@ import pandas as pd
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.source import Waiting
 from bo_sysid.learn.values import VALUE_SEED, Estimate
-from bo_sysid.plants.build import build_plant
+from bo_sysid.plants.build import build_plant, driven_within
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.measuring import KINDS
 from bo_sysid.plants.plant import Act, PlantError, Trajectory
@@ -64,13 +64,14 @@ class PlantSource:
         return None
 
     def _acting(self, policy: LearnedPolicy) -> Act:
-        return policy.acting(*self._plant.command_range(policy.policy.actions))
+        return policy.acting(*self._plant.command_range)
 
     def _excitation(self) -> np.ndarray:
         scene = self._scene
         compiled = scene.model.compile(scene.limits)
         duration = min(scene.task.time_limit, _LONGEST)
-        return smooth_random(compiled, duration, self._plant.control_timestep, seed=scene.seed)
+        step, within = self._plant.control_timestep, driven_within(self._plant)
+        return smooth_random(compiled, duration, step, seed=scene.seed, within=within)
 
     def recordings(self, study: Study) -> tuple[Recording, ...]:
         """What was recorded, read back from the run folder, as a study's model is to see it."""

@@ -87,7 +87,7 @@ def play(
     environment = scene.environment(scene.compiled(scene.candidates.points[0]), 1)
     learned.require(environment.observation_size, environment.action_size, str(file))
     plant = build_plant(study, seed=scene.seed + _SEED)
-    act = learned.acting(*plant.command_range(environment.action_size))
+    act = learned.acting(*plant.command_range)
     returns = plant.evaluate(act, episodes, seed=scene.seed + _SEED)
     try:
         recording = plant.record(act)

@@ -10,6 +10,7 @@ import numpy as np
 from bo_sysid.arrays import Point
 from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
+from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
 from bo_sysid.plants.environment import BatchEnvironment, Environment
@@ -83,6 +84,7 @@ class Scene:
             raise study.error(
                 ("parameters",), "learn needs at least one uncertain parameter; the study has none"
             )
+        _require_known_commands(study, model, parameters)
         scene = cls(
             study,
             model,
@@ -208,3 +210,18 @@ def _require_a_step(study: Study, task: Task) -> None:
             ("policy", "episode"),
             f"{seconds:g} s is no control step of the task; it must be at least {step:g} s",
         )
+
+
+def _require_known_commands(study: Study, model: Model, parameters: Sequence[Parameter]) -> None:
+    """Refuse control ranges that are parameters: a policy's actions are commands within them.
+
+    Raises:
+        StudyError: there is one.
+    """
+    for p in parameters:
+        if any(t.name == "ctrlrange" for a in p.addresses for t in resolve(model, a)):
+            raise study.error(
+                ("parameters", p.name),
+                "a policy's actions are commands within the ctrlrange, which must be known; "
+                "where a machine saturates is the forcerange",
+            )

@@ -10,7 +10,20 @@ from bo_sysid.mjcf.joints import HINGE, SCALAR, joint_units
 
 ALONG_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 """Transmissions by which an actuator acts on one joint alone."""
+LAGS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+"""Kinds of activation that follow a control as a first-order lag."""
 _POSES, _NONE = 4, 1e-9  # looked at for levers, since one may vanish in a pose; no lever
+
+
+def follows(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force follows from its control, at once or as a first-order lag."""
+    return int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
+
+
+def commands_force(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether what an actuator's control adds to its force is its gain times the control."""
+    fixed = int(model.actuator_gaintype[actuator]) == mujoco.mjtGain.mjGAIN_FIXED
+    return fixed and follows(model, actuator)
 
 
 def controlled(model: mujoco.MjModel) -> list[int]:
@@ -83,7 +96,8 @@ def command_bounds(
 
     Within its control range, a motor is bounded by the effort, |u| ≤ effort / |r g| with gear r and
     gain g, a position servo by the position: without a load it rests at q where
-    g u + b0 + b1 r q = 0.
+    g u + b0 + b1 r q = 0. A command that says neither is bounded by its range alone: that of an
+    integrator is a rate, that of a muscle an excitation.
 
     Args:
         model: the compiled model.
@@ -98,12 +112,12 @@ def command_bounds(
     gear = float(model.actuator_gear[actuator, 0])
     gain = float(model.actuator_gainprm[actuator, 0])
     scale = abs(gear * gain)
-    if is_position_servo(model, actuator):
+    if is_position_servo(model, actuator) and follows(model, actuator):
         if position is not None and gain:
             b0, b1 = model.actuator_biasprm[actuator, :2].tolist()
             ends = sorted(-(b0 + b1 * gear * x) / gain for x in position)
             low, high = max(low, ends[0]), min(high, ends[1])
-    elif effort is not None and scale:
+    elif effort is not None and scale and commands_force(model, actuator):
         low, high = max(low, -effort / scale), min(high, effort / scale)
     return float(low), float(high)
 
@@ -127,8 +141,9 @@ def common_bounds(
 
 
 def is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
-    """Whether the force of an actuator depends on where its joint is."""
-    return bool(model.actuator_biasprm[actuator, 1])
+    """Whether the force of an actuator depends on where its joint is, linearly, as of a spring."""
+    affine = int(model.actuator_biastype[actuator]) == mujoco.mjtBias.mjBIAS_AFFINE
+    return affine and bool(model.actuator_biasprm[actuator, 1])
 
 
 def units(model: mujoco.MjModel) -> dict[str, str]:

@@ -7,7 +7,7 @@ import numpy as np
 from bo_sysid.errors import ModelError, StudyError, UserError, nearest
 from bo_sysid.mjcf import Edit, Model, address_edit, parameter_edits
 from bo_sysid.plants.effects import realised
-from bo_sysid.plants.excitation import multisine, smooth_random
+from bo_sysid.plants.excitation import Range, multisine, smooth_random
 from bo_sysid.plants.limits import limit_edits, limited
 from bo_sysid.plants.load import Task, compiled, load_task, make_environment
 from bo_sysid.plants.plant import Plant, PlantError
@@ -178,11 +178,22 @@ def record(
     made = EXCITATIONS[excitation]
     return tuple(
         plant.record(
-            made(compiled, duration, plant.control_timestep, seed=seed * 1_009 + number),
+            made(
+                compiled,
+                duration,
+                plant.control_timestep,
+                seed=seed * 1_009 + number,
+                within=driven_within(plant),
+            ),
             warmstart=warmstart,
         )
         for number in range(count)
     )
+
+
+def driven_within(plant: Plant) -> Range | None:
+    """Return the bounds of the actions of a task in Python; None where controls drive a plant."""
+    return plant.command_range if isinstance(plant.task, PythonTask) else None
 
 
 def _parameter_edits(study: Study, model: Model) -> Sequence[Edit]:

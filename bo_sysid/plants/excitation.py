@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike
 from bo_sysid.errors import UserError
 from bo_sysid.plants.environment import control_range
 
+Range = tuple[np.ndarray, np.ndarray]
+"""Least and largest of each of several numbers."""
 _TONES = 8  # sines an actuator
 
 
@@ -18,6 +20,7 @@ def multisine(
     amplitude: float = 0.8,
     band: tuple[float, float] = (0.2, 3.0),
     seed: int = 0,
+    within: Range | None = None,
 ) -> np.ndarray:
     """Return sums of sines with random phases, with other frequencies for every actuator.
 
@@ -31,6 +34,7 @@ def multisine(
         amplitude: share of the control range, in (0, 1].
         band: lowest and highest frequency in [Hz].
         seed: of frequencies and phases.
+        within: least and largest of what drives the machine, by default the control range.
 
     Returns:
         `S x nu` controls, in the units of the actuators.
@@ -39,7 +43,7 @@ def multisine(
         UserError: an argument is out of its range.
         ModelError: an actuator has no control range.
     """
-    low, high = control_range(model)
+    low, high = within or control_range(model)
     _check(amplitude, duration, timestep)
     if not 0 < band[0] < band[1] < 0.5 / timestep:
         raise UserError(
@@ -65,6 +69,7 @@ def smooth_random(
     amplitude: float = 0.8,
     correlation: float = 0.1,
     seed: int = 0,
+    within: Range | None = None,
 ) -> np.ndarray:
     """Return random controls with a correlation time, bounded by tanh.
 
@@ -78,6 +83,7 @@ def smooth_random(
         amplitude: share of the control range, in (0, 1].
         correlation: correlation time in [s].
         seed: of the draws.
+        within: least and largest of what drives the machine, by default the control range.
 
     Returns:
         `S x nu` controls, in the units of the actuators.
@@ -86,7 +92,7 @@ def smooth_random(
         UserError: an argument is out of its range.
         ModelError: an actuator has no control range.
     """
-    low, high = control_range(model)
+    low, high = within or control_range(model)
     _check(amplitude, duration, timestep)
     if not correlation > 0:
         raise UserError(f"excitation: correlation time is {correlation} s; it must be positive")

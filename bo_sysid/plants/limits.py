@@ -13,6 +13,7 @@ import numpy as np
 from bo_sysid.errors import nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import (
+    commands_force,
     common_bounds,
     controlled,
     driven_joint,
@@ -32,7 +33,8 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
 
     A motor's command is bounded by `effort`, |u| ≤ effort / |gear · gain|; a position servo's by
     `position`. Where an actuator's force depends on more than its command, as that of servos does,
-    the force itself is clipped to `effort`, or to the model's own range where that is narrower.
+    or follows otherwise from it, as of integrators, muscles and motors with a circuit, the force
+    itself is clipped to `effort`, or to the model's own range where that is narrower.
     Several actuators of one joint have equal shares of its effort, so that their sum keeps it
     whatever each is told. Gears, gains and biases that are parameters count at the end of their
     bounds that allows least, since the machine may be any candidate of B.
@@ -55,7 +57,8 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
             continue
         where = ("limits", joint)
         effort = None if limit.effort is None else limit.effort / driven.count(joint)
-        if effort is not None and any(has_bias(m, a) for m in machines):
+        alone = all(commands_force(m, a) and not has_bias(m, a) for m in machines)
+        if effort is not None and not alone:
             most = _most_force(machines, a, effort)
             forces[name] = (-most, most)
             if not _leaves_force(machines, a, most):

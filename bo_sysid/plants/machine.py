@@ -38,6 +38,7 @@ class SteppedMachine(Protocol):
     """One machine that is moved step by step."""
 
     episode_steps: int
+    action_size: int
 
     @property
     def goal(self) -> np.ndarray:
@@ -84,6 +85,7 @@ class VectorMachine:
     ) -> None:
         self._environment = BatchEnvironment(task, model, 1, seed=seed, laws=laws)
         self.episode_steps = self._environment.episode_steps
+        self.action_size = self._environment.action_size
 
     @property
     def goal(self) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
+from bo_sysid.mjcf.commands import clamped
 from bo_sysid.plants.environment import episode_returns, physics_steps
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.machine import SteppedMachine, VectorMachine
@@ -136,9 +137,10 @@ class Plant:
         """Time between two rows of controls in [s]."""
         return self.task.control_timestep
 
-    def command_range(self, actions: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest command of every actuator, for so many actions."""
-        ones = np.ones((1, actions))
+    @property
+    def command_range(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lowest and the highest command of every actuator, or action of a task in Python."""
+        ones = np.ones((1, self._machine.action_size))
         return self._machine.controls(-ones)[0], self._machine.controls(ones)[0]
 
     def record(
@@ -156,7 +158,8 @@ class Plant:
         the last row repeats the last control.
 
         Args:
-            source: `S x nu` controls in the actuators' units, one row a control step, or a policy.
+            source: `S x nu` controls in the actuators' units, one row a control step, or a policy;
+                where a task in Python has actions of its own, these are the rows.
             steps: control steps; by default all rows of the controls, or one episode.
             start: where to begin; drawn by the task otherwise. A given start does not settle.
             sample: time between two recorded instants in [s]: by default the model's time step,
@@ -220,10 +223,9 @@ class Plant:
             most = self._machine.episode_steps
             return (lambda _, observation: controls(act(observation))), self._count(steps, most)
         rows = np.asarray(source, float)
-        if rows.ndim != 2 or rows.shape[1] != self._model.nu or not len(rows):
-            raise PlantError(
-                f"{self.name}: controls {rows.shape} must be S x {self._model.nu}, S at least 1"
-            )
+        size = self._machine.action_size
+        if rows.ndim != 2 or rows.shape[1] != size or not len(rows):
+            raise PlantError(f"{self.name}: controls {rows.shape} must be S x {size}, S at least 1")
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
         if bad.size:
             raise PlantError(f"{self.name}: controls in row {bad[0]} are not finite")
@@ -255,6 +257,7 @@ class Plant:
             fault = f"{name}: the plant's simulation diverged at {rows['time'][good - 1]:g} s"
         self._trajectories.append(Trajectory(name, steps, reward, fault))
         kept = {f: c[:good:stride] for f, c in rows.items()}
+        kept["ctrl"] = clamped(self._model, kept["ctrl"])  # as they acted
         recording = None
         if len(kept["time"]) >= 2:
             recording = self._measuring.recording(name, number, kept, warmstart=warmstart)

@@ -22,7 +22,8 @@ class PythonMachine:
         task: the task.
         model: what is simulated, with the visuals that the task may refer to.
         seed: of the starts: that of episode k is drawn with (seed, index, k), where the task has
-            the random state of dm_control's suite.
+            the random state of dm_control's suite; a task with a generator of its own is made with
+            what follows from (seed, index).
         index: of this machine among several.
 
     Attributes:
@@ -38,7 +39,7 @@ class PythonMachine:
         self.physics = task.physics.from_model(wrapper.MjModel(model))
         self._name, self._size = task.name, 0
         with guarded(task.name, "__init__"):
-            self.task = task.make(seed)
+            self.task = task.make(_seed(seed, index))
         self._substeps = physics_steps(task.control_timestep, model)
         self.episode_steps = episode_steps(task.time_limit, task.control_timestep)
         self._seed, self._index, self.episodes = seed, index, 0
@@ -166,6 +167,11 @@ class PythonMachine:
         return number
 
 
+def _seed(seed: int, index: int) -> int:
+    """Return the seed of a task of one machine among several."""
+    return int(np.random.SeedSequence((seed, index)).generate_state(1)[0])
+
+
 def _numbered(name: str, size: int) -> str:
     """Return the name of an entry of an observation, with how many numbers it has if several."""
     return name if size == 1 else f"{name} ({size})"
@@ -203,13 +209,15 @@ class PythonEnvironment:
         self.observation_size = first.begin().shape[1]
         first.episodes = 0
         self._steps = np.zeros(n, np.int64)
+        self._observation = np.zeros((n, self.observation_size))
 
     def reset(self) -> np.ndarray:
         """Begin new episodes in all machines; return the `n x o` observations."""
         self._steps[:] = 0
         if self._stagger:
             self._steps[:] = np.arange(self.n) * self.episode_steps // self.n
-        return np.concatenate([machine.begin() for machine in self._machines])
+        self._observation = np.concatenate([machine.begin() for machine in self._machines])
+        return self._observation
 
     def step(self, actions: np.ndarray) -> Step:
         """Apply `n x a` actions in [-1, 1] for one control step; episodes that end begin anew."""
@@ -225,13 +233,18 @@ class PythonEnvironment:
             for i in np.flatnonzero(terminated | truncated):
                 observation[i] = self._machines[i].begin()[0]
                 self._steps[i] = 0
+        self._observation = observation
         reward = np.array([t.reward for t in told])
         return Step(observation, reward, terminated, truncated, final)
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return the physics, the step counts and the numbers of episodes."""
+        """Return the physics, the observations, the step counts and the numbers of episodes.
+
+        An observation may hold what the last step left behind, such as a force that was felt.
+        """
         return {
             "state": np.stack([m.physics.get_state(_STATE) for m in self._machines]),
+            "observation": self._observation.copy(),
             "steps": self._steps.copy(),
             "episodes": np.array([m.episodes for m in self._machines]),
         }
@@ -245,4 +258,5 @@ class PythonEnvironment:
             machine.begin()  # what the task draws for this episode, such as a target
             machine.physics.set_state(physics, _STATE)
             machine.physics.forward()
-        return np.concatenate([machine.observe() for machine in self._machines])
+        self._observation = state["observation"].copy()
+        return self._observation

@@ -1,6 +1,6 @@
 """Recordings of the plant that a study describes, with a study on them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import yaml
@@ -10,6 +10,7 @@ from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.plant import Trajectory
 from bo_sysid.plants.python_task import PythonTask
+from bo_sysid.recording import read_recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 from bo_sysid.runs.run import versions
@@ -18,9 +19,12 @@ from bo_sysid.study.inputs import fingerprints, load_model
 
 _MADE_OF = "recorded.json"
 """What the recordings of a run were made of: hashes of files, versions."""
+_ROUNDING = 1e-6  # [s]
 
 
-def record_into(run: Run, study: Study, name: str, progress: OnProgress = silent) -> Path:
+def record_into(
+    run: Run, study: Study, name: str, progress: OnProgress = silent
+) -> tuple[Path, tuple[str, ...]]:
     """Write recordings of the study's plant into a run folder.
 
     Those that an interrupted call left are kept where nothing that they depend on has changed.
@@ -33,7 +37,7 @@ def record_into(run: Run, study: Study, name: str, progress: OnProgress = silent
         progress: told after every recording.
 
     Returns:
-        The path of the study on these recordings.
+        The path of the study on these recordings, and what to know of them.
 
     Raises:
         StudyError: the study has no plant.
@@ -69,7 +73,19 @@ def record_into(run: Run, study: Study, name: str, progress: OnProgress = silent
         "noise": recorded["recordings"].get("noise", {}),
     }
     file = "study_recorded.yaml" if name.lower() == "study" else f"{name}.yaml"
-    return run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))
+    path = run.write_text(file, yaml.safe_dump(recorded, sort_keys=False))
+    return path, tuple(_broken_off(run, names, wanted.seconds - plant.control_timestep))
+
+
+def _broken_off(run: Run, names: Sequence[str], least: float) -> Iterator[str]:
+    """Say which recordings are shorter than at least asked, in [s]."""
+    for name in names:
+        began, ended = read_recording(run.path(f"{name}.parquet")).span
+        if ended - began < least - _ROUNDING:
+            yield (
+                f"{name} breaks off after {ended - began:.3g} s: the task ended, or the machine "
+                "left its limits"
+            )
 
 
 def _done(run: Run, study: Study, names: Sequence[str]) -> int:

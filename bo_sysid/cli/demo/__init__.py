@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> None:
     study = Study.load(args.out / FILES[0])
     folder = args.out / "record"
     with Run.open(folder, study.resolved(folder), "record") as run, shown("record") as progress:
-        recorded = record_into(run, study, "arm", progress)
+        recorded, _ = record_into(run, study, "arm", progress)
     study = Study.load(recorded)
     folder = args.out / "diagnose"
     with use_threads(None), Run.open(folder, study.resolved(folder), "diagnose") as run:
