@@ -97,6 +97,24 @@ def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None
         assert len(against) == told
 
 
+def test_what_is_certain_is_tied_to_nothing() -> None:
+    """Its spread over P_boot is a rounding, and so is what that has to do with another's."""
+    rng, values = np.random.default_rng(0), []
+    for _ in range(60):
+        ends = rng.uniform(0, 0.5, 3), rng.uniform(0.6, 2, 3)
+        axes = [Parameter(n, (n,), a, b, 11) for n, a, b in zip("abc", *ends, strict=True)]
+        whole = CandidateSet.from_grid(axes)
+        own = [axis.grid[int(rng.integers(1, 10))] for axis in axes[:2]]
+        boot = np.where((whole.points[:, :2] == own).all(axis=1), rng.random(len(whole)), 0.0)
+        table = pd.DataFrame({"name": list("abc"), "low95": ends[0], "high95": ends[0] + 0.01})
+        found = Identification(
+            "certain", whole.points[0], table, whole, boot, boot / boot.sum(), pd.DataFrame(),
+            pd.DataFrame(), pd.DataFrame(), "", (),
+        )  # fmt: skip
+        values += list(found.identifiability["correlation"])
+    assert not np.any(values)
+
+
 def test_every_candidate_evaluated_means_converged() -> None:
     small = CandidateSet.from_grid([Parameter("x", ("a",), 0.0, 1.0, 3), replace(X, steps=3)])
     rules = Rules("random", StopRule(1000, entropy=None))
@@ -173,6 +191,18 @@ def test_no_candidate_is_there_twice_after_zooming(grid: CandidateSet) -> None:
     )[0][:, 1]
     assert len(known) == 9  # the middle and its neighbours
     assert apart.min() > 0.5
+
+
+def test_a_value_is_not_there_twice_a_rounding_apart_after_zooming() -> None:
+    """Candidates that were not evaluated have values of finer grids as well."""
+    whole = CandidateSet.from_grid([replace(X, low=0.3, high=0.9, steps=7), replace(X, name="y")])
+    for row in range(len(whole)):
+        history = History.empty(8).with_evaluation(row, bowl(whole)(row))
+        finer = zoomed(whole, history, np.eye(len(whole))[row], 0)
+        assert finer is not None
+        points = joined([Level(whole, history), Level(*finer)])[0].candidates.points
+        for values, cell in zip(points.T, finer[0].cell, strict=True):
+            assert np.diff(np.unique(values)).min() > 0.01 * cell
 
 
 def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet) -> None:

@@ -459,6 +459,42 @@ class Hold(base.Task):
 """
 
 
+OTHER_ACTIONS = {
+    "scaled": "    def before_step(self, action, physics):\n"
+    "        super().before_step(0.2 * action, physics)\n",
+    "wide": "    def action_spec(self, physics):\n"
+    "        return specs.BoundedArray((1,), float, -5 * np.ones(1), 5 * np.ones(1))\n",
+    "none": "",
+}
+
+
+@pytest.mark.parametrize("what", OTHER_ACTIONS)
+def test_on_a_persons_machine_actions_are_commands(tmp_path: Path, what: str) -> None:
+    head = "import numpy as np\nfrom dm_env import specs\n"
+    task = TASK.replace("REWARD", "1.0 - abs(float(physics.data.qpos[0]))")
+    (tmp_path / "hold.py").write_text(f"{head}{task}\n{OTHER_ACTIONS[what]}")
+    study = {**machine_study(tmp_path), "task": {"file": "hold.py", "class": "Hold"}}
+    made = Study.from_dict(study, tmp_path, trust_code=True)
+    if what == "none":
+        assert Scene.of(made).task.name == "Hold"
+        return
+    with pytest.raises(StudyError, match=r"task: the actions .* of Hold command .*range ends at"):
+        Scene.of(made)
+
+
+def test_a_model_without_actuators_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hold.py").write_text(TASK.replace("REWARD", "1.0"))
+    (tmp_path / "free.xml").write_text(
+        '<mujoco><worldbody><body><joint name="h"/><geom name="g" size=".1" mass="1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    mass = {"address": "geom[g].mass", "low": 0.5, "high": 1.5}
+    changed = {"model": "free.xml", "task": {"file": "hold.py", "class": "Hold"}, "plant": {}}
+    study = pendulum(**changed, parameters=[mass])
+    with pytest.raises(StudyError, match="model: learn needs actuators; the model has none"):
+        Scene.of(Study.from_dict(study, tmp_path, trust_code=True))
+
+
 @pytest.mark.parametrize(
     ("reward", "message"),
     [

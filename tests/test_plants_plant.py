@@ -255,3 +255,23 @@ def test_an_actuator_without_range_is_named():
     with pytest.raises(ModelError, match="actuator 'lagged' has no control range"):
         multisine(free.compile(), 1.0, 0.01)
     Plant(free).record(np.ones((3, 1)))
+
+
+@pytest.mark.parametrize("shown_by", ["h", None])
+def test_a_joint_that_nothing_measures_is_recorded_where_its_encoder_shows_it(tmp_path, shown_by):
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="h" axis="0 1 0"/>'
+        '<geom type="capsule" size=".02" fromto="0 0 0 .2 0 0" mass=".3"/>'
+        '<body pos=".2 0 0"><joint name="k" axis="0 1 0" stiffness="2" damping=".05"/>'
+        '<geom type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass=".5"/></body></body>'
+        '</worldbody><actuator><motor name="m" joint="h" ctrlrange="-2 2"/></actuator></mujoco>'
+    )
+    whole = Plant(Model.from_file(tmp_path / "arm.xml"))
+    hidden = Plant(Model.from_file(tmp_path / "arm.xml", unrecorded={"k": shown_by}))
+    controls = np.full((200, 1), 0.4)
+    all_, seen = (p.record(controls).channels for p in (whole, hidden))
+    assert set(all_) - set(seen) == {"qpos.k", "qvel.k"}
+    for kind in ("qpos", "qvel"):
+        more = all_[f"{kind}.k"].values if shown_by else 0.0
+        np.testing.assert_allclose(seen[f"{kind}.h"].values, all_[f"{kind}.h"].values + more)
+        assert np.abs(all_[f"{kind}.k"].values).max() > 1e-3

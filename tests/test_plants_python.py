@@ -353,6 +353,7 @@ def broken():
         ("get_reward", lambda: np.nan, "gave a reward of nan; it must be finite"),
         ("get_termination", lambda: sys.exit(3), r"get_termination fails: SystemExit: 3 \("),
         ("get_observation", broken, "get_observation fails: KeyError: 'slidee'"),
+        ("get_observation", lambda: None, "get_observation returned None"),
         ("get_observation", lambda: ["high"], "get_observation fails: ValueError: could not"),
         ("get_observation", lambda: [0.0, np.nan], "number 1 of its observation is nan after 0"),
         ("get_observation", lambda: [1, 2, 3], "size 3 after one of size 2; it must keep its"),

@@ -363,3 +363,11 @@ def test_machines_of_a_suite_may_be_named_by_absolute_paths(tmp_path: Path) -> N
     suite = tmp_path / "suite.yaml"
     suite.write_text(f"cases: 4\nmachines: ['{FOLDER / 'machines'}/cart_pole.yaml']\n")
     assert list(load_suite(suite).machines) == ["cart_pole"]
+
+
+@pytest.mark.parametrize("changed", [{"effects": []}, {"effects": ["backlash"], "tiers": {4: 1.0}}])
+def test_a_suite_of_which_nothing_can_be_concealed_is_told(changed: dict[str, object]) -> None:
+    suite = load_suite(FOLDER / "quick.yaml", changed)
+    with pytest.raises(StudyError, match="none of its effects can be concealed in its tiers"):
+        plan(suite)
+    assert plan(load_suite(FOLDER / "quick.yaml", {**changed, "nothing": 1.0}))

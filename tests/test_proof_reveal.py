@@ -120,6 +120,31 @@ def test_fewer_cases_than_were_opened_are_no_result(folder):
         revealed(folder, first=1)
 
 
+def test_what_a_killed_process_left_in_an_answer_is_no_part_of_it(folder):
+    left = folder / "answers" / "case-1" / ".tmp-1-diagnosis.json"
+    left.write_text("half of it")
+    (folder / "answers" / "case-1.json").unlink()
+    freeze(folder, "case-1", 3.0, "no answer within 3 s")
+    left.unlink()  # as the next call does that opens the run
+    assert revealed(folder)[0].error == "no answer within 3 s"
+
+
+def test_nothing_counts_as_opened_where_the_seals_are_not(folder, tmp_path):
+    with pytest.raises(RunError, match=r"elsewhere/case-1.json: the seal is missing"):
+        revealed(folder, seals=tmp_path / "elsewhere")
+    assert not (folder / "opened.json").exists()
+    assert not (tmp_path / "elsewhere").exists()
+    assert len(revealed(folder, first=1)) == 1
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("inf"), float("nan"), 1e13, 1e-9])
+def test_a_limit_that_no_clock_keeps_is_refused_before_anything_is_answered(folder, limit):
+    (folder / "answers" / "case-1.json").unlink()
+    with concealed_run(folder) as run, pytest.raises(StudyError, match="time for a case must be"):
+        answer(run, limit=limit)
+    assert not (folder / "answers" / "case-1.json").exists()
+
+
 @pytest.mark.parametrize("first", [0, 3])
 def test_there_must_be_so_many_cases(folder, first):
     with pytest.raises(StudyError, match=f"--first {first}: .* has 2 cases"):
@@ -197,7 +222,12 @@ TAMPERING = {
     ),
     "a seal removed": (lambda f, s: (s / "case-1.json").unlink(), r"the seal is missing"),
     "seals exchanged": (
-        lambda f, s: os.replace(s / "case-2.json", s / "case-1.json"),
+        lambda f, s: [
+            os.replace(s / a, s / b)
+            for a, b in (
+                ("case-1.json", "other"), ("case-2.json", "case-1.json"), ("other", "case-2.json"),
+            )
+        ],
         r"case-1.json: is not what was committed to",
     ),
 }  # fmt: skip

@@ -128,6 +128,17 @@ def test_the_same_command_goes_on(tmp_path: Path) -> None:
     assert len(record["sessions"]) == 2
 
 
+def test_a_refusal_leaves_a_finished_run_finished(tmp_path: Path) -> None:
+    with opened(tmp_path / "run") as run:
+        run.write_text("evaluations.txt", "1")
+    with pytest.raises(RunError), opened(tmp_path / "run"):
+        raise RunError("the recordings changed")
+    assert read_record(tmp_path / "run")["status"] == "finished"
+    with pytest.raises(RunError), opened(tmp_path / "run") as run:
+        write_and_raise(run.write_text("evaluations.txt", "2"), RunError("half of it is new"))
+    assert read_record(tmp_path / "run")["status"] == "failed"
+
+
 def test_another_study_is_refused_with_what_differs(tmp_path: Path) -> None:
     opened(tmp_path / "run").close("finished")
     other = {"name": "arm", "search": {"budget": 20, "seed": 0}}
@@ -167,6 +178,7 @@ def test_a_run_that_was_killed_before_its_record_goes_on(tmp_path: Path) -> None
     [
         ("{", "run.json: damaged, not JSON"),
         ("{}", "run.json: damaged"),
+        (f'{{"format": {FORMAT}, "command": "identify", "status": ""}}', "run.json: damaged"),
         ('{"format": 99, "command": "identify", "status": ""}', f"format 99, .* reads {FORMAT}"),
     ],
 )

@@ -604,3 +604,18 @@ def test_bounds_in_another_unit_than_the_models_are_refused(
             study.parameter_set(load_model(study))
     else:
         study.parameter_set(load_model(study))
+
+
+def test_recordings_that_are_called_alike_have_the_names_of_their_folders(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="h"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        for name in ("log", day):
+            (tmp_path / day / f"{name}.csv").write_text("time,qpos.h\n0,0\n1,1\n2,0\n")
+    study = Study.from_dict({"model": "arm.xml", "recordings": {"train": ["*/*.csv"]}}, tmp_path)
+    names = sorted(
+        r.name for r in inputs.read_files(study, sorted(tmp_path.glob("*/*.csv")), False)
+    )
+    assert names == ["monday", "monday/log", "tuesday", "tuesday/log"]

@@ -62,6 +62,7 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.proof.answer import answer, frozen_digest
     from bo_sysid.proof.conceal import concealed_run
     from bo_sysid.proof.proof import PAGE, prove
+    from bo_sysid.proof.reveal import require_published
 
     with (
         use_threads(args.threads),
@@ -69,6 +70,7 @@ def run(args: argparse.Namespace) -> None:
         shown("reveal") as progress,
     ):
         engine = open_engine(args.engine, args.address)
+        require_published(opened.folder, args.published)
         if args.answers_only:
             answer(opened, first=args.first, engine=engine, limit=args.limit, progress=progress)
             which = "every case" if args.first is None else f"each of the first {args.first}"

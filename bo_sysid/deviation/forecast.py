@@ -45,19 +45,27 @@ def prediction_residual(deviation: Deviation, point: Float[np.ndarray, " d"]) ->
     return _residual(deviation, point, deviation.windows)
 
 
-def fit_residual(deviation: Deviation, point: Float[np.ndarray, " d"]) -> Residual:
+def fit_residual(
+    deviation: Deviation, point: Float[np.ndarray, " d"], following: int = 0
+) -> Residual:
     """Return the residual with starts fitted inside the windows.
 
     It is divided by √((n - p)/n) for the p start values fitted to the n numbers of each window. It
     flatters every model: the start absorbs part of what is wrong. The honest figure is
     `forecast_residual`.
+
+    Args:
+        deviation: on the recordings set aside.
+        point: the candidate.
+        following: coordinates that follow from others, as in closed chains; none of their own is
+            fitted.
     """
     windows = fit_starts(
         deviation.simulator, point, deviation.windows, 1.0 / deviation.whitening.scale
     )
     left = _residual(deviation, point, windows)
     n = np.isfinite(windows.observed).sum() / len(windows)
-    p = 2 * windows.start.qvel.shape[1]
+    p = 2 * (windows.start.qvel.shape[1] - following)
     return Residual(left.channels, left.values / np.sqrt(max(n - p, 1) / n), left.diverged)
 
 

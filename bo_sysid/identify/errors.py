@@ -18,6 +18,7 @@ from bo_sysid.identify.problem import Problem
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.simulator import Prediction
 
+_CLEARLY = 1.1  # times an error, from which another is clearly larger
 _PAST = 8  # a forecast's start uses as many samples of a joint as 1/8 of the horizon's instants
 _TRACED = 4_000  # most instants of a trace
 
@@ -81,8 +82,20 @@ def remarks(errors: pd.DataFrame) -> tuple[str, ...]:
             found += [f"{name} was recorded in no window that is compared" for name in silent]
         elif max(lost.values()) < 1:
             found.append("there is no window in which neither diverges")
+        if part == "holdout" and _worse(table):
+            found.append(
+                "the identified model is better than the nominal one in no channel; more "
+                "evaluations or candidates may find what fits, and diagnose what the model lacks"
+            )
         notes += [f"{part}, {kind}: {words}" for words in found]
     return tuple(notes)
+
+
+def _worse(table: pd.DataFrame) -> bool:
+    """Whether the identified model predicts no channel better, and one clearly worse."""
+    known = table[["nominal", "identified"]].dropna()
+    ratio = known["identified"] / known["nominal"]
+    return bool((ratio >= 1).all() and (ratio > _CLEARLY).any())
 
 
 def _in(share: float) -> str:
@@ -120,7 +133,7 @@ def _by_kind(
     past = past_of(problem)
     longer = problem.on(recordings, problem.horizon + past)
     return {
-        "fit": fit_residual(deviation, point),
+        "fit": fit_residual(deviation, point, len(problem.model.loops.joints)),
         "forecast": forecast_residual(longer, point, past=past),
     }
 

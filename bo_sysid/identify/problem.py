@@ -1,7 +1,7 @@
 """From a study to the deviation that the search minimises."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from bo_sysid.arrays import Point
 from bo_sysid.deviation import Deviation, Whitening
 from bo_sysid.execution import threads as cores
 from bo_sysid.mjcf import Model, nominal
+from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Windows, cut
@@ -158,7 +159,19 @@ def make_problem(
         fitted_starts=fitted,
     )
     candidates = candidate_set(study, parameters)
+    notes += tuple(_untied(model, parameters))
     return Problem(study, model, recordings, parameters, candidates, deviation, horizon, notes)
+
+
+def _untied(model: Model, parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Say of which parameters the model has several values, so that no one leaves it as it is."""
+    for p in parameters:
+        own = [t.nominal for a in p.addresses for t in resolve(model, a)]
+        if p.apply == "set" and not np.allclose(own, own[0], rtol=1e-9, atol=0.0):
+            yield (
+                f"{p.name}: the model has {min(own):.4g} to {max(own):.4g} at its addresses; "
+                f"'nominal' has {np.mean(own):.4g} at all of them, and so is another model"
+            )
 
 
 def _framing(

@@ -128,8 +128,26 @@ def zoomed(
         unit = np.where(fresh.cell > 0, fresh.cell, np.ptp(fresh.bounds, axis=0))
         apart = cKDTree(points[inside] / unit).query(new / unit)[0]
         new = new[apart > _SAME]
+    new = _on_values_of(candidates.points, new, fresh.cell)
     together = CandidateSet(parameters, np.concatenate([points[inside], new]), fresh.spacing)
     return together, History(np.arange(count), known, np.full(count, np.nan))
+
+
+def _on_values_of(
+    known: Float[np.ndarray, "M d"], new: Float[np.ndarray, "N d"], cell: Float[np.ndarray, " d"]
+) -> Float[np.ndarray, "N d"]:
+    """Return new candidates with the values that known ones have, where they are but for rounding.
+
+    A value that is there twice, a rounding apart, would share what P and P_boot say of it.
+    """
+    made = new.copy()
+    for k in np.flatnonzero(cell):
+        values = np.unique(known[:, k])
+        after = np.clip(np.searchsorted(values, made[:, k]), 1, max(len(values) - 1, 1))
+        below, above = values[after - 1], values[np.minimum(after, len(values) - 1)]
+        near = np.where(made[:, k] - below < above - made[:, k], below, above)
+        made[:, k] = np.where(np.abs(near - made[:, k]) < _SAME * cell[k], near, made[:, k])
+    return made
 
 
 def _box(

@@ -12,6 +12,9 @@ from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import finite
 
 _LITTLE = 0.5  # share of the range from which an interval says little
+_KNOWN = (
+    1e-9  # of the range that was searched, of which a parameter that spreads less has one value
+)
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 
@@ -69,7 +72,8 @@ class Identification:
             np.cov(points[likely].T, aweights=self.bootstrap[likely], bias=True)
         )
         sigma = np.sqrt(np.diag(covariance))
-        rho = covariance / np.maximum(np.outer(sigma, sigma), 1e-300)
+        known = sigma < _KNOWN * np.ptp(self.candidates.bounds, axis=0)  # but for rounding
+        rho = covariance / np.where(known, np.inf, sigma) / np.where(known, np.inf, sigma)[:, None]
         np.fill_diagonal(rho, 0.0)
         tied = np.abs(rho).argmax(axis=1)
         found = rho[np.arange(len(names)), tied]

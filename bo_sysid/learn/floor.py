@@ -27,6 +27,7 @@ from bo_sysid.mjcf.joints import FREE, SCALAR
 from bo_sysid.recording import sensor_noise, stated_for
 from bo_sysid.simulation import Prediction
 
+_SURE = 2.0  # standard errors
 ABOVE = 1.15  # times the expected floor; where nothing lacked the ratio was .95 to 1.05
 
 
@@ -38,11 +39,13 @@ class Floor:
         deviation: the least Δ that was found.
         noise: Δ that the sensors' noise alone makes.
         resolution: Δ that the spacing of B alone makes.
+        unsure: standard error of `ratio` by the chance of the noise, which few windows hold.
     """
 
     deviation: float
     noise: float
     resolution: float
+    unsure: float = 0.0
 
     @property
     def expected(self) -> float:
@@ -62,7 +65,7 @@ def lacks_physics(floor: Floor, reason: StopReason) -> bool:
         floor: under Δ, on all recordings.
         reason: why the search ended; one that ran out of budget may still find better.
     """
-    return reason is not StopReason.BUDGET and floor.ratio > ABOVE
+    return reason is not StopReason.BUDGET and floor.ratio > ABOVE + _SURE * floor.unsure
 
 
 def floor_of(
@@ -82,8 +85,12 @@ def floor_of(
         known: σ by kind or channel, where the machine's sensors are known; the study's come first.
     """
     sigma = noise_by_channel(problem, known or {})
-    noise = _noise_part(problem, best, sigma, seed)
-    return Floor(deviation, noise, _resolution_part(problem, best))
+    norms = _noise_part(problem, best, sigma, seed)
+    noise = _mean(norms)
+    # of two draws of the noise, that of the recordings and this one
+    spread = np.sqrt(2 / len(norms)) * float(norms.std(ddof=1)) if len(norms) > 1 else np.inf
+    unsure = float(spread / noise) if noise else 0.0
+    return Floor(deviation, noise, _resolution_part(problem, best), unsure)
 
 
 def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, float]:
@@ -103,7 +110,10 @@ def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, 
     return sigma
 
 
-def _noise_part(problem: Problem, best: Point, sigma: dict[str, float], seed: int) -> float:
+def _noise_part(
+    problem: Problem, best: Point, sigma: dict[str, float], seed: int
+) -> Float[np.ndarray, " W"]:
+    """Return Δ of each window by noise alone."""
     deviation, windows = problem.deviation, problem.deviation.windows
     rng = np.random.default_rng((seed, 3))
     if deviation.fitted_starts:
@@ -134,11 +144,11 @@ def _resolution_part(problem: Problem, best: Point) -> float:
         points.append(best + move * np.eye(len(best))[k])
     if problem.deviation.fitted_starts:
         recorded = problem.deviation.prediction(best).values
-        return sum((0.5 * _were_recorded(problem, p, recorded) for p in points[1:]), 0.0)
+        return sum((0.5 * _mean(_were_recorded(problem, p, recorded)) for p in points[1:]), 0.0)
     own, *others = problem.deviation.simulator.predictions(
         np.array(points), problem.deviation.windows
     )
-    return sum((0.5 * _apart(problem, own, o) for o in others), 0.0)
+    return sum((0.5 * _mean(_apart(problem, own, o)) for o in others), 0.0)
 
 
 def _apart(
@@ -146,28 +156,33 @@ def _apart(
     a: Prediction,
     b: Prediction,
     noise: Float[np.ndarray, "W H c"] | float = 0.0,
-) -> float:
-    """Return Δ between two predictions, with noise, where there is a sample and none diverged."""
+) -> Float[np.ndarray, " K"]:
+    """Return Δ between two predictions, with noise, in each window in which none diverged."""
     recorded = np.isfinite(problem.deviation.windows.observed)
     difference = np.where(recorded, b.values - a.values + noise, 0.0)
-    return _mean_norm(problem, difference[~(a.diverged | b.diverged)])
+    return _norms(problem, difference[~(a.diverged | b.diverged)])
 
 
-def _were_recorded(problem: Problem, point: Point, values: Float[np.ndarray, "W H c"]) -> float:
-    """Return Δ of a candidate, starts fitted, if other values had been recorded."""
+def _were_recorded(
+    problem: Problem, point: Point, values: Float[np.ndarray, "W H c"]
+) -> Float[np.ndarray, " K"]:
+    """Return Δ of a candidate in each window, starts fitted, if others had been recorded."""
     d = problem.deviation
     observed = np.where(np.isfinite(d.windows.observed), values, np.nan)
     windows = fit_starts(
         d.simulator, point, replace(d.windows, observed=observed), 1.0 / d.whitening.scale
     )
     predicted = next(iter(d.simulator.predictions(point[None], windows)))
-    return _mean_norm(problem, windows.residual(predicted.values)[~predicted.diverged])
+    return _norms(problem, windows.residual(predicted.values)[~predicted.diverged])
 
 
-def _mean_norm(problem: Problem, difference: Float[np.ndarray, "W H c"]) -> float:
+def _norms(problem: Problem, difference: Float[np.ndarray, "K H c"]) -> Float[np.ndarray, " K"]:
     weighted = np.nan_to_num(difference / problem.deviation.whitening.scale)
     horizon = max(weighted.shape[1], 1)
-    norms = np.sqrt(np.einsum("whc,whc->w", weighted, weighted) / horizon)
+    return np.asarray(np.sqrt(np.einsum("whc,whc->w", weighted, weighted) / horizon))
+
+
+def _mean(norms: Float[np.ndarray, " K"]) -> float:
     return float(norms.mean()) if len(norms) else 0.0
 
 

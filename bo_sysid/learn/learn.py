@@ -45,8 +45,8 @@ class Learning:
         iterations: one row an iteration: trajectories, evaluated (rows of B so far), evaluations
             (how often Δ was computed in it: of rows of before on all recordings again, of new ones,
             and before a repair), entropy, deviation, training_steps (control steps simulated to
-            learn its policy, without those taken over), model_return and plant_return with their
-            standard errors.
+            learn its policy, without those taken over), episodes, model_return and plant_return
+            over so many with their standard errors.
         trajectories: one row a real trajectory: number, name, steps, seconds, reward, fault.
         given_seconds: length of each recording that the study names, where a machine has no plant.
         reason: why the loop ended; empty where it waits.
@@ -180,6 +180,7 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
                 "deviation": f["floor"]["deviation"],
                 "floor": i.found.floor.expected,
                 "training_steps": f["training_steps"],
+                "episodes": f["model_return"]["samples"],
                 "model_return": f["model_return"]["mean"],
                 "model_error": f["model_return"]["error"],
                 "plant_return": f["plant_return"]["mean"] if f["plant_return"] else None,

@@ -13,9 +13,10 @@ from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
-from bo_sysid.plants.environment import BatchEnvironment, Environment
+from bo_sysid.plants.environment import BatchEnvironment, Environment, control_range
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.load import Task, compiled, make_environment
+from bo_sysid.plants.python_environment import PythonMachine
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
@@ -79,6 +80,8 @@ class Scene:
                 "a policy commands the actuators itself, and no law does; write the servo into "
                 "the MJCF, or learn with a study without it",
             )
+        if not model.controlled:
+            raise study.error(("model",), "learn needs actuators; the model has none")
         parameters = study.parameter_set(model)
         if not parameters:
             raise study.error(
@@ -94,7 +97,10 @@ class Scene:
             limit_edits(study, model),
             simulated_forces(study, model, "a policy cannot be learned"),
         )
-        scene.environment(scene.compiled(scene.candidates.points[0]), 1)  # the task must fit
+        first = scene.compiled(scene.candidates.points[0])
+        scene.environment(first, 1)  # the task must fit
+        if study.plant is None and isinstance(task, PythonTask):
+            _require_commands(study, task, first)
         return scene
 
     @property
@@ -224,4 +230,26 @@ def _require_known_commands(study: Study, model: Model, parameters: Sequence[Par
                 ("parameters", p.name),
                 "a policy's actions are commands within the ctrlrange, which must be known; "
                 "where a machine saturates is the forcerange",
+            )
+
+
+def _require_commands(study: Study, task: PythonTask, model: mujoco.MjModel) -> None:
+    """Refuse a task whose actions are not the commands of the actuators.
+
+    What runs on a person's machine is the policy's file, and not what a task does to its actions.
+
+    Raises:
+        StudyError: they are others, or leave the control ranges.
+    """
+    machine, ends = PythonMachine(task, model, 0), control_range(model)
+    machine.begin()
+    for side, most in zip((-1.0, 1.0), ends, strict=True):
+        (actions,) = machine.controls(np.full((1, machine.action_size), side))
+        given = machine.apply(actions).rows["ctrl"][-1]
+        if actions.shape != most.shape or not np.allclose([actions, given], most):
+            raise study.error(
+                ("task",),
+                f"the actions {actions.tolist()} of {task.name} command {given.tolist()}, and the "
+                f"actuators' range ends at {most.tolist()}: a policy's file gives a machine its "
+                "actions as they are; leave action_spec and scaling to bo-sysid",
             )

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.intervals import half_width
 from bo_sysid.learn.scene import Scene
 from bo_sysid.plants.environment import episode_returns
 from bo_sysid.plants.plant import Act
@@ -19,26 +20,26 @@ from bo_sysid.plants.python_task import PythonTask
 
 _SIMULATIONS = 256  # at once; more fall out of the processor's cache
 VALUE_SEED = 1_000_003  # starts of valuation are none of those of training
-_Z95 = 1.96  # standard errors in half a 95 % interval
 
 
 class Estimate(NamedTuple):
-    """A mean and its standard error."""
+    """A mean and its standard error, of so many independent `samples`."""
 
     mean: float
     error: float
+    samples: int
 
     @classmethod
     def of(cls, samples: Float[np.ndarray, " E"]) -> "Estimate":
         """Return the mean of independent samples; the error of a single one is infinite."""
         count = len(samples)
         error = float(samples.std(ddof=1) / np.sqrt(count)) if count > 1 else np.inf
-        return cls(float(samples.mean()), error)
+        return cls(float(samples.mean()), error, count)
 
     @property
     def half_width(self) -> float:
         """Half of the 95 % interval."""
-        return _Z95 * self.error
+        return float(half_width(self.error, self.samples))
 
 
 @dataclass(frozen=True)

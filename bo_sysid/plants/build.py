@@ -80,7 +80,10 @@ def foreign_task(study: Study, model: Model) -> str:
     own = None if study.task is None else study.task.dm_control
     if own is None or own == study.model.dm_control:
         return ""
-    theirs = Model.from_dm_control(own.domain, own.task).joints
+    try:
+        theirs = Model.from_dm_control(own.domain, own.task).joints
+    except ModelError:  # a task that dm_control does not have
+        return ""
     if theirs == model.joints:
         return ""
     return (

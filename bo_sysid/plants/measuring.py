@@ -13,11 +13,14 @@ from bo_sysid.mjcf.joints import joint_units
 from bo_sysid.recording.value import Recording, stated_for
 
 KINDS = ("qpos", "qvel", "act")
+_MOTION = ("qpos", "qvel")
 
 
 @dataclass(frozen=True)
 class Measuring:
     """Turns fields of a simulation into a recording.
+
+    Joints of the model that are `unrecorded` are in none of its channels but those that show them.
 
     Attributes:
         model: the nominal model; only channels that it has are recorded.
@@ -60,10 +63,15 @@ class Measuring:
         kinds: dict[str, dict[str, np.ndarray]] = {}
         for kind in (*self.kinds, "ctrl"):
             group = {}
-            for channel, column in self._columns(kind).items():
+            columns, hidden = self._columns(kind), self.model.unrecorded
+            for channel, column in columns.items():
                 error = rng.standard_normal(len(rows["time"]))
-                sigma = stated_for(channel, noise, 0.0)
-                group[channel.split(".", 1)[1]] = rows[kind][:, column] + sigma * error
+                joint = channel.split(".", 1)[1]
+                if kind in _MOTION and joint in hidden:
+                    continue
+                also = [columns[f"{kind}.{n}"] for n, by in hidden.items() if by == joint]
+                shown = rows[kind][:, [column, *(also if kind in _MOTION else ())]].sum(axis=1)
+                group[joint] = shown + stated_for(channel, noise, 0.0) * error
             if group:
                 kinds[kind] = group
         if warmstart:

@@ -88,6 +88,8 @@ class PythonMachine:
                 if not self.observed:
                     self.observed = tuple(_numbered(n, np.size(entries[n])) for n in names)
                 entries = np.concatenate([np.ravel(entries[name]) for name in names])
+            if entries is None:
+                raise UserError(f"task {self._name}: get_observation returned None")
             row = np.asarray(entries, float).reshape(1, -1)
         if diverged:
             row = np.nan_to_num(row)

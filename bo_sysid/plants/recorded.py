@@ -19,6 +19,7 @@ from bo_sysid.study.inputs import fingerprints, load_model
 
 _MADE_OF = "recorded.json"
 """What the recordings of a run were made of: hashes of files, versions."""
+_SEEDS = 1_009  # between two seeds of a study: none has an excitation of another
 _ROUNDING = 1e-6  # [s]
 
 
@@ -60,7 +61,7 @@ def record_into(
             1,
             duration=wanted.seconds,
             excitation=wanted.excitation,
-            seed=study.search.seed + number,
+            seed=study.search.seed * _SEEDS + number,
             warmstart=wanted.warmstart,
             limits=limit_edits(study, model),
         )

@@ -12,6 +12,7 @@ that it also ends what hangs in compiled code, and it leaves where every thread 
 
 import contextlib
 import faulthandler
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +25,13 @@ from bo_sysid.execution import JobEngine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.seal import file_digest, write_json
 from bo_sysid.runs import Run, digest, read_json, versions
+from bo_sysid.runs.files import UNFINISHED
 from bo_sysid.study import Study
 
 ANSWERS, OPENED = "answers", "opened.json"
 LIMIT = 3600.0
 """Longest time that the diagnosis of one case may take, in [s]."""
+_SHORTEST = 1e-3  # [s] of a time limit
 _HUNG = "hung.txt"  # where the threads were when the time was over
 _NOT_THE_ANSWER = {"run.json", ".lock"}
 
@@ -68,10 +71,13 @@ def answer(
 
     Raises:
         RunError: a case is missing, or the seal of one without an answer was opened.
-        StudyError: the limit is not positive, or there are fewer cases than `first`.
+        StudyError: the limit is none that a clock keeps, or there are fewer cases than `first`.
     """
-    if not limit > 0:
-        raise StudyError(f"--limit {limit:g}: the time for a case must be positive")
+    if not _SHORTEST <= limit <= threading.TIMEOUT_MAX:
+        raise StudyError(
+            f"--limit {limit:g}: the time for a case must be from {_SHORTEST:g} s to "
+            f"{threading.TIMEOUT_MAX:.1g} s"
+        )
     names = judged(run.folder, first)
     done = {n for n in names if run.has(record_of(n))}
     if len(done) == len(names):
@@ -187,7 +193,8 @@ def _frozen_as_hung(job: AnswerJob) -> bool:
 def answer_files(folder: Path, name: str) -> dict[str, str]:
     """Return the SHA-256 of every file of an answer."""
     place = folder / ANSWERS / name
-    files = [f for f in sorted(place.rglob("*")) if f.is_file() and f.name not in _NOT_THE_ANSWER]
+    found = (f for f in sorted(place.rglob("*")) if f.is_file() and f.name not in _NOT_THE_ANSWER)
+    files = [f for f in found if not f.name.startswith(UNFINISHED)]
     return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
 
 

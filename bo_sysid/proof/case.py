@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.mjcf.joints import SLIDE
 from bo_sysid.parameters import Parameter
@@ -42,7 +43,7 @@ _SERVO: tuple[tuple[int, Integrator], ...] = ((10, "implicit"), (16, "implicitfa
 _CONTACT: tuple[tuple[int, Integrator], ...] = ((4, "implicitfast"), (4, "Euler"), (6, "implicit"))
 
 
-class NoCase(Exception):  # noqa: N818 - told to whoever draws
+class NoCase(StudyError):  # noqa: N818 - told to whoever draws
     """No magnitude at any site gave the size that was asked for."""
 
 

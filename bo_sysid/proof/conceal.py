@@ -14,6 +14,7 @@ listed.
 """
 
 import os
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +32,7 @@ from bo_sysid.proof.seal import Seal, file_digest, write_json
 from bo_sysid.proof.suite import LoadedSuite, load_suite
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run, atomic, digest, read_json, read_record, versions
+from bo_sysid.runs.files import UNFINISHED
 
 COMMITMENTS, CASES = "commitments.json", "cases"
 
@@ -171,7 +173,8 @@ def write_case(case: Case, loaded: LoadedSuite, folder: Path) -> dict[str, str]:
 
 
 def _files(folder: Path) -> list[Path]:
-    return [f for f in sorted(folder.rglob("*")) if f.is_file()]
+    files = (f for f in sorted(folder.rglob("*")) if f.is_file())
+    return [f for f in files if not f.name.startswith(UNFINISHED)]
 
 
 def _draw_plan(job: DrawJob) -> list[str]:
@@ -194,6 +197,7 @@ def _draw_one(job: DrawJob) -> None:
     loaded = load_suite(job.suite, job.overrides)
     draws = [Draw.of(d) for d in read_json(job.seals, _PLAN)["cases"]]
     case = _drawn(next(d for d in draws if d.name == job.name), draws, loaded)
+    shutil.rmtree(job.seals / job.name, ignore_errors=True)  # what a killed call was writing
     files = write_case(case, loaded, job.seals / job.name)
     seal = Seal.of({**case.truth, "files": files})
     write_json(job.seals / f"{job.name}.json", seal.plain())

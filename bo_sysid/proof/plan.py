@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from bo_sysid.errors import StudyError
 from bo_sysid.proof.suite import LoadedSuite
 
 GROUPED = ("dry_friction", "viscous_damping", "armature")
@@ -71,13 +72,23 @@ class _Dealer:
         self._kinds: Counter[tuple[int, str]] = Counter()
 
     def deal(self) -> tuple[Draw, ...]:
-        """Return the cases, shuffled, with names in that order."""
+        """Return the cases, shuffled, with names in that order.
+
+        Raises:
+            StudyError: something is to be missing, and nothing of the suite can be.
+        """
         rng, suite = self._rng, self._suite
         nothing = ceil(suite.nothing * suite.cases - 1e-9)
         contents: list[tuple[int, str, tuple[str, ...], bool]] = []
         for tier, count in _shares(self._weights(TIERS_OF_NOTHING), nothing).items():
             contents += [(tier, self._machine(tier), (), False) for _ in range(count)]
-        for tier, count in _shares(self._weights((2, 3, 4)), suite.cases - nothing).items():
+        weights = self._weights((2, 3, 4))
+        if nothing < suite.cases and not all(self._loaded.ids(t) for t in weights):
+            raise StudyError(
+                f"suite {suite.name}: none of its effects can be concealed in its tiers on its "
+                "machines; name others, or nothing: 1"
+            )
+        for tier, count in _shares(weights, suite.cases - nothing).items():
             contents += self._missing(tier, count)
         rng.shuffle(contents)
         off = rng.permutation(len(contents)) < round(suite.parameters * len(contents))

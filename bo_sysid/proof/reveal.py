@@ -6,7 +6,7 @@ opened in instalments; what was opened stays in every later score. What the chec
 the message; the first thing that is wrong ends the reveal.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -70,8 +70,8 @@ def reveal(
     folder = run.folder
     held = Path(seals) if seals else seals_of(folder.resolve())
     said = commitments(folder)
-    if published is not None and file_digest(folder / COMMITMENTS) != published.strip().lower():
-        raise RunError(f"{folder / COMMITMENTS}: not the commitments that were published")
+    require_published(folder, published)
+    require_seals(held, judged(folder, first))
     _check_shown(folder, said["cases"])
     records = {name: _checked_record(folder, name) for name in judged(folder, first)}
     _open(folder, held, records)
@@ -81,6 +81,28 @@ def reveal(
         told = None if record["error"] else read_json(folder, f"{ANSWERS}/{name}/diagnosis.json")
         found.append(Revealed(name, truth, told, record["error"], float(record["seconds"])))
     return tuple(found)
+
+
+def require_published(folder: Path, published: str | None) -> None:
+    """Refuse commitments that are not those that were published; None was published nowhere.
+
+    Raises:
+        RunError: they are others.
+    """
+    if published is not None and file_digest(folder / COMMITMENTS) != published.strip().lower():
+        raise RunError(f"{folder / COMMITMENTS}: not the commitments that were published")
+
+
+def require_seals(held: Path, names: Sequence[str]) -> None:
+    """Refuse a folder that lacks a seal of some cases.
+
+    Raises:
+        RunError: one is not there.
+    """
+    for name in names:
+        path = held / f"{name}.json"
+        if not path.is_file():
+            raise RunError(f"{path}: the seal is missing; without it nothing can be revealed")
 
 
 def _check_shown(folder: Path, cases: Mapping[str, Any]) -> None:

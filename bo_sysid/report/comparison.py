@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bo_sysid.report.parts import Found, Section
 
 _WIDTH = 7.2  # inches
+_TELLING = 6  # pairs at least, of which a signed-rank test can say something at 95 %
 _LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
 
 
@@ -67,8 +68,8 @@ def _ratio(row: pd.Series, first: str, arm: str, unit: str) -> str:
             f"To a regret of {row['level']:g}, {arm} takes as many {unit} as {first} in all "
             f"{pairs} pairs."
         )
-    if np.isnan(low):
-        sure = "one pair, which says little"
+    if pairs < _TELLING:
+        sure = f"{pairs} pair{'s' if pairs > 1 else ''}, which say{'' if pairs > 1 else 's'} little"
     elif low <= 1 <= high:
         sure = f"95 % interval {low:.2f} to {high:.2f}: {pairs} pairs do not tell it from 1"
     else:
@@ -95,7 +96,8 @@ def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataF
     unit = _unit(told)
     means = read_frame(folder, "summary.parquet")
     cost = [
-        f"{'' if reached == 1 else '≥ '}{mean:.3g} [{low:.3g}, {high:.3g}]"
+        f"{'' if reached == 1 else '≥ '}{mean:.3g}"
+        + ("" if np.isnan(low) else f" [{low:.3g}, {high:.3g}]")
         for reached, mean, low, high in means[
             ["reached", unit, f"{unit}_low", f"{unit}_high"]
         ].to_numpy()

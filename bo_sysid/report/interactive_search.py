@@ -5,6 +5,7 @@ import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from bo_sysid.intervals import half_width
 from bo_sysid.report.look import EQUIVALENT, IDENTIFIED, NOMINAL, SECOND
 from bo_sysid.report.plotly_style import dressed, in_unit, light, said
 
@@ -79,7 +80,7 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
     """Return the return of the policies against the number of real trajectories.
 
     Args:
-        iterations: trajectories, model_return, model_error, plant_return, plant_error.
+        iterations: trajectories, episodes, model_return, model_error, plant_return, plant_error.
     """
     figure = go.Figure()
     for kind, colour, label in (
@@ -88,7 +89,8 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
     ):
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
-            error = 1.96 * iterations[f"{kind}_error"].astype(float).fillna(0.0)
+            known = iterations[f"{kind}_error"].astype(float).fillna(0.0)
+            error = pd.Series(half_width(known, iterations["episodes"]))
             figure.add_scatter(
                 x=light(iterations["trajectories"]), y=light(mean), name=label,
                 mode="lines+markers", line={"color": colour},

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from bo_sysid.intervals import half_width
 from bo_sysid.report.text import table
 from bo_sysid.runs import Run, read_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_Z95 = 1.96
 _TICKS = 12  # at most, each with its number
 
 
@@ -22,8 +22,12 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     chosen = ", ".join(f"{name} {value:.4g}" for name, value in summary["chosen"].items())
     returns = {
         f"return on the {where} ± 95 %": [
-            _with_interval({"mean": mean, "error": error}) if pd.notna(mean) else "–"
-            for mean, error in zip(rows[f"{where}_return"], rows[f"{where}_error"], strict=True)
+            _with_interval({"mean": mean, "error": error, "samples": samples})
+            if pd.notna(mean)
+            else "–"
+            for mean, error, samples in rows[
+                [f"{where}_return", f"{where}_error", "episodes"]
+            ].to_numpy()
         ]
         for where in ("model", "plant")
         if rows[f"{where}_return"].notna().any()
@@ -78,7 +82,8 @@ def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_interval(value: Mapping[str, Any]) -> str:
     """Return a mean with its 95 % interval."""
-    half = _Z95 * float(value.get("error") or 0.0)
+    error = value.get("error")
+    half = float(half_width(error, value["samples"])) if error else 0.0
     return f"{value['mean']:.4g} ± {float(f'{half:.2g}'):g}" if half else f"{value['mean']:.4g}"
 
 
@@ -86,7 +91,8 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
     """Return returns against real trajectories, and those of training against simulated steps.
 
     Args:
-        iterations: trajectories, model_return, model_error, plant_return, plant_error, diagnosed.
+        iterations: trajectories, episodes, model_return, model_error, plant_return, plant_error,
+            diagnosed.
         training: learned (the iteration), steps, batch_return.
     """
     from matplotlib.figure import Figure
@@ -101,9 +107,10 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
     ):
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
-            error = _Z95 * iterations[f"{kind}_error"].astype(float)
+            error = iterations[f"{kind}_error"].astype(float).fillna(0.0)
+            half = half_width(error, iterations["episodes"])
             top.errorbar(
-                iterations["trajectories"], mean, error.fillna(0.0), color=colour, marker="o",
+                iterations["trajectories"], mean, half, color=colour, marker="o",
                 markersize=size, capsize=size - 1, label=label,
             )  # fmt: skip
     for number in iterations.loc[iterations["diagnosed"], "trajectories"]:

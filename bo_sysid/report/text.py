@@ -36,6 +36,8 @@ def run_text(folder: str | Path) -> str:
     recorded = sorted(p.name for p in folder.glob("*.parquet"))
     if record["command"] == "record" and recorded:
         return f"{head}\nRecordings of the plant: {', '.join(recorded)}. Study: {_study(folder)}."
+    if record["command"] == "conceal" and (folder / "commitments.json").is_file():
+        return f"{head}\n{_concealed(folder)}"
     rounds = len(list(folder.glob("iterations/*/iteration.json")))
     if rounds:
         return (
@@ -46,6 +48,18 @@ def run_text(folder: str | Path) -> str:
     if fits:
         return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
     return f"{head}\nNothing was computed yet."
+
+
+def _concealed(folder: Path) -> str:
+    """Say how far the cases of `conceal` are, and what goes on with them."""
+    cases = len(read_json(folder, "commitments.json")["cases"])
+    answered = len(list(folder.glob("answers/*.json")))
+    after = (
+        f"All scores are in {folder / 'proof.html'}."
+        if (folder / "proof.html").is_file()
+        else f"Go on with: bo-sysid reveal {folder}"
+    )
+    return f"Concealed cases: {cases}, with an answer: {answered}. {after}"
 
 
 def _status(folder: Path, record: Mapping[str, Any]) -> str:

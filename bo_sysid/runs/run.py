@@ -62,6 +62,7 @@ class Run:
         self._record = record
         self._lock = lock
         self._created = created
+        self._untouched = bool(self.ended)  # a finished run to which nothing was written since
 
     @classmethod
     def open(
@@ -100,8 +101,10 @@ class Run:
             if arguments:
                 session["arguments"] = list(arguments)
             run._record["sessions"].append(session)
+            finished = run._untouched
             run.write_text(_STUDY, text)
             run.write_json(_RECORD, run._record)
+            run._untouched = finished
         except BaseException:
             lock.close()
             raise
@@ -174,6 +177,7 @@ class Run:
 
         For what writes files by itself, such as figures; the path has the ending of `name`.
         """
+        self._untouched = False
         with atomic(self.path(name)) as path:
             yield path
 
@@ -201,7 +205,7 @@ class Run:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if error is None:
+        if error is None or (self._untouched and isinstance(error, UserError)):
             self.close("finished")
             return
         self.close("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
@@ -231,6 +235,8 @@ def read_record(folder: str | Path) -> dict[str, Any]:
             f"{folder}: written in format {record['format']}, this version reads {FORMAT}; "
             "use another --out"
         )
+    if not record.get("sessions"):
+        raise RunError(f"{folder / _RECORD}: damaged; remove the folder and run again")
     return record
 
 

@@ -2,7 +2,8 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -253,8 +254,17 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
     """
     columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
     clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
-    found = (r for f in files for r in read_recordings(f, columns, clocks, strict))
-    return tuple(_without_held(r, study.model.hold) for r in found)
+    found = [(f, r) for f in files for r in read_recordings(f, columns, clocks, strict)]
+    return tuple(_without_held(r, study.model.hold) for r in _named_apart(found))
+
+
+def _named_apart(found: Sequence[tuple[Path, Recording]]) -> Iterator[Recording]:
+    """Yield recordings, those of files that are called alike with the names of their folders."""
+    times = Counter(r.name for _, r in found)
+    for file, recording in found:
+        alike = times[recording.name] > 1
+        name = f"{file.parent.name}/{recording.name}" if alike else recording.name
+        yield replace(recording, name=name)
 
 
 def _without_held(recording: Recording, held: Sequence[str]) -> Recording:

@@ -188,6 +188,10 @@ def candidate_set(study: Study, parameters: Sequence[Parameter]) -> CandidateSet
     if size is None:
         require_searchable(study, candidate_count(study, parameters))
         return CandidateSet.from_grid(parameters)
+    if size > MOST_CANDIDATES:
+        raise study.error(
+            ("search", "candidates", "sobol"), f"is {size:,}; at most {MOST_CANDIDATES:,}"
+        )
     return CandidateSet.from_sobol(parameters, size, study.search.seed)
 
 

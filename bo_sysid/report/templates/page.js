@@ -23,11 +23,18 @@
     return layout;
   }
 
+  // Keys of an object that are whole numbers come first: a menu knows which figure is the first.
+  function firstOf(store, figures) {
+    const select = document.querySelector(`select[data-for="${store.dataset.figures}"]`);
+    return select ? select.value : Object.keys(figures)[0];
+  }
+
   function draw(store, label) {
     const figures = JSON.parse(store.textContent);
-    const figure = figures[label ?? Object.keys(figures)[0]];
+    const shown = label ?? firstOf(store, figures);
+    const figure = figures[shown];
     const place = document.getElementById(store.dataset.figures);
-    place.dataset.shown = label ?? Object.keys(figures)[0];
+    place.dataset.shown = shown;
     const layout = layoutFor(figure);
     place.style.height = layout.height + "px";
     return Plotly.react(place, figure.data, layout, options);
