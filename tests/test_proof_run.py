@@ -14,6 +14,7 @@ from bo_sysid.cli import main
 from bo_sysid.errors import StudyError
 from bo_sysid.proof.conceal import conceal, seals_of, suite_record
 from bo_sysid.proof.develop import develop
+from bo_sysid.report.text import run_text
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_train
@@ -75,6 +76,7 @@ def test_an_interrupted_concealment_goes_on_with_the_same_cases(concealed, tmp_p
     (folder / "commitments.json").unlink()
     shutil.rmtree(folder / "cases")
     (seals_of(folder) / "commitment-case-2.json").unlink()
+    (seals_of(folder) / "case-2" / ".tmp-1-train.parquet").write_text("half of it")
     with Run.open(folder, suite_record(QUICK, SHORT), "conceal") as run:
         after = conceal(run, QUICK, overrides=SHORT)
     for name in ("case-1", "case-3"):
@@ -88,6 +90,9 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     folder = tmp_path / "run"
     shutil.copytree(concealed, folder)
     shutil.copytree(seals_of(concealed), seals_of(folder))
+    assert "Concealed cases: 3, with an answer: 0. Go on with: bo-sysid reveal" in run_text(folder)
+    assert main(["reveal", str(folder), "--answers-only", "--published", "0" * 64]) == 2
+    assert not list(folder.glob("answers/*.json"))
     assert main(["reveal", str(folder), "--answers-only"]) == 0
     assert not (folder / "opened.json").exists()
     assert main(["reveal", str(folder)]) == 0
@@ -98,6 +103,7 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     assert cases.missing.sum() == 2
     assert (cases.oracle < 1.15 * cases.noise_floor).any()
     assert "<svg" in (folder / "proof.html").read_text()
+    assert "with an answer: 3. All scores are in" in run_text(folder)
     victim = folder / "cases" / "case-1" / "train.parquet"
     victim.write_bytes(victim.read_bytes() + b"x")
     assert main(["reveal", str(folder)]) == 2

@@ -10,7 +10,6 @@ import numpy as np
 from bo_sysid.arrays import Point
 from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
-from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
 from bo_sysid.plants.environment import BatchEnvironment, Environment, control_range
@@ -87,7 +86,6 @@ class Scene:
             raise study.error(
                 ("parameters",), "learn needs at least one uncertain parameter; the study has none"
             )
-        _require_known_commands(study, model, parameters)
         scene = cls(
             study,
             model,
@@ -98,6 +96,7 @@ class Scene:
             simulated_forces(study, model, "a policy cannot be learned"),
         )
         first = scene.compiled(scene.candidates.points[0])
+        _require_known_commands(scene)
         scene.environment(first, 1)  # the task must fit
         if study.plant is None and isinstance(task, PythonTask):
             _require_commands(study, task, first)
@@ -218,15 +217,19 @@ def _require_a_step(study: Study, task: Task) -> None:
         )
 
 
-def _require_known_commands(study: Study, model: Model, parameters: Sequence[Parameter]) -> None:
-    """Refuse control ranges that are parameters: a policy's actions are commands within them.
+def _require_known_commands(scene: Scene) -> None:
+    """Refuse parameters that move a control range: a policy's actions are commands within it.
 
     Raises:
         StudyError: there is one.
     """
-    for p in parameters:
-        if any(t.name == "ctrlrange" for a in p.addresses for t in resolve(model, a)):
-            raise study.error(
+    for k, p in enumerate(scene.parameters):
+        point = scene.candidates.points[0].copy()
+        ranges = []
+        for point[k] in (p.low, p.high):
+            ranges.append(scene.compiled(point).actuator_ctrlrange.copy())
+        if not np.array_equal(*ranges):
+            raise scene.study.error(
                 ("parameters", p.name),
                 "a policy's actions are commands within the ctrlrange, which must be known; "
                 "where a machine saturates is the forcerange",
