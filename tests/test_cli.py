@@ -239,8 +239,8 @@ def test_check_keeps_every_picture_in_its_folder(folder: Path, say: Say) -> None
     assert code == 0
     assert not list(folder.glob("*.png"))
     drawn = {p.name for p in (folder / "c").glob("*.png")}
-    assert {"log.png", "log-2.png"} < drawn
-    (other,) = drawn - {"log.png", "log-2.png"}
+    assert {"a-log.png", "b-log.png"} < drawn
+    (other,) = drawn - {"a-log.png", "b-log.png"}
     assert other.endswith("-ESCAPED.png")
 
 

@@ -62,7 +62,7 @@ def test_a_run_holds_everything_and_finds_the_plant(whole: Path) -> None:
     first = told["iterations"][0]
     assert first["most_probable"]["mass"] == pytest.approx(1.2, abs=0.101)
     assert first["most_probable"]["damping"] == pytest.approx(0.8, abs=0.101)
-    assert {"mean", "error"} == set(first["plant_return"])
+    assert {"mean", "error", "samples"} == set(first["plant_return"])
     assert all((whole / name).is_file() for name in RESULTS)
     assert (whole / "figures" / "learning.png").stat().st_size > 5_000
     log = pd.read_parquet(whole / "training.parquet")
@@ -403,11 +403,7 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
             "actuators.torque.*a policy commands the actuators itself",
         ),
         (
-            {
-                "parameters": [
-                    {"name": "most", "target": "actuator[torque].ctrlrange[1]", "bounds": [0.5, 1]}
-                ]
-            },
+            {"parameters": [{"address": "actuator[torque].ctrlrange[1]", "low": 0.5, "high": 1}]},
             "actions are commands within the ctrlrange, which must be known",
         ),
         ({"limits": {"hing": {"effort": 1.0}}}, "no such joint; did you mean 'hinge'"),
@@ -473,7 +469,11 @@ def test_on_a_persons_machine_actions_are_commands(tmp_path: Path, what: str) ->
     head = "import numpy as np\nfrom dm_env import specs\n"
     task = TASK.replace("REWARD", "1.0 - abs(float(physics.data.qpos[0]))")
     (tmp_path / "hold.py").write_text(f"{head}{task}\n{OTHER_ACTIONS[what]}")
-    study = {**machine_study(tmp_path), "task": {"file": "hold.py", "class": "Hold"}}
+    study = {
+        **machine_study(tmp_path),
+        "task": {"file": "hold.py", "class": "Hold"},
+        "limits": {"hinge": {"effort": 0.5}},
+    }
     made = Study.from_dict(study, tmp_path, trust_code=True)
     if what == "none":
         assert Scene.of(made).task.name == "Hold"

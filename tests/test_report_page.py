@@ -184,20 +184,20 @@ def test_a_long_run_of_six_joints_stays_below_six_megabytes(tmp_path: Path) -> N
 def test_a_learning_run_says_first_what_the_policy_returns_on_the_plant(tmp_path: Path) -> None:
     study = {"version": 1, "name": "cheetah"}
     with Run.open(tmp_path / "learned", study, "learn", seed=1) as run:
-        returned = {"mean": 354.0, "error": 18.4}
+        returned = {"mean": 354.0, "error": 18.4, "samples": 10}
         told = {"name": "cheetah", "waiting": "", "stopped": "No more is told.", "trajectories": 2,
                 "seconds_recorded": 20.0, "chosen": {"gear": 0.97},
                 "iterations": [{"trajectories": 2, "plant_return": returned,
                                 "model_return": returned, "diagnosis": None}]}  # fmt: skip
         run.write_json("learning.json", told)
-        columns = ["model_return", "model_error", "plant_return", "plant_error"]
+        columns = ["model_return", "episodes", "model_error", "plant_return", "plant_error"]
         rounds = pd.DataFrame({"trajectories": [1, 2], **{c: [1.0, 2.0] for c in columns}})
         run.write_frame("iterations.parquet", rounds)
         steps = pd.DataFrame({"learned": [1, 1, 2], "steps": [1, 2, 1], "batch_return": [1, 2, 3]})
         run.write_frame("training.parquet", steps)
     seen = Outline(page(tmp_path / "learned"))
     assert (
-        "The policy returns 354 ± 36 on the plant, after 2 real trajectories (20 s)." in seen.words
+        "The policy returns 354 ± 42 on the plant, after 2 real trajectories (20 s)." in seen.words
     )
     assert "gear 0.97" in seen.words
     curves = interactive_search.training(steps).data
