@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.checks.motion import beyond_range
 from bo_sysid.checks.traces import Traces
+from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Recording
@@ -17,6 +19,7 @@ _LEAST = 60  # instants that are looked at
 _NEAR = 0.002  # of its range, from which on a joint is at its stop
 _ABOUT = 4.0  # standard deviations of the filter, within which a stop or a contact is felt
 _ENOUGH = 0.2  # of the instants, that must be left
+_MOSTLY = 0.5  # of the samples, from which commands beyond their range are in another unit
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
 
 
@@ -46,6 +49,36 @@ def comparable(
     for joint in beyond_range(model, recordings):
         free.jnt_limited[free.joint(joint).id] = 0
     return free, traces
+
+
+def as_acting(
+    model: mujoco.MjModel, recordings: Sequence[Recording]
+) -> tuple[Recording, ...] | None:
+    """Return recordings with their commands as they act: clipped to the model's control ranges.
+
+    None where no command leaves its range. One that mostly lies beyond it is in another unit, and
+    is left as it is.
+
+    Args:
+        model: the compiled model.
+        recordings: of the machine.
+    """
+    ranges = {
+        f"ctrl.{model.actuator(a).name}": model.actuator_ctrlrange[k]
+        for k, a in enumerate(controlled(model))
+        if model.actuator_ctrllimited[k]
+    }
+    made, clipped = [], False
+    for recording in recordings:
+        channels = dict(recording.channels)
+        for name in ranges.keys() & channels.keys():
+            values, (low, high) = channels[name].values, ranges[name]
+            beyond = (values < low) | (values > high)
+            if 0 < np.count_nonzero(beyond) < _MOSTLY * len(values):
+                channels[name] = replace(channels[name], values=np.clip(values, low, high))
+                clipped = True
+        made.append(replace(recording, channels=channels))
+    return tuple(made) if clipped else None
 
 
 def _too_short(traces: Traces) -> str:

@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.clocks import clock_flags, clock_of, least_delay
-from bo_sysid.checks.comparable import comparable
+from bo_sysid.checks.comparable import as_acting, comparable
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, WiringHypothesis
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
-from bo_sysid.checks.traces import LATEST, interval
+from bo_sysid.checks.traces import LATEST, Traces, interval
 from bo_sysid.checks.wiring_text import balance_flags, speed_flags, twin_flags, wire_flags
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
@@ -67,7 +67,7 @@ def find_wiring(
         laws: by actuator, the law that computes its control and the channels that it reads.
         progress: is called while other wirings are tried, which may take a minute.
     """
-    made = comparable(model, recordings, _MOST)
+    made = _comparable(model, recordings, laws)
     if isinstance(made, str):
         return _untested(made)
     free, traces = made
@@ -99,6 +99,25 @@ def find_wiring(
     flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
+
+
+def _comparable(
+    model: mujoco.MjModel, recordings: Sequence[Recording], laws: Laws | None
+) -> tuple[mujoco.MjModel, Traces] | str:
+    """Return what is compared, see `comparable`; with commands clipped where that explains more.
+
+    In another unit as well they may leave their range, and are not clipped.
+    """
+    made, acting = comparable(model, recordings, _MOST), as_acting(model, recordings)
+    clipped = made if acting is None else comparable(model, acting, _MOST)
+    if isinstance(made, str) or isinstance(clipped, str) or acting is None:
+        return made
+    scores = []
+    for free, traces in (made, clipped):
+        evidence = WiringEvidence(copy.copy(free), traces, laws=laws)
+        h = evidence.identity()
+        scores.append(float(evidence.scores(h, [h.delay])[0]))
+    return clipped if scores[1] < scores[0] - MARGIN else made
 
 
 def _untested(reason: str) -> Wiring:
