@@ -107,18 +107,18 @@ def test_a_sign() -> None:
 
 
 LIMITED = ARM.replace(
-    'joint="shoulder"/><motor', 'joint="shoulder" ctrlrange="-1 1"/><motor'
-).replace('joint="elbow"/></actuator>', 'joint="elbow" ctrlrange="-.4 .4"/></actuator>')
+    'joint="shoulder"/><motor', 'joint="shoulder" ctrlrange="-.6 .6"/><motor'
+).replace('joint="elbow"/></actuator>', 'joint="elbow" ctrlrange="-.25 .25"/></actuator>')
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.0, ""), (-1.0, ""), (1e3, "milli")])
 def test_commands_beyond_their_range_act_at_its_ends(factor: float, unit: str) -> None:
-    """The log has what was asked for, a third of it beyond what the motors give."""
+    """The log has what was asked for, more than half of it beyond what the motors give."""
     model = Model.from_xml(LIMITED).compile()
     time = np.arange(0.0, 12.0, 0.004)
     ctrl = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2)], axis=1)
     beyond = (np.abs(ctrl) > model.actuator_ctrlrange[:, 1]).mean(axis=0)
-    assert ((beyond > 0.15) & (beyond < 0.5)).all()
+    assert ((beyond > 0.55) & (beyond < 0.65)).all()
     start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
     qpos = Engine(1).rollout(model, start, np.repeat(ctrl, 4, axis=0)[None]).qpos[0, ::4][:-1]
     qpos = qpos + 3e-4 * np.random.default_rng(0).standard_normal(qpos.shape)
@@ -134,7 +134,7 @@ def test_commands_beyond_their_range_act_at_its_ends(factor: float, unit: str) -
         sign = -1 if factor < 0 else 1
         assert found.wires == {"ctrl.b": Wire("ctrl.b", sign, 1 / abs(factor), 0.0, unit)}
     if factor < 2:
-        assert found.balance["after"].max() < 0.03
+        assert found.balance["after"].max() < 1e-3  # as they are written they leave .7 and 1.8 %
         assert not [f for f in found.flags if f.kind in ("balance", "clock")]
 
 

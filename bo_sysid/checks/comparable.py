@@ -19,7 +19,7 @@ _LEAST = 60  # instants that are looked at
 _NEAR = 0.002  # of its range, from which on a joint is at its stop
 _ABOUT = 4.0  # standard deviations of the filter, within which a stop or a contact is felt
 _ENOUGH = 0.2  # of the instants, that must be left
-_MOSTLY = 0.5  # of the samples, from which commands beyond their range are in another unit
+_MOSTLY = 0.8  # of the samples, from which commands beyond their range are in another unit
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
 
 
