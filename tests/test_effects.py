@@ -369,3 +369,30 @@ def test_a_periodic_force_in_the_stroke_of_a_slide_is_seen_at_a_point_of_the_gri
         left = wave - A @ np.linalg.lstsq(A, wave, rcond=None)[0]
         explained = max(explained, 1 - (left @ left) / (wave @ wave))
     assert explained > 1 / 3
+
+
+@pytest.mark.parametrize("beside", [("com_shift", [0.01, 0.0, 0.0]), ("link_inertia", [0.1])])
+@pytest.mark.parametrize("first", ["payload", "other"])
+def test_a_payload_counts_once_where_static_bodies_are_fused(
+    tmp_path: Path, beside: tuple[str, list[float]], first: str
+) -> None:
+    """As in every URDF: what follows freezes the body's inertial, without the load on it."""
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="r"><link name="base"/><link name="l1"><inertial><origin xyz="0.1 0 0"/>'
+        '<mass value="1"/><inertia ixx=".01" iyy=".02" izz=".02" ixy=".001" ixz="0" iyz="0"/>'
+        '</inertial></link><joint name="j1" type="revolute"><parent link="base"/>'
+        '<child link="l1"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="10" velocity="10"/></joint></robot>'
+    )
+    model, time = Model.from_file(tmp_path / "arm.urdf"), np.arange(300) * 0.01
+    machine = survey(model.compile(), [Recording.from_arrays(time, qpos={"j1": np.sin(3 * time)})])
+    edits = [("payload", [0.5, 0.3, 0.0, 0.0]), beside]
+    made = model.compile(
+        [
+            lambda spec, e=e: CATALOGUE[e[0]].parts(
+                spec, Site("body", "l1"), np.array(e[1]), machine
+            )
+            for e in (edits if first == "payload" else edits[::-1])
+        ]
+    )
+    assert made.body_subtreemass[0] == pytest.approx(1.5)

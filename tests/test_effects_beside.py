@@ -393,3 +393,29 @@ def test_the_module_beside_the_model_steps_it(repaired) -> None:
     assert inverse.qfrc_inverse[1] == pytest.approx(expected + own, abs=0.015)
     assert abs(expected) > SIGMA
     assert data.qfrc_applied[1] == own
+
+
+def test_effects_of_ones_own_are_stepped_from_their_file(tmp_path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import numpy as np\n"
+        "from bo_sysid.effects import Component, Extent, Force, effect\n\n\n"
+        "@effect(\n"
+        "    'wave', kind='joint', components=(Component('size', 'N m'),), noun='a wave',\n"
+        "    extent=lambda site, machine: Extent((0.1,), (-5.0,), (5.0,)),\n"
+        "    sentence='{site} has {value}.', evidence='-', separation='-',\n"
+        ")\n"
+        "def wave(spec, site, x, machine):\n"
+        "    return Force(site.name, lambda m: x[0] * np.sin(3 * m.qpos[site.name]))\n"
+    )
+    placed = Placed("wave", Site("joint", "elbow"), (0.3,))
+    Beside(survey(arm().compile(), [record(duration=1.0)]), (placed,)).write(tmp_path / "arm.json")
+    with pytest.raises(ModelError, match="'wave'"):
+        Stepper(ARM, tmp_path / "arm.json")
+    stepper = Stepper(ARM, tmp_path / "arm.json", [file])
+    plain = mujoco.MjData(stepper.model)
+    plain.qpos[:] = stepper.data.qpos[:] = (0.1, 0.4)
+    plain.qfrc_applied[1] = 0.3 * np.sin(3 * 0.4)
+    stepper.step()
+    mujoco.mj_step(stepper.model, plain)
+    np.testing.assert_allclose(stepper.data.qvel, plain.qvel, rtol=1e-12)

@@ -31,7 +31,7 @@ from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.windowing import in_contact
-from bo_sysid.effects import Machine, chosen
+from bo_sysid.effects import Machine, chosen, survey
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
 from bo_sysid.recording import Recording
 from bo_sysid.runs import Run
@@ -220,9 +220,13 @@ def _kept(study: Study, run: Run | None, strict: bool) -> FitCache:
 
 def _fitted(evidence: Evidence, hypothesis: Hypothesis) -> Machine:
     """Return the machine with the model in which only the study's parameters were fitted."""
+    machine = evidence.machine
+    if not hypothesis.nuisances:
+        return machine
     own = replace(hypothesis, members=(), x=())
-    edits, _ = edits_and_parts(own, evidence.machine)
-    return replace(evidence.machine, model=evidence.model.compile(edits))
+    edits, _ = edits_and_parts(own, machine)
+    made = survey(evidence.model.compile(edits), evidence.recordings)
+    return replace(machine, model=made.model, actuators=made.actuators, bodies=made.bodies)
 
 
 def _write(run: Run, result: Diagnosis) -> None:

@@ -109,6 +109,8 @@ def payload(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
     load = spec.body(name)
     if load is None:
         place = [float(d) for d in x[1:]] or list(machine.bodies[site.name].tip)
+        # fused, it would be frozen with its body where what follows makes an inertial of that
+        spec.compiler.fusestatic = False
         load = spec.body(site.name).add_body(name=name, pos=place, explicitinertial=True, mass=0.0)
     load.ipos, load.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]  # undefined, it would be at pos
     load.mass = max(load.mass + float(x[0]), 0.0)

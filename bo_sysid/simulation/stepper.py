@@ -1,12 +1,13 @@
 """Stepping one simulation in plain MuJoCo with what stands beside its model file."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from bo_sysid.effects import Filter
+from bo_sysid.effects import Filter, catalogue
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.mjcf import Model
@@ -28,15 +29,18 @@ class Stepper:
     Args:
         model: path of the model file.
         beside: path of the file beside it.
+        effect_files: of the study, where effects of one's own are in the file beside.
 
     Attributes:
         model: the compiled model.
         data: the simulation.
     """
 
-    def __init__(self, model: str | Path, beside: str | Path) -> None:
-        source = Model.from_file(Path(model))
-        parts = read_beside(Path(beside), source.compile()).parts(source)
+    def __init__(
+        self, model: str | Path, beside: str | Path, effect_files: Iterable[str | Path] = ()
+    ) -> None:
+        source, effects = Model.from_file(Path(model)), catalogue(map(Path, effect_files))
+        parts = read_beside(Path(beside), source.compile()).parts(source, effects)
         self.model: mujoco.MjModel = source.compile()
         self.data = mujoco.MjData(self.model)
         place = {self.model.actuator(a).name: i for i, a in enumerate(controlled(self.model))}

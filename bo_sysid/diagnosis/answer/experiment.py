@@ -224,7 +224,10 @@ def _kept(
     for _ in range(_TRIES):
         one = _posed(problem, recording_at_rest(problem, controls), len(controls) - 1)
         told = one.simulate(best.hypothesis, one.windows.start)
-        over = bounds.limits.violation([bounds.whole], told.trajectory, told.ctrl, 1.0)[0]
+        over = max(
+            float(bounds.limits.violation([m], told.trajectory, told.ctrl, 1.0)[0])
+            for m in (bounds.whole, *((told.model,) if told.coordinates.same else ()))
+        )  # motors may be stronger than the given model has them
         if over == 0.0 and _within_reach(problem, bounds.stated, told.trajectory):
             return controls, _shown(one, told, controls)
         controls = middle + _SMALLER * (controls - middle)

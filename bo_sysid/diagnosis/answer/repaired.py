@@ -105,9 +105,10 @@ from pathlib import Path
 from bo_sysid.simulation.stepper import Stepper
 
 
-def load() -> Stepper:
+def load(*effect_files: str | Path) -> Stepper:
+    """Return the simulation; with the study's effect files where effects are your own."""
     folder = Path(__file__).parent
-    return Stepper(folder / "{MODEL}", folder / "{BESIDE}")
+    return Stepper(folder / "{MODEL}", folder / "{BESIDE}", effect_files)
 '''
 
 
