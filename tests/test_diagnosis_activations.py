@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.effects.memory import activation
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
@@ -86,3 +87,25 @@ def test_a_time_constant_that_is_a_parameter_changes_the_activations_of_windows(
 
 def at(evidence: Evidence, lag: float) -> Hypothesis:
     return Hypothesis((), (), evidence.nuisances, (np.array([lag - LAG]),))
+
+
+def test_an_integrator_begins_where_its_joint_is_first_seen() -> None:
+    """A part of a log has its controls from the log's beginning, and positions of the part."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option timestep="0.002"/><worldbody><body><joint name="h" damping="1"/>'
+        '<geom size=".02" pos=".3 0 0" mass="1"/></body></worldbody><actuator>'
+        '<intvelocity name="m" joint="h" kp="50" kv="2" actrange="-9 9"/></actuator></mujoco>'
+    )
+    data, time = mujoco.MjData(model), np.arange(0.0, 10.0, 0.01)
+    ctrl, q, act = 0.5 + np.sin(time), np.zeros(len(time)), np.zeros(len(time))
+    for k, u in enumerate(ctrl):
+        q[k], act[k], data.ctrl[0] = data.qpos[0], data.act[0], u
+        mujoco.mj_step(model, data, 5)
+    whole = Recording.from_arrays(time, qpos={"h": q}, ctrl={"m": ctrl})
+    at = np.array([8.0, 9.5])
+    np.testing.assert_allclose(activation(model, whole, 0, at), act[[800, 950]], atol=1e-5)
+    part = whole.between(7.5, 9.9)
+    assert part.channels["ctrl.m"].time[0] == 0.0
+    lead = act[750] - q[750]  # by which the activation is ahead of the joint that follows it
+    np.testing.assert_allclose(activation(model, part, 0, at), act[[800, 950]] - lead, atol=1e-5)
+    assert abs(lead) < 0.2

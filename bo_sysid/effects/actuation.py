@@ -128,7 +128,7 @@ def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if not used(site, machine) or not a.levels:
+    if not used(site, machine) or not a.levels or not a.plain:
         return None
     lost = tuple(((1.0 - level) * a.force_max,) for level in a.levels)
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)

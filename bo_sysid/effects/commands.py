@@ -44,7 +44,7 @@ def _write_lag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine)
     if a.dyntype != mujoco.mjtDyn.mjDYN_NONE or lag < _RESOLVED * dt:
         return _lag_filter(site, x, machine)
     a.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
-    a.dynprm[0] = written_lag(lag, dt)
+    a.dynprm[0], a.actearly = written_lag(lag, dt), False  # early, it is ahead by a step
     return None
 
 

@@ -25,13 +25,14 @@ def activation(
     """Return the activation of an actuator that remembers at some times in [s].
 
     A lag begins settled at its first control. An integrator that holds a position begins where its
-    joint is.
+    joint is first seen, which in a part of a log is after its first control.
     """
     control = _late(compiled, _held(_clipped(compiled, recording, a)), a)
     ends = _act_range(compiled, a)
     if int(compiled.actuator_dyntype[a]) in LAGS:
         return _lagging(control, float(compiled.actuator_dynprm[a, 0]), ends, at)
-    return _integral(control, _held_position(compiled, recording, a), ends, at)
+    first, held = _held_position(compiled, recording, a)
+    return _integral(_from(control, first), held, ends, at)
 
 
 def _clipped(compiled: mujoco.MjModel, recording: Recording, a: int) -> Channel:
@@ -104,14 +105,23 @@ def _integral(
     return np.asarray(np.clip(begin[row] + channel.values[row] * since, low, high))
 
 
-def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> float:
-    """Return the activation at which an actuator that holds its joint's position makes no force."""
+def _from(channel: Channel, first: float) -> Channel:
+    """Return a held channel from a time in [s] on; all of it where it begins later."""
+    row = int(np.searchsorted(channel.time, first, side="right")) - 1
+    if row < 0:
+        return channel
+    time = np.concatenate([[first], channel.time[row + 1 :]])
+    return replace(channel, time=time, values=channel.values[row:])
+
+
+def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> tuple[float, float]:
+    """Return when an actuator's joint is first seen, and the activation that holds it there.
+
+    The beginning of all time and 0 where the actuator holds no position, or nothing is known of it.
+    """
     joint = driven_joint(compiled, a)
-    if joint is None or not compiled.actuator_biasprm[a, 1]:
-        return 0.0
-    name = f"qpos.{joint}"
-    if name not in recording.channels:
-        return 0.0
-    length = compiled.actuator_gear[a, 0] * recording.channels[name].values[0]
-    b, gain = compiled.actuator_biasprm[a], compiled.actuator_gainprm[a, 0]
-    return float(-(b[0] + b[1] * length) / gain) if gain else 0.0
+    gain, seen = float(compiled.actuator_gainprm[a, 0]), recording.channels.get(f"qpos.{joint}")
+    if joint is None or not compiled.actuator_biasprm[a, 1] or not gain or seen is None:
+        return -np.inf, 0.0
+    b, length = compiled.actuator_biasprm[a], compiled.actuator_gear[a, 0] * seen.values[0]
+    return float(seen.time[0]), float(-(b[0] + b[1] * length) / gain)

@@ -102,7 +102,8 @@ def next_experiment(
     bounds = _Bounds.of(located.evidence.given, stated)
     separation, name, controls = _most_telling(problem, best, rivals, bounds)
     if controls is None or separation < _TELLS:
-        return Experiment(_in_words(best, rivals), separates, separation, None)
+        tried = bounds is not None and next(_motions(problem), None) is not None
+        return Experiment(_in_words(best, rivals, tried), separates, separation, None)
     one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
     return Experiment(
         f"Record {name}: {one} and {other}, which these recordings do not tell apart, then differ "
@@ -176,15 +177,18 @@ def _about_unknown(unexplained: Unexplained) -> Experiment:
     return Experiment(text, (), 0.0, None)
 
 
-def _in_words(best: Fit, rivals: Sequence[Fit]) -> str:
+def _in_words(best: Fit, rivals: Sequence[Fit], tried: bool) -> str:
     members = (*best.members, *(c for r in rivals for c in r.members))
-    said = (c.effect.separation.split("; ") for c in members if c.effect.separation)
-    ways = dict.fromkeys(chain.from_iterable(said))
-    return (
-        f"None of the motions that were tried within the limits tells "
-        f"{_said(best, beside=rivals[0])} from {_said(rivals[0], beside=best)} by what was "
-        f"recorded here. What tells them apart: {'; '.join(ways)}."
-    )
+    told = (c.effect.separation.split("; ") for c in members if c.effect.separation)
+    ways = dict.fromkeys(chain.from_iterable(told))
+    one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
+    said = f"{one[:1].upper()}{one[1:]} and {other} are not told apart by what was recorded here."
+    if tried:
+        said = (
+            f"None of the motions that were tried within the limits tells {one} from {other} by "
+            "what was recorded here."
+        )
+    return f"{said} What tells them apart: {'; '.join(ways)}."
 
 
 def _said(fit: Fit, beside: Fit) -> str:

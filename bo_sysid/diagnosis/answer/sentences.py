@@ -105,7 +105,9 @@ def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> st
         held = [(fit.members[k], fit.members[k].full(fit.x[k])) for k in unit]
         values = [c.effect.reported(x, machine, c.site) for c, x in held]
         size = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (min(values), max(values))))
-        said = f" ({size}{_unit(held[0][0], machine)})" if sized else ""
+        # of several numbers the first alone does not say how large it is
+        one = all(min(c.size, c.effect.acting) == 1 or c.effect.vector for c, _ in held)
+        said = f" ({size}{_unit(held[0][0], machine)})" if sized and one else ""
         words.append(unit_words([c for c, _ in held]) + said)
     return " with ".join(words)
 
