@@ -42,6 +42,21 @@ def test_gain_equals_the_drop_of_least_squares(problem) -> None:
     np.testing.assert_allclose(scored.x, with_both[:2], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 1e7])
+def test_a_nuisance_is_left_out_whatever_the_unit_of_another(problem, unit) -> None:
+    """The eighth candidate does what one nuisance does; the other has a large or a small unit."""
+    held, S, y, _ = problem
+    S = S.copy()
+    S[:, 6] *= unit
+    S[:, 7] = 0.5 * S[:, 8] + 1e-3 * S[:, 5]
+    owner = np.array([0, 1, 2, 3, 4, 5, -1, 7, -1])
+    table = gram(held, S.T @ S, S.T @ y, owner, {})
+    (scored,) = table.score([(Unit((7,)),)])
+    without = np.linalg.lstsq(S[:, [6, 8]], y, rcond=None)[1][0]
+    rss = np.linalg.lstsq(S[:, [6, 7, 8]], y, rcond=None)[1][0]
+    assert scored.gain == pytest.approx(without - rss, abs=1e-2 * (y @ y))
+
+
 @pytest.mark.parametrize("share", [1.3, -1.3, 1.7, -1.7])
 def test_a_linear_estimate_may_lie_as_far_beyond_one_bound_as_beyond_the_other(share) -> None:
     member = fake("spring", "a", low=-10.0, high=10.0)

@@ -140,9 +140,9 @@ def gram(
     rest = ~out
     norm = np.diag(G)[rest]
     if out.any():
-        N = G[np.ix_(out, out)]
-        ridge = (1e-9 * np.trace(N) + _TINY) * np.eye(len(N))  # no column may say anything
-        K = np.linalg.solve(N + ridge, np.column_stack([G[np.ix_(out, rest)], b[out]]))
+        unit = np.sqrt(np.maximum(np.diag(G)[out], _TINY))[:, None]  # parameters have any unit
+        N = G[np.ix_(out, out)] / unit / unit.T + 1e-9 * np.eye(len(unit))
+        K = np.linalg.solve(N, np.column_stack([G[np.ix_(out, rest)], b[out]]) / unit) / unit
         b = b[rest] - G[np.ix_(rest, out)] @ K[:, -1]
         G = G[np.ix_(rest, rest)] - G[np.ix_(rest, out)] @ K[:, :-1]
     else:
