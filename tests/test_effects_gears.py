@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
@@ -66,6 +67,44 @@ def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(
     rows = np.linspace(0, steps, 5).astype(int)
     np.testing.assert_allclose(motor[rows], exact[:, 0], atol=3e-3 * rest)
     np.testing.assert_allclose((motor + play)[rows], exact[:, 1], atol=3e-3 * rest)
+
+
+@pytest.mark.parametrize("on_link", [0.0, 1.0])
+def test_a_loop_that_is_closed_at_the_link_keeps_the_limit_of_its_force(on_link: float) -> None:
+    """Against SciPy: two inertias, a spring between them, and a drive that saturates for long."""
+    model = Model.from_xml(GEARED.replace("kp=", 'forcerange="-.3 .3" kp='))
+    time = np.arange(0, 2, 0.01)
+    recording = Recording.from_arrays(
+        time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)}
+    )
+    machine = survey(model.compile(), [recording])
+    soft, lag = 0.02, 0.01
+    flex = _at(machine, "joint_compliance", Site("joint", "hinge"), [soft, lag, 0.5, on_link])
+    edits, made = edits_and_parts(Hypothesis((flex,), (flex.point[:3],)), machine)
+    compiled = model.compile(edits)
+    laws = [ForceLaw(p.joint, p.law) for p in made if isinstance(p, Force)]
+    assert len(laws) == on_link
+    goal, dt, steps = 3.0, 2e-5, 40000
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    ctrl = np.full((1, steps, 1), goal)
+    run = Engine(1).rollout(compiled, start, ctrl, laws=laws)
+    assert not run.diverged.any()
+    motor, play = run.qpos[0].T
+
+    rotor, link = 0.02, 3 * (0.2**2 + 0.2**2) / 12
+    k, b = 1 / soft, (lag + dt) / soft
+
+    def motion(_: float, x: np.ndarray) -> list[float]:
+        q, v = x[0] + on_link * (x[1] - x[0]), x[2] + on_link * (x[3] - x[2])
+        torque = 2 * np.clip(5 * (goal - 2 * q) - 0.4 * 2 * v, -0.3, 0.3)
+        between = k * (x[1] - x[0]) + b * (x[3] - x[2])
+        return [x[2], x[3], (torque + between) / rotor, -between / link]
+
+    at = np.linspace(0, steps * dt, 9)
+    exact = solve_ivp(motion, (0, at[-1]), np.zeros(4), t_eval=at, rtol=1e-9, atol=1e-11).y
+    rows = np.linspace(0, steps, 9).astype(int)
+    np.testing.assert_allclose((motor + play)[rows], exact[1], atol=6e-3 * goal / 2)
+    np.testing.assert_allclose(motor[rows], exact[0], atol=6e-3 * goal / 2)
 
 
 def _at(machine: Machine, id: str, site: Site, x: list[float]) -> Candidate:

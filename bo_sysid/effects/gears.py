@@ -1,5 +1,7 @@
 """What lies between a motor and its link: play and compliance, as a second joint on the axis."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
@@ -14,7 +16,7 @@ from bo_sysid.effects.contract import (
     Signal,
     Site,
 )
-from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.machine import ActuatorScale, Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.plain import add_plain
@@ -78,16 +80,38 @@ def _closed(
     """Return an added joint, with what a servo whose encoder sits on the link does more.
 
     In MJCF its loop is closed by the motor's position q; the encoder shows q + δ, so that the
-    motor's torque differs by -kp δ - kd δ'.
+    motor's torque differs by -kp δ - kd δ', or as far as its force is limited by
+    F(u, q + δ, v + δ') - F(u, q, v).
     """
     if not (hidden.shown and _servos(site, machine)):
         return hidden
     kp, kd = _loop(spec, site, machine)
+    limited = _limited(spec, site, machine)
+    for a in limited:
+        kp, kd = kp + a.bias[1] * a.gear**2, kd + a.bias[2] * a.gear**2
 
     def law(motion: Motion) -> Signal:
-        return -kp * motion.qpos[hidden.joint] - kd * motion.qvel[hidden.joint]
+        q, v = motion.qpos[site.name], motion.qvel[site.name]
+        more, faster = motion.qpos[hidden.joint], motion.qvel[hidden.joint]
+        force = -kp * more - kd * faster
+        for a in limited:
+            u = motion.ctrl[a.name]
+            force = force + a.force(u, q + more, v + faster) - a.force(u, q, v)
+        return force
 
     return hidden, Force(site.name, law)
+
+
+def _limited(spec: mujoco.MjSpec, site: Site, machine: Machine) -> list[ActuatorScale]:
+    """Return the servos of a joint whose force is limited, as they are in the spec."""
+    found = []
+    for name in _servos(site, machine):
+        nominal, now = machine.actuators[name], spec.actuator(name)
+        low, high = (float(f) for f in now.forcerange)
+        if nominal.plain and nominal.follows and now.forcelimited and low < high:
+            gain, (b0, b1, b2) = float(now.gainprm[0]), now.biasprm[:3].tolist()
+            found.append(replace(nominal, gain=gain, bias=(b0, b1, b2), force_limits=(low, high)))
+    return found
 
 
 def _second_joint(
