@@ -93,6 +93,17 @@ def test_a_file_predicts_what_was_fitted(
     assert off < share * effect
 
 
+@pytest.mark.parametrize("bend", [0.0, 0.01])
+def test_that_the_file_has_friction_as_bristles_is_said(
+    tmp_path: Path, machine: Machine, bend: float
+) -> None:
+    friction = candidate(machine, "stribeck_friction", "elbow")
+    held = friction.with_shapes(np.array([friction.shapes[0], bend]))
+    h = Hypothesis((held,), (np.array([0.02, 0.06]),))
+    (*_, note) = write_model(arm(), machine, h, tmp_path, timestep=STEP).notes or ("",)
+    assert ("the friction of elbow is that of stiff bristles" in note) == (not bend)
+
+
 @pytest.mark.parametrize("learned", [True, False])
 def test_what_reads_a_command_beside_the_file_reads_it_late(
     tmp_path: Path, machine: Machine, recording: Recording, learned: bool

@@ -17,6 +17,7 @@ from bo_sysid.simulation import Controller, ForceLaw
 
 MODEL, STUDY = "model_repaired.xml", "study_repaired.yaml"
 BESIDE, MODULE = "model_repaired.json", "model_repaired.py"
+_STRIBECK = "stribeck_friction"
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,13 @@ class Written:
         beside: in words, what stands beside it.
         unrecorded: joints that were added, each with the joint whose encoder shows it as well.
         timestep: of the file in [s], and of the nominal model.
+        bristles: joints whose friction does not bend, and in the file has to, a little.
     """
 
     beside: tuple[str, ...]
     unrecorded: Mapping[str, str | None]
     timestep: tuple[float, float] = (0.0, 0.0)
+    bristles: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -46,6 +49,12 @@ class Written:
             said.append(f"{joint} is a joint of {MODEL} that nothing measures{also}")
         if step < own:
             said.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
+        said += [
+            f"the friction of {joint} is that of stiff bristles in {MODEL}, the nearest that MJCF "
+            "has: they ring where the joint stands still, and forecasts of the file there are not "
+            "as good as those that are reported"
+            for joint in self.bristles
+        ]
         return tuple(said)
 
 
@@ -88,7 +97,8 @@ def write_model(
             (folder / name).unlink(missing_ok=True)
     added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
     step = float(machine.model.opt.timestep)
-    return Written(words, added, (share * step, step))
+    held = [c for c in written if c.effect.id == _STRIBECK and not c.bent]
+    return Written(words, added, (share * step, step), tuple(c.site.name for c in held))
 
 
 _MODULE = f'''"""What {MODEL} lacks because MJCF cannot say it; {BESIDE} holds it.
