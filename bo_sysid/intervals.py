@@ -10,7 +10,7 @@ def half_width(error: ArrayLike, count: ArrayLike) -> np.ndarray:
 
     Args:
         error: their standard errors.
-        count: how many independent samples each is the mean of.
+        count: how many independent samples each is the mean of; infinitely many where unknown.
     """
     freedom = np.maximum(np.asarray(count, float) - 1, 1)
     return np.asarray(student.ppf(0.975, freedom) * error)

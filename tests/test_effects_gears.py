@@ -34,11 +34,7 @@ def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(
     The loop has the gain that another effect, named after it, has changed by so much.
     """
     model = Model.from_xml(GEARED)
-    time = np.arange(0, 2, 0.01)
-    recording = Recording.from_arrays(
-        time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)}
-    )
-    machine = survey(model.compile(), [recording])
+    machine = _surveyed(model)
     soft, lag = 0.01, 0.004
     flex = _at(machine, "joint_compliance", Site("joint", "hinge"), [soft, lag, 0.5, on_link])
     gain = _at(machine, "servo_kp", Site("actuator", "motor"), [more])
@@ -73,11 +69,7 @@ def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(
 def test_a_loop_that_is_closed_at_the_link_keeps_the_limit_of_its_force(on_link: float) -> None:
     """Against SciPy: two inertias, a spring between them, and a drive that saturates for long."""
     model = Model.from_xml(GEARED.replace("kp=", 'forcerange="-.3 .3" kp='))
-    time = np.arange(0, 2, 0.01)
-    recording = Recording.from_arrays(
-        time, qpos={"hinge": np.sin(time)}, ctrl={"motor": np.cos(time)}
-    )
-    machine = survey(model.compile(), [recording])
+    machine = _surveyed(model)
     soft, lag = 0.02, 0.01
     flex = _at(machine, "joint_compliance", Site("joint", "hinge"), [soft, lag, 0.5, on_link])
     edits, made = edits_and_parts(Hypothesis((flex,), (flex.point[:3],)), machine)
@@ -105,6 +97,13 @@ def test_a_loop_that_is_closed_at_the_link_keeps_the_limit_of_its_force(on_link:
     rows = np.linspace(0, steps, 9).astype(int)
     np.testing.assert_allclose((motor + play)[rows], exact[1], atol=6e-3 * goal / 2)
     np.testing.assert_allclose(motor[rows], exact[0], atol=6e-3 * goal / 2)
+
+
+def _surveyed(model: Model) -> Machine:
+    time = np.arange(0, 2, 0.01)
+    moved = {"hinge": np.sin(time)}
+    log = Recording.from_arrays(time, qpos=moved, ctrl={"motor": np.cos(time)})
+    return survey(model.compile(), [log])
 
 
 def _at(machine: Machine, id: str, site: Site, x: list[float]) -> Candidate:

@@ -12,6 +12,7 @@ from learning import pendulum
 from bo_sysid.belief.stopping import StopReason
 from bo_sysid.errors import StudyError
 from bo_sysid.identify.problem import make_problem
+from bo_sysid.intervals import half_width
 from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import ABOVE, Floor, floor_of, lacks_physics
@@ -273,20 +274,25 @@ TWO = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
 <actuator><motor name="a" joint="a" ctrlrange="-1 1"/></actuator></mujoco>"""
 
 
+def measured(
+    folder: Path, text: str, parameters: list[dict[str, object]], **changed: object
+) -> Study:
+    """A study of a plant that its model has right, but for the noise of its sensors."""
+    (folder / "model.xml").write_text(text)
+    noise = {"qpos": 1e-3, "qvel": 1e-2}
+    study = {
+        "model": "model.xml",
+        "recordings": {"train": ["none.csv"], "noise": noise},
+        "parameters": parameters,
+        "plant": {"noise": noise},
+    }
+    return Study.from_dict({**study, **changed}, folder)
+
+
 def test_noise_counts_only_where_something_was_recorded(tmp_path: Path) -> None:
     """One joint at a tenth of the other's rate; at the truth Δ is that of the noise alone."""
-    (tmp_path / "two.xml").write_text(TWO)
-    noise = {"qpos": 1e-3, "qvel": 1e-2}
-    study = Study.from_dict(
-        {
-            "model": "two.xml",
-            "recordings": {"train": ["none.csv"], "noise": noise},
-            "parameters": [{"address": "joint[a].damping", "low": 0.05, "high": 0.15}],
-            "deviation": {"horizon": 10},
-            "plant": {"noise": noise},
-        },
-        tmp_path,
-    )
+    damping = {"address": "joint[a].damping", "low": 0.05, "high": 0.15}
+    study = measured(tmp_path, TWO, [damping], deviation={"horizon": 10})
     (whole,) = record(build_plant(study), load_model(study), 1, duration=4.0)
     slow = {
         n: replace(c, time=c.time[::10], values=c.values[::10])
@@ -312,18 +318,9 @@ FLOATING = """<mujoco><option timestep="0.01" gravity="0 0 0" density="20"/><wor
 def test_noise_counts_on_joints_that_turn_freely(tmp_path: Path, joint: str, horizon: int) -> None:
     """At the truth Δ is that of the noise alone, which starts of free bodies have as well."""
     ball = FLOATING.replace('<freejoint name="root"/>', '<joint name="root" type="ball"/>')
-    (tmp_path / "body.xml").write_text(FLOATING if joint == "free" else ball)
-    noise = {"qpos": 1e-3, "qvel": 1e-2}
-    study = Study.from_dict(
-        {
-            "model": "body.xml",
-            "recordings": {"train": ["none.csv"], "noise": noise},
-            "parameters": [{"address": "geom[hull].mass", "low": 0.5, "high": 1.5, "steps": 11}],
-            "deviation": {"horizon": horizon},
-            "plant": {"noise": noise},
-        },
-        tmp_path,
-    )
+    mass = {"address": "geom[hull].mass", "low": 0.5, "high": 1.5, "steps": 11}
+    text = FLOATING if joint == "free" else ball
+    study = measured(tmp_path, text, [mass], deviation={"horizon": horizon})
     recordings = record(build_plant(study), load_model(study), 2, duration=5.0)
     problem = make_problem(study, recordings)
     truth = np.array([1.0])
@@ -333,18 +330,9 @@ def test_noise_counts_on_joints_that_turn_freely(tmp_path: Path, joint: str, hor
 
 def test_a_resolution_is_measured_within_the_bounds(tmp_path: Path, monkeypatch) -> None:
     """Few candidates of many parameters stand for boxes wider than half of the bounds."""
-    (tmp_path / "two.xml").write_text(TWO)
     wide = [f"joint[{j}].{what}" for j in "ab" for what in ("damping", "armature", "frictionloss")]
-    study = Study.from_dict(
-        {
-            "model": "two.xml",
-            "recordings": {"train": ["none.csv"], "noise": {"qpos": 1e-3, "qvel": 1e-2}},
-            "parameters": [{"address": a, "low": 0.01, "high": 0.1} for a in wide],
-            "search": {"candidates": {"sobol": 16}},
-            "plant": {"noise": {"qpos": 1e-3}},
-        },
-        tmp_path,
-    )
+    parameters = [{"address": a, "low": 0.01, "high": 0.1} for a in wide]
+    study = measured(tmp_path, TWO, parameters, search={"candidates": {"sobol": 16}})
     problem = make_problem(study, record(build_plant(study), load_model(study), 1, duration=1.0))
     low, high = problem.candidates.bounds
     assert (problem.candidates.cell > 0.5 * (high - low)).all()
@@ -365,17 +353,8 @@ def test_a_resolution_is_measured_within_the_bounds(tmp_path: Path, monkeypatch)
 
 def test_few_windows_lack_no_physics_by_chance(tmp_path: Path) -> None:
     """A recording that broke off at once: what two or three draws of noise leave varies much."""
-    (tmp_path / "two.xml").write_text(TWO)
-    noise = {"qpos": 1e-3, "qvel": 1e-2}
-    study = Study.from_dict(
-        {
-            "model": "two.xml",
-            "recordings": {"train": ["none.csv"], "noise": noise},
-            "parameters": [{"address": "joint[a].damping", "low": 0.05, "high": 0.15, "steps": 3}],
-            "plant": {"noise": noise},
-        },
-        tmp_path,
-    )
+    damping = {"address": "joint[a].damping", "low": 0.05, "high": 0.15, "steps": 3}
+    study = measured(tmp_path, TWO, [damping])
     plant, truth, high, beyond = build_plant(study), np.array([0.1]), 0, 0
     for _ in range(40):
         (whole,) = record(plant, load_model(study), 1, duration=0.008)
@@ -519,3 +498,8 @@ def test_an_interval_of_returns_holds_the_mean_as_often_as_it_says(count: int) -
     told = [Estimate.of(row) for row in samples]
     held = np.mean([abs(e.mean - 3.0) <= e.half_width for e in told])
     assert held == pytest.approx(0.95, abs=0.015)
+
+
+def test_of_how_many_episodes_a_return_was_may_be_unknown() -> None:
+    """As in runs of before their number was written: 1.96 standard errors, as they were told."""
+    assert half_width(2.0, np.inf) == pytest.approx(2.0 * 1.96, rel=1e-4)

@@ -48,7 +48,7 @@ def compared(folder: Path, finds: dict[str, list[int]], length: int = 30) -> tup
         ([20, 22, 18, 24, 20, 16], "b takes 2.00 times the evaluations of a (95 % interval"),
         ([11, 10, 10, 11, 10, 8], "6 pairs do not tell it from 1"),
         ([20, 22, 18], "b takes 2.00 times the evaluations of a (3 pairs, which say little)."),
-        ([20], "(1 pair, which says little)."),
+        ([20], "(one pair, which says little)."),
         ([10, 11, 9, 12, 10, 8], "b takes as many evaluations as a in all 6 pairs."),
         ([20, 99, 18, 99, 20, 16], "reached in 6 of 6 runs of a and in 4 of 6 runs of b: what"),
     ],

@@ -70,8 +70,8 @@ def run(args: argparse.Namespace) -> None:
         shown("reveal") as progress,
     ):
         engine = open_engine(args.engine, args.address)
-        require_published(opened.folder, args.published)
         if args.answers_only:
+            require_published(opened.folder, args.published)
             answer(opened, first=args.first, engine=engine, limit=args.limit, progress=progress)
             which = "every case" if args.first is None else f"each of the first {args.first}"
             print(f"{args.folder}: {which} has an answer, frozen; no seal was opened.")

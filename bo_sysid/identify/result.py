@@ -12,9 +12,7 @@ from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import finite
 
 _LITTLE = 0.5  # share of the range from which an interval says little
-_KNOWN = (
-    1e-9  # of the range that was searched, of which a parameter that spreads less has one value
-)
+_KNOWN = 1e-9  # share of the range: what spreads less has one value, but for rounding
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 
@@ -72,8 +70,9 @@ class Identification:
             np.cov(points[likely].T, aweights=self.bootstrap[likely], bias=True)
         )
         sigma = np.sqrt(np.diag(covariance))
-        known = sigma < _KNOWN * np.ptp(self.candidates.bounds, axis=0)  # but for rounding
-        rho = covariance / np.where(known, np.inf, sigma) / np.where(known, np.inf, sigma)[:, None]
+        known = sigma < _KNOWN * np.ptp(self.candidates.bounds, axis=0)
+        sigma[known] = np.inf  # tied to nothing
+        rho = covariance / np.outer(sigma, sigma)
         np.fill_diagonal(rho, 0.0)
         tied = np.abs(rho).argmax(axis=1)
         found = rho[np.arange(len(names)), tied]

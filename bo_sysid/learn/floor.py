@@ -88,7 +88,7 @@ def floor_of(
     norms = _noise_part(problem, best, sigma, seed)
     noise = _mean(norms)
     # of two draws of the noise, that of the recordings and this one
-    spread = np.sqrt(2 / len(norms)) * float(norms.std(ddof=1)) if len(norms) > 1 else np.inf
+    spread = np.sqrt(2 / len(norms)) * norms.std(ddof=1) if len(norms) > 1 else noise
     unsure = float(spread / noise) if noise else 0.0
     return Floor(deviation, noise, _resolution_part(problem, best), unsure)
 

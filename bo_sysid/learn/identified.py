@@ -74,7 +74,7 @@ class Identified:
                 "deviation": self.floor.deviation,
                 "noise": self.floor.noise,
                 "resolution": self.floor.resolution,
-                "unsure": finite(self.floor.unsure),
+                "unsure": self.floor.unsure,
             },
         }
 

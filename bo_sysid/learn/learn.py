@@ -180,7 +180,7 @@ def _table(done: list[Iteration]) -> pd.DataFrame:
                 "deviation": f["floor"]["deviation"],
                 "floor": i.found.floor.expected,
                 "training_steps": f["training_steps"],
-                "episodes": f["model_return"]["samples"],
+                "episodes": f["model_return"].get("samples", np.inf),
                 "model_return": f["model_return"]["mean"],
                 "model_error": f["model_return"]["error"],
                 "plant_return": f["plant_return"]["mean"] if f["plant_return"] else None,

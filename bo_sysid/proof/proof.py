@@ -10,7 +10,7 @@ import yaml
 
 from bo_sysid.execution import JobEngine, OnProgress, Progress, map_jobs, silent
 from bo_sysid.proof.answer import LIMIT, answer, answers_at_opening, judged, openings_in
-from bo_sysid.proof.conceal import CASES, COMMITMENTS, seals_of
+from bo_sysid.proof.conceal import CASES, COMMITMENTS
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, require_published, require_seals, reveal
 from bo_sysid.proof.score import Scores, score
@@ -62,9 +62,7 @@ def prove(
         RunError: a hash differs, or an answer came after the seals were opened.
     """
     require_published(run.folder, published)
-    require_seals(
-        Path(seals) if seals else seals_of(run.folder.resolve()), judged(run.folder, first)
-    )
+    require_seals(run.folder, seals, judged(run.folder, first))
     answer(run, first=first, engine=engine, limit=limit, progress=progress)
     revealed = reveal(run, first=first, seals=seals, published=published)
     scores = _with_oracle(score(revealed), _oracle(run, revealed, engine, progress))

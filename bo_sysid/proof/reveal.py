@@ -68,10 +68,9 @@ def reveal(
             the seals were opened.
     """
     folder = run.folder
-    held = Path(seals) if seals else seals_of(folder.resolve())
     said = commitments(folder)
     require_published(folder, published)
-    require_seals(held, judged(folder, first))
+    held = require_seals(folder, seals, judged(folder, first))
     _check_shown(folder, said["cases"])
     records = {name: _checked_record(folder, name) for name in judged(folder, first)}
     _open(folder, held, records)
@@ -93,16 +92,18 @@ def require_published(folder: Path, published: str | None) -> None:
         raise RunError(f"{folder / COMMITMENTS}: not the commitments that were published")
 
 
-def require_seals(held: Path, names: Sequence[str]) -> None:
-    """Refuse a folder that lacks a seal of some cases.
+def require_seals(folder: Path, seals: str | Path | None, names: Sequence[str]) -> Path:
+    """Return the folder of the seals, by default that beside the run.
 
     Raises:
-        RunError: one is not there.
+        RunError: it lacks a seal of one of the cases.
     """
+    held = Path(seals) if seals else seals_of(folder.resolve())
     for name in names:
         path = held / f"{name}.json"
         if not path.is_file():
             raise RunError(f"{path}: the seal is missing; without it nothing can be revealed")
+    return held
 
 
 def _check_shown(folder: Path, cases: Mapping[str, Any]) -> None:

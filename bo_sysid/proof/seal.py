@@ -49,10 +49,8 @@ class Seal:
         """Read a seal.
 
         Raises:
-            RunError: the file is missing or is no seal.
+            RunError: the file is no seal.
         """
-        if not path.is_file():
-            raise RunError(f"{path}: the seal is missing; without it nothing can be revealed")
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
             seal = cls(data["nonce"], data["answer"])

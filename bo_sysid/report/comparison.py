@@ -69,7 +69,7 @@ def _ratio(row: pd.Series, first: str, arm: str, unit: str) -> str:
             f"{pairs} pairs."
         )
     if pairs < _TELLING:
-        sure = f"{pairs} pair{'s' if pairs > 1 else ''}, which say{'' if pairs > 1 else 's'} little"
+        sure = "one pair, which says little" if pairs == 1 else f"{pairs} pairs, which say little"
     elif low <= 1 <= high:
         sure = f"95 % interval {low:.2f} to {high:.2f}: {pairs} pairs do not tell it from 1"
     else:

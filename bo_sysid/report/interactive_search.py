@@ -90,7 +90,7 @@ def learning(iterations: pd.DataFrame) -> go.Figure:
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
             known = iterations[f"{kind}_error"].astype(float).fillna(0.0)
-            error = pd.Series(half_width(known, iterations["episodes"]))
+            error = pd.Series(half_width(known, iterations.get("episodes", np.inf)))
             figure.add_scatter(
                 x=light(iterations["trajectories"]), y=light(mean), name=label,
                 mode="lines+markers", line={"color": colour},

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.intervals import half_width
@@ -19,15 +20,16 @@ _TICKS = 12  # at most, each with its number
 def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     """Return `learning.json` in words and tables."""
     rows = read_frame(folder, "iterations.parquet")
+    episodes = rows.get("episodes", pd.Series(np.inf, rows.index))
     chosen = ", ".join(f"{name} {value:.4g}" for name, value in summary["chosen"].items())
     returns = {
         f"return on the {where} ± 95 %": [
             _with_interval({"mean": mean, "error": error, "samples": samples})
             if pd.notna(mean)
             else "–"
-            for mean, error, samples in rows[
-                [f"{where}_return", f"{where}_error", "episodes"]
-            ].to_numpy()
+            for mean, error, samples in zip(
+                rows[f"{where}_return"], rows[f"{where}_error"], episodes, strict=True
+            )
         ]
         for where in ("model", "plant")
         if rows[f"{where}_return"].notna().any()
@@ -83,7 +85,7 @@ def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
 def _with_interval(value: Mapping[str, Any]) -> str:
     """Return a mean with its 95 % interval."""
     error = value.get("error")
-    half = float(half_width(error, value["samples"])) if error else 0.0
+    half = float(half_width(error, value.get("samples", np.inf))) if error else 0.0
     return f"{value['mean']:.4g} ± {float(f'{half:.2g}'):g}" if half else f"{value['mean']:.4g}"
 
 
@@ -108,7 +110,7 @@ def learning_curve(iterations: pd.DataFrame, training: pd.DataFrame) -> "Figure"
         mean = iterations[f"{kind}_return"].astype(float)
         if mean.notna().any():
             error = iterations[f"{kind}_error"].astype(float).fillna(0.0)
-            half = half_width(error, iterations["episodes"])
+            half = half_width(error, iterations.get("episodes", np.inf))
             top.errorbar(
                 iterations["trajectories"], mean, half, color=colour, marker="o",
                 markersize=size, capsize=size - 1, label=label,

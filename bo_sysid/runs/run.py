@@ -62,7 +62,7 @@ class Run:
         self._record = record
         self._lock = lock
         self._created = created
-        self._untouched = bool(self.ended)  # a finished run to which nothing was written since
+        self._untouched = False  # whether it is a finished run to which nothing was written since
 
     @classmethod
     def open(
@@ -101,10 +101,9 @@ class Run:
             if arguments:
                 session["arguments"] = list(arguments)
             run._record["sessions"].append(session)
-            finished = run._untouched
             run.write_text(_STUDY, text)
             run.write_json(_RECORD, run._record)
-            run._untouched = finished
+            run._untouched = bool(run.ended)
         except BaseException:
             lock.close()
             raise

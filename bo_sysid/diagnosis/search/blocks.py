@@ -13,8 +13,8 @@ def simulate_blocks(search: Search) -> None:
 
     Far from the recordings, of sets whose every member is needed, and but for those that leave more
     of all blocks than another does of blocks that it was not fitted to, which slopes foretell of
-    one that is near. Not in contact, where every
-    window is fitted by itself and five more fits of each set would take as long as the search.
+    one that is near. Not in contact, where every window is fitted by itself and five more fits of
+    each set would take as long as the search.
     """
     if search.prepared.problem.machine.impacts:
         return

@@ -15,7 +15,7 @@ T = TypeVar("T")
 class Recent(Generic[T]):
     """Results of the last few simulations, by what they were made from.
 
-    One in ten simulations of a diagnosis repeats one of the eight before it to the last bit.
+    Of a two-link arm's diagnosis one in ten repeats one of the eight before it to the last bit.
     """
 
     def __init__(self) -> None:
