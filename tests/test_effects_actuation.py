@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
-from bo_sysid.effects import CATALOGUE, Filter, Reading, Site, applicable, survey, unit_at
+from bo_sysid.effects import CATALOGUE, Filter, Machine, Reading, Site, applicable, survey, unit_at
 from bo_sysid.effects.actuation import supply_of
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation.bristles import bristle_motors
 
 GOAL = 1.0
 VOLTS = 24 - 6 * np.linspace(0, 1, 2000)
@@ -367,12 +368,20 @@ def test_a_propeller_can_be_weak_late_and_limited() -> None:
     assert limited.reported(np.array([1.0]), machine, site) == pytest.approx(float(u.max()) - 1.0)
 
 
-def test_forces_that_laws_read_are_clipped_as_mujoco_does() -> None:
+@pytest.mark.parametrize(
+    ("gear", "joint", "drive"),
+    [
+        (3, "", 'forcerange="-1.5 2"'),
+        (3, 'actuatorfrcrange="-4.5 6"', ""),
+        (-3, 'actuatorfrcrange="-4.5 6"', 'forcerange="-1.7 2"'),
+    ],
+)
+def test_forces_that_laws_read_are_clipped_as_mujoco_does(gear, joint, drive) -> None:
     """Commands of policies lie beyond the control range; the actuator does not."""
     model = Model.from_xml(
-        '<mujoco><worldbody><body><joint name="j"/><geom size=".1" mass="1"/></body></worldbody>'
-        '<actuator><general name="a" joint="j" gear="3" gainprm="2" biastype="affine" '
-        'biasprm=".1 -1 -.2" ctrlrange="-1 1" forcerange="-1.5 2"/></actuator></mujoco>'
+        f'<mujoco><worldbody><body><joint name="j" {joint}/><geom size=".1" mass="1"/></body>'
+        f'</worldbody><actuator><general name="a" joint="j" gear="{gear}" gainprm="2" '
+        f'biastype="affine" biasprm=".1 -1 -.2" ctrlrange="-1 1" {drive}/></actuator></mujoco>'
     ).compile()
     time = np.arange(200) * 0.01
     u, q = 2.5 * np.sin(3 * time), 0.4 * np.sin(2 * time)
@@ -386,6 +395,54 @@ def test_forces_that_laws_read_are_clipped_as_mujoco_does() -> None:
         applied[k] = data.qfrc_actuator[0]
     np.testing.assert_allclose(scale.force(u, q, v), applied, atol=1e-12)
     assert scale.force_max == pytest.approx(np.abs(applied).max(), rel=0.02)
+    machine, site = survey(model, [log]), Site("actuator", "a")
+    most = CATALOGUE["actuator_saturation"].nominal(site, machine)
+    assert most == pytest.approx(np.abs(scale.force(np.array([-9.0, 9.0]), 0 * q[:2], 0 * v[:2])).max())
+
+
+LIMITED = (  # a joint whose actuators' forces are limited together, as by `effort` in a URDF
+    '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" actuatorfrcrange="-1 2"/>'
+    '<geom size=".1" pos="0 .3 0" mass="1"/></body></worldbody><actuator>{drives}</actuator>'
+    "</mujoco>"
+)
+DRIVE = '<motor name="{name}" joint="j" gear="{gear}"/>'
+
+
+def written(effect: str, joint: str, x: list[float], machine: Machine):
+    """Return the edit that writes an effect at a joint into a model's file."""
+    return lambda spec: CATALOGUE[effect].write(spec, Site("joint", joint), np.array(x), machine)
+
+
+@pytest.mark.parametrize("gear", [1.0, -4.0])
+def test_friction_and_cogging_are_not_clipped_with_the_motor(gear: float) -> None:
+    """A motor at its limit of 2 N m against friction of .5: the joint feels 1.5."""
+    model = Model.from_xml(LIMITED.format(drives=DRIVE.format(name="m", gear=gear)))
+    time = np.arange(400) * 0.01
+    log = Recording.from_arrays(time, qpos={"j": np.sin(3 * time)}, ctrl={"m": np.sin(time)})
+    machine = survey(model.compile(), [log])
+    rub = ("stribeck_friction", [0.0, 0.5, 0.01, 1e-4], [2.0 - 0.5, -1.0 - 0.5])
+    for effect, x, expected in (rub, ("cogging", [0.0, -0.7, 3.0], [2.0 - 0.7, -1.0 - 0.7])):
+        compiled = model.compile([written(effect, "j", x, machine)])
+        data = mujoco.MjData(compiled)
+        for wanted, total in zip((9.0, -9.0), expected, strict=True):
+            data.ctrl[0], data.qvel[0] = wanted / gear, 5.0
+            bent = bristle_motors(compiled)
+            friction = compiled.actuator_biasprm[bent, 3] / compiled.actuator_dynprm[bent, 5]
+            data.act[:] = friction  # they slide
+            mujoco.mj_forward(compiled, data)
+            assert data.qfrc_actuator[0] == pytest.approx(total, rel=1e-3)
+
+
+def test_a_limit_of_several_motors_together_stays() -> None:
+    drives = DRIVE.format(name="m", gear=1) + DRIVE.format(name="n", gear=1)
+    model = Model.from_xml(LIMITED.format(drives=drives))
+    time = np.arange(400) * 0.01
+    told = {"m": np.sin(time), "n": np.sin(time)}
+    log = Recording.from_arrays(time, qpos={"j": np.sin(3 * time)}, ctrl=told)
+    machine = survey(model.compile(), [log])
+    compiled = model.compile([written("cogging", "j", [0.0, -0.7, 3.0], machine)])
+    assert compiled.jnt_actfrclimited.all()
+    assert not compiled.actuator_forcelimited.any()
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_buffers_hold_the_commands_of_the_last_steps() -> None:
     assert remembered_steps(compiled) == 5
     batch, data = Batch(compiled, nsim=2, nthread=1), mujoco.MjData(compiled)
     past = np.arange(2 * 7 * 2, dtype=float).reshape(2, 7, 2)
-    load_past(batch, past)
+    load_past(compiled, batch.bind("history"), past)
     for row in (0, 1):
         own = np.ascontiguousarray(past[row, -5:, 1:])
         mujoco.mj_initCtrlHistory(compiled, data, compiled.actuator("late").id, None, own)

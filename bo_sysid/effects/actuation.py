@@ -136,9 +136,8 @@ def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
 
 def _limit(site: Site, machine: Machine) -> float:
     """Return the model's limit of the force along the joint, 0 where it has none."""
-    a = machine.model.actuator(site.name)
-    limit = float(np.abs(a.forcerange).max()) if a.forcelimited[0] else 0.0
-    return limit * abs(actuator_at(site, machine).gear)
+    a = actuator_at(site, machine)
+    return 0.0 if a.force_limits is None else float(np.abs(a.force_limits).max()) * abs(a.gear)
 
 
 def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[float, str]]:

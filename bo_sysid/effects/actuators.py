@@ -8,6 +8,8 @@ import numpy as np
 
 from bo_sysid.effects.contract import Filter, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.mjcf.commands import ALONG_JOINT, joint_force_limits, other_drives
+from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.mjcf.plain import add_plain
 from bo_sysid.recording import Channel
 
@@ -56,14 +58,18 @@ def filter_of(a: ActuatorScale, change: Callable[[Channel, float], Channel]) -> 
     return Filter(a.name, within_limits)
 
 
-def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActuator:
+def passive_motor(
+    spec: mujoco.MjSpec, joint: str, what: str, machine: Machine
+) -> mujoco.MjsActuator:
     """Add a `dcmotor` to a joint that has no control and turns no current into force.
 
     Args:
         spec: the spec to change.
         joint: name of the joint.
         what: what it does, for its name.
+        machine: whose model the spec is of.
     """
+    _limit_drive_itself(spec, joint, machine)
     name = f"{joint}_{what}"
     if spec.actuator(name) is not None:
         name += f"_{len(spec.actuators)}"
@@ -82,6 +88,23 @@ def passive_motor(spec: mujoco.MjSpec, joint: str, what: str) -> mujoco.MjsActua
     motor.dynprm = np.zeros(10)
     motor.gainprm[:2] = (1.0, _MOTOR_CONSTANT)
     return motor
+
+
+def _limit_drive_itself(spec: mujoco.MjSpec, joint: str, machine: Machine) -> None:
+    """Let a joint's limit of what actuators do bound its one drive, and no passive motor.
+
+    MuJoCo clips the sum of all actuators' forces along a joint to its `actuatorfrcrange`. That of
+    several drives, whose sum it bounds, stays.
+    """
+    limits, own = joint_force_limits(machine.model, joint), spec.joint(joint)
+    along = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == joint]
+    drives = [a for a in along if a.ctrlspec != _NO_CONTROL]
+    if limits is None or own.actgravcomp or len(drives) > 1 or other_drives(machine.model, joint):
+        return
+    for a in drives:
+        ends = sorted(limit / a.gear[0] for limit in limits)
+        RangeEdit({}, {a.name: (ends[0], ends[1])})(spec)
+    own.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def with_own_bias(spec: mujoco.MjSpec, name: str) -> mujoco.MjsActuator:

@@ -160,5 +160,5 @@ def cogging(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) ->
 
     A passive `dcmotor`: it has no control and no state, and turns no current into force.
     """
-    motor = passive_motor(spec, site.name, "cogging")
+    motor = passive_motor(spec, site.name, "cogging", machine)
     motor.biasprm[:3] = (float(np.hypot(x[0], x[1])), x[2], float(np.arctan2(x[1], x[0])))

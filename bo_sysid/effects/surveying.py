@@ -12,7 +12,7 @@ from scipy.signal import savgol_filter
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows
+from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows, joint_force_limits
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
 from bo_sysid.mjcf.touching import can_touch
@@ -134,7 +134,7 @@ def _actuator(
         and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
         jumps=(),
         ctrl_limits=_limits(bool(model.actuator_ctrllimited[k]), model.actuator_ctrlrange[k]),
-        force_limits=_limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a]),
+        force_limits=_force_limits(model, a, joint),
         follows=follows(model, a),
     )
     return _as_used(bare, model, recordings, None if joint is None else motion.get(joint))
@@ -184,6 +184,17 @@ def _as_used(
 
 def _limits(limited: bool, ends: Float[np.ndarray, "2"]) -> tuple[float, float] | None:
     return (float(ends[0]), float(ends[1])) if limited else None
+
+
+def _force_limits(model: mujoco.MjModel, a: int, joint: str | None) -> tuple[float, float] | None:
+    """Return the ends of an actuator's force: its own, and those of the joint that it drives."""
+    own = _limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a])
+    limits = None if joint is None else joint_force_limits(model, joint)
+    gear = float(model.actuator_gear[a, 0])
+    if limits is None or not gear:
+        return own
+    low, high = sorted(limit / gear for limit in limits)
+    return (low, high) if own is None else (max(own[0], low), min(own[1], high))
 
 
 def _driven(model: mujoco.MjModel, a: int) -> str | None:

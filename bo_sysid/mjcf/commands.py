@@ -38,6 +38,23 @@ def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     return str(model.joint(int(model.actuator_trnid[actuator, 0])).name)
 
 
+def joint_force_limits(model: mujoco.MjModel, joint: str) -> tuple[float, float] | None:
+    """Return the least and largest sum of what actuators do along a hinge or slide.
+
+    Args:
+        model: the compiled model.
+        joint: name of the joint.
+
+    Returns:
+        The ends in [N m] or [N], as a URDF's `effort` gives them; None where there is no limit.
+    """
+    j = model.joint(joint).id
+    if not model.jnt_actfrclimited[j]:
+        return None
+    low, high = model.jnt_actfrcrange[j].tolist()
+    return low, high
+
+
 def other_drives(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
     """Return the actuators that act on a hinge or slide through a tendon, a site or a body.
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
-from mujoco.batch import Batch
 
 from bo_sysid.mjcf.commands import controlled
 
@@ -17,18 +16,20 @@ def remembered_steps(model: mujoco.MjModel) -> int:
     return int(model.actuator_history[:, 0].max(initial=0))
 
 
-def load_past(batch: Batch, past: Float[np.ndarray, "W D nu"]) -> None:
-    """Fill the buffers of a batch that was reset with the commands of the last steps.
+def load_past(
+    model: mujoco.MjModel, history: Float[np.ndarray, "W nh"], past: Float[np.ndarray, "W D nu"]
+) -> None:
+    """Fill the buffers of simulations that were reset with the commands of the last steps.
 
     MuJoCo keeps of each delayed actuator (user data, cursor, n times, n values), the oldest first
     after a reset, at the steps before time 0, where it puts zeros. Commands older than `past` are
     its first.
 
     Args:
-        batch: to be stepped.
+        model: that has them.
+        history: its buffers in each simulation, changed in place.
         past: commands of the steps before the first, the oldest first.
     """
-    model, history = batch.model, batch.bind("history")
     for k, a in enumerate(controlled(model)):
         count = int(model.actuator_history[a, 0])
         if count:

@@ -162,7 +162,9 @@ class Engine:
         if start.warmstart is not None:
             batch.bind("qacc_warmstart")[:] = start.warmstart
         if batch.model.nhistory:
-            load_past(batch, held if start.past is None else start.past)
+            load_past(
+                batch.model, batch.bind("history"), held if start.past is None else start.past
+            )
         return batch
 
     def _loaded(self, models: mujoco.MjModel | Sequence[mujoco.MjModel], count: int) -> Batch:

@@ -13,6 +13,7 @@ from bo_sysid.arrays import Points
 from bo_sysid.mjcf import Edit, Loops, Model, parameter_edits
 from bo_sysid.parameters import Parameter
 from bo_sysid.simulation.activations import activations_of
+from bo_sysid.simulation.bristles import bristle_motors, with_loaded_bristles
 from bo_sysid.simulation.lockstep import Controller, ForceLaw
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.state import State
@@ -151,6 +152,7 @@ class MujocoSimulator:
         start = windows.start.repeat(times) if starts is None else State.concatenated(starts)
         if windows.sources:
             start = replace(start, act=self._activations(models, windows))
+        start = _with_loaded_bristles(models, start, windows)
         run = models[0] if times == 1 else [m for m in models for _ in range(count)]
         if self._one_shot(windows, layout):
             return self._final(layout, run, start, windows, times)
@@ -209,3 +211,18 @@ class MujocoSimulator:
         values = states[:, columns].reshape(times, len(windows), 1, len(columns))
         flags = diverged.reshape(times, len(windows))
         return [Prediction(v, f) for v, f in zip(values, flags, strict=True)]
+
+
+def _with_loaded_bristles(
+    models: Sequence[mujoco.MjModel], start: State, windows: Windows
+) -> State:
+    """Return the starts of each candidate, one after another, its bristles bent by their loads."""
+    if not bristle_motors(models[0]).size:
+        return start
+    count, first = len(windows), windows.ctrl[:, 0]
+    return State.concatenated(
+        [
+            with_loaded_bristles(m, start.rows(slice(k * count, (k + 1) * count)), first)
+            for k, m in enumerate(models)
+        ]
+    )

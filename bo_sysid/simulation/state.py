@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from bo_sysid.arrays import Act, Qpos, Qvel
 from bo_sysid.mjcf import Loops
 from bo_sysid.mjcf.joints import BALL, FREE
+from bo_sysid.simulation.delays import load_past
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,20 @@ class State:
             added = more if added is None else added + more
         qvel = self.qvel + tangent[:, nv : 2 * nv]
         return replace(self, qpos=qpos, qvel=qvel, warmstart=None, added=added)
+
+    def begin(self, data: mujoco.MjData, w: int, ctrl: Float[np.ndarray, " nu"]) -> None:
+        """Put simulation data that were reset, or were never stepped, where one state is.
+
+        Args:
+            data: to be changed; buffers of delays are filled as a rollout fills them.
+            w: number of the state.
+            ctrl: controls from there on.
+        """
+        data.qpos[:], data.qvel[:], data.act[:] = self.qpos[w], self.qvel[w], self.act[w]
+        data.ctrl[:] = ctrl
+        if data.model.nhistory:
+            past = ctrl[None] if self.past is None else self.past[w]
+            load_past(data.model, data.history[None], past[None])
 
     def closed(self, loops: Loops) -> "State":
         """Return the states with the joints that follow through loops where these close."""

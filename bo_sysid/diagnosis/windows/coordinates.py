@@ -5,14 +5,13 @@ where the torque that the motor hands on holds it (`transmitted`), with no speed
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.effects import Hidden, Machine, Part
-from bo_sysid.effects.bristles import bristle_motors, loaded
 from bo_sysid.mjcf.joints import QVEL_SIZE
 from bo_sysid.simulation import State, Trajectory
 
@@ -226,24 +225,11 @@ def transmitted(
     """
     data, out = mujoco.MjData(model), np.zeros((len(start), model.nv))
     for w in range(len(start)):
-        data.qpos[:], data.qvel[:], data.act[:] = start.qpos[w], start.qvel[w], start.act[w]
-        data.ctrl[:] = ctrl[w]
+        start.begin(data, w, ctrl[w])
         mujoco.mj_forward(model, data)
         forces = data.qfrc_actuator + data.qfrc_passive + data.qfrc_constraint
         out[w] = forces - model.dof_armature * data.qacc
     return out
-
-
-def with_loaded_bristles(
-    model: mujoco.MjModel, start: State, ctrl: Float[np.ndarray, "W nu"]
-) -> State:
-    """Return starts whose bristles are bent as `loaded` says, where a model has bristles."""
-    motors = bristle_motors(model)
-    if not motors.size:
-        return start
-    act = start.act.copy()
-    act[:, model.actuator_actadr[motors]] = loaded(model, motors, start.qpos, start.qvel, ctrl)
-    return replace(start, act=act)
 
 
 def _speeds(model: mujoco.MjModel, joint: int) -> int:

@@ -15,10 +15,10 @@ from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import Force
-from bo_sysid.effects.bristles import bristle_motors
 from bo_sysid.effects.machine import JointScale
 from bo_sysid.mjcf.touching import joints_to_contact
 from bo_sysid.simulation import State
+from bo_sysid.simulation.bristles import bristle_motors
 
 DIVERGING = 1e9
 """Response to the start above which a window's simulation diverges."""

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from bo_sysid.deviation.measure import blocks_of
 from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.compared import at_positions
-from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted, with_loaded_bristles
+from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.observation import observe
@@ -25,6 +25,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Controller, Engine, ForceLaw, State, Trajectory
 from bo_sysid.simulation.activations import activations_of
+from bo_sysid.simulation.bristles import with_loaded_bristles
 from bo_sysid.simulation.cutting import controls, cut
 from bo_sysid.simulation.delays import remembered_steps
 from bo_sysid.simulation.lockstep import force_laws
