@@ -61,10 +61,11 @@ def test_a_filter_before_a_lag_changes_the_activations_of_windows(effect, x, lat
     assert nominal > 100
 
 
-def test_signatures_of_filters_before_a_lag_are_the_difference_of_two_simulations() -> None:
+@pytest.mark.parametrize("effect", ["actuator_delay", "load_dependent_friction"])
+def test_signatures_beside_a_lag_are_the_difference_of_two_simulations(effect: str) -> None:
     evidence = evidence_of(recorded(LAG, LATE))
     problem = windows_of(evidence, 20, STEP)
-    c = next(c for c in evidence.candidates if c.effect.id == "actuator_delay")
+    c = next(c for c in evidence.candidates if c.effect.id == effect)
     start, x = problem.windows.start, 0.3 * c.point
     linear = linearise(problem, Hypothesis(), start)
     signature = signatures(linear, [c])[..., 0].astype(float)

@@ -10,7 +10,9 @@ from bo_sysid.effects.actuation import supply_of
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation import Engine, State
 from bo_sysid.simulation.bristles import bristle_motors
+from bo_sysid.simulation.lockstep import force_laws
 
 GOAL = 1.0
 VOLTS = 24 - 6 * np.linspace(0, 1, 2000)
@@ -397,7 +399,9 @@ def test_forces_that_laws_read_are_clipped_as_mujoco_does(gear, joint, drive) ->
     assert scale.force_max == pytest.approx(np.abs(applied).max(), rel=0.02)
     machine, site = survey(model, [log]), Site("actuator", "a")
     most = CATALOGUE["actuator_saturation"].nominal(site, machine)
-    assert most == pytest.approx(np.abs(scale.force(np.array([-9.0, 9.0]), 0 * q[:2], 0 * v[:2])).max())
+    assert most == pytest.approx(
+        np.abs(scale.force(np.array([-9.0, 9.0]), 0 * q[:2], 0 * v[:2])).max()
+    )
 
 
 LIMITED = (  # a joint whose actuators' forces are limited together, as by `effort` in a URDF
@@ -516,3 +520,30 @@ class TestCommandsBeyondTheirRange:
         assert drive.ctrl_max == pytest.approx(0.4)
         assert drive.ctrl_std == pytest.approx(0.4, rel=1e-2)
         assert drive.jumps[0] == pytest.approx(0.8)
+
+
+def test_a_force_that_goes_with_the_drive_follows_what_lags_behind_the_command() -> None:
+    """Friction of a share of the torque, against steps of plain MuJoCo and its activation."""
+    model = Model.from_xml(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" damping="5"/>'
+        '<geom size=".1" pos="0 .3 0" mass="1"/></body></worldbody><actuator>'
+        '<general name="m" joint="j" gainprm="4" dyntype="filterexact" dynprm=".1"/></actuator>'
+        "</mujoco>"
+    )
+    time = np.arange(500) * 0.002
+    u = np.sign(np.sin(2 * np.pi * 3 * time + 0.1))
+    log = Recording.from_arrays(time, qpos={"j": np.sin(3 * time)}, ctrl={"m": u})
+    compiled = model.compile()
+    machine, share = survey(compiled, [log]), 0.2
+    rub = CATALOGUE["load_dependent_friction"].parts
+    parts = rub(model.spec(), Site("joint", "j"), np.array([share, 0.0]), machine)
+    start = State(np.zeros((1, 1)), np.full((1, 1), 0.1), np.zeros((1, 1)))
+    found = Engine(1).rollout(compiled, start, u[None, :, None], laws=force_laws(parts))
+    data = mujoco.MjData(compiled)
+    data.qvel[0], inertia = 0.1, machine.joints["j"].inertia
+    for k in range(len(u)):
+        v, data.ctrl[0] = data.qvel[0], u[k]
+        stopping = 0.5 * inertia * abs(v) / compiled.opt.timestep
+        data.qfrc_applied[0] = -np.sign(v) * min(share * abs(4 * data.act[0]), stopping)
+        mujoco.mj_step(compiled, data)
+        assert found.qpos[0, k + 1, 0] == pytest.approx(data.qpos[0], abs=1e-12)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import actuator_at, affine, used, with_own_bias
+from bo_sysid.effects.actuators import acting, actuator_at, affine, used, with_own_bias
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -244,7 +244,7 @@ def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motio
 
     def law(m: Motion) -> Signal:
         sagged = (c.high - m.signals[supply]) / (c.high - c.low)
-        force = a.force(m.ctrl[site.name], m.qpos[joint], m.qvel[joint])
+        force = a.force(acting(a, m), m.qpos[joint], m.qvel[joint])
         return np.asarray(-(x[0] / c.high) * sagged * force)
 
     return law

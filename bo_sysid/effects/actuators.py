@@ -6,7 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import Filter, Site
+from bo_sysid.effects.contract import Filter, Motion, Signal, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
 from bo_sysid.mjcf.commands import ALONG_JOINT, joint_force_limits, other_drives
 from bo_sysid.mjcf.edits import RangeEdit
@@ -39,6 +39,12 @@ def drives(site: Site, machine: Machine) -> bool:
 def affine(site: Site, machine: Machine) -> bool:
     """Whether it drives its joint by a force affine in control, length and velocity."""
     return drives(site, machine) and actuator_at(site, machine).plain
+
+
+def acting(a: ActuatorScale, motion: Motion) -> Signal:
+    """Return what acts in a motion: an actuator's control, or the activation that lags behind."""
+    lagging = motion.act.get(a.name)
+    return a.clipped(motion.ctrl[a.name]) if lagging is None else lagging
 
 
 def filter_of(a: ActuatorScale, change: Callable[[Channel, float], Channel]) -> Filter:

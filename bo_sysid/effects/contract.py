@@ -44,6 +44,7 @@ class Motion(Protocol):
         qpos: position of each hinge or slide joint by name in [rad] or [m].
         qvel: velocity of each hinge or slide joint by name in [rad/s] or [m/s].
         ctrl: control of each actuator by name.
+        act: activation, by name, of each actuator whose force lags behind its control.
         signals: recorded inputs by channel name (``goal.elbow``, ``aux.voltage``).
         timestep: time until the next evaluation in [s].
         memory: of the law's own, empty when a simulation starts.
@@ -57,6 +58,8 @@ class Motion(Protocol):
     def qvel(self) -> Mapping[str, Signal]: ...  # noqa: D102
     @property
     def ctrl(self) -> Mapping[str, Signal]: ...  # noqa: D102
+    @property
+    def act(self) -> Mapping[str, Signal]: ...  # noqa: D102
     @property
     def signals(self) -> Mapping[str, Signal]: ...  # noqa: D102
     @property

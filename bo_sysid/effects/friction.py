@@ -5,6 +5,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from bo_sysid.effects.actuators import acting
 from bo_sysid.effects.bristles import BENT_FINER, add_bristles, bends, bristled, most_bent, stiff
 from bo_sysid.effects.contract import (
     Component,
@@ -228,7 +229,7 @@ def _load(site: Site, machine: Machine) -> Callable[[Motion], Signal]:
 
     def load(m: Motion) -> Signal:
         q, v = m.qpos[site.name], m.qvel[site.name]
-        return np.asarray(sum(a.force(m.ctrl[a.name], q, v) for a in drives))
+        return np.asarray(sum(a.force(acting(a, m), q, v) for a in drives))
 
     return load
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from bo_sysid.effects.actuators import acting
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -95,7 +96,7 @@ def _closed(
         more, faster = motion.qpos[hidden.joint], motion.qvel[hidden.joint]
         force = -kp * more - kd * faster
         for a in limited:
-            u = motion.ctrl[a.name]
+            u = acting(a, motion)
             force = force + a.force(u, q + more, v + faster) - a.force(u, q, v)
         return force
 

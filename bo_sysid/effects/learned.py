@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias
 import mujoco
 import numpy as np
 
+from bo_sysid.effects.actuators import acting
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -216,7 +217,7 @@ def _of_drive(joint: JointScale, machine: Machine) -> list[Feature]:
 
 
 def _control(a: ActuatorScale) -> Variable:
-    return Variable(f"ctrl.{a.name}", lambda m: a.clipped(m.ctrl[a.name]), -a.ctrl_max, a.ctrl_max)
+    return Variable(f"ctrl.{a.name}", lambda m: acting(a, m), -a.ctrl_max, a.ctrl_max)
 
 
 def _power(a: ActuatorScale, power: int) -> Shape:
@@ -225,7 +226,7 @@ def _power(a: ActuatorScale, power: int) -> Shape:
 
 def _load(a: ActuatorScale, joint: JointScale) -> Variable:
     def read(m: Motion) -> Signal:
-        force = a.force(m.ctrl[a.name], m.qpos[joint.name], m.qvel[joint.name])
+        force = a.force(acting(a, m), m.qpos[joint.name], m.qvel[joint.name])
         return np.asarray(np.abs(force) / a.force_max)
 
     return Variable(f"load.{a.name}", read, 0.0, 2.0)

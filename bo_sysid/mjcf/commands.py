@@ -20,6 +20,12 @@ def follows(model: mujoco.MjModel, actuator: int) -> bool:
     return int(model.actuator_dyntype[actuator]) in (int(mujoco.mjtDyn.mjDYN_NONE), *LAGS)
 
 
+def lags(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force follows from one activation, which lags behind its control."""
+    one = int(model.actuator_actnum[actuator]) == 1
+    return one and int(model.actuator_dyntype[actuator]) in LAGS
+
+
 def commands_force(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether what an actuator's control adds to its force is its gain times the control."""
     fixed = int(model.actuator_gaintype[actuator]) == mujoco.mjtGain.mjGAIN_FIXED

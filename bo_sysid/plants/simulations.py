@@ -81,6 +81,8 @@ class Simulations:
         if self._laws:
             views = {name: self._batch.bind(name) for name in ("qpos", "qvel", "ctrl")}
             views["qfrc_applied"] = self._batch.bind("qfrc_applied")
+            if self.model.na:
+                views["act"] = self._batch.bind("act")
             self._lockstep = LockStep(self.model, self._laws, {}, views, None)
             self._lockstep_counts[:] = 0
 

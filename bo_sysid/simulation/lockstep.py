@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.effects.contract import Force, Part
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import controlled, lags
 from bo_sysid.mjcf.joints import SCALAR
 
 Signal = Float[np.ndarray, " W"]
@@ -35,6 +35,7 @@ class LawInputs:
         timestep: time until the next evaluation in [s].
         memory: a dictionary of the law's own, empty at the start of every roll-out; a law with
             history keeps its arrays here.
+        act: activation of each actuator whose force lags behind its control, by name, `W`.
     """
 
     time: Signal
@@ -44,6 +45,7 @@ class LawInputs:
     signals: Mapping[str, Signal]
     timestep: float
     memory: dict[str, Any] = field(default_factory=dict)
+    act: Mapping[str, Signal] = field(default_factory=dict)
 
 
 Law = Callable[[LawInputs], Signal]
@@ -106,7 +108,8 @@ class LockStep:
             model: the compiled model.
             laws: in the order in which they act.
             signals: recorded inputs by channel name.
-            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied.
+            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied; act, too, where its
+                actuators are not taken as settled.
             force: generalised forces that act beside the laws.
             every: steps from one evaluation to the next.
         """
@@ -125,6 +128,11 @@ class LockStep:
         self._qvel = {n: views["qvel"][:, k] for n, k in self._dof.items()}
         self._actuator = {model.actuator(a).name: i for i, a in enumerate(controlled(model))}
         self._ctrl = {n: views["ctrl"][:, i] for n, i in self._actuator.items()}
+        self._act = {
+            n: views["act"][:, int(model.actuator_actadr[a])]
+            for a, n in zip(controlled(model), self._actuator, strict=True)
+            if "act" in views and lags(model, a)
+        }
         self._memories: list[dict[str, Any]] = [{} for _ in laws]
 
     def apply(self, step: int, column: int | None = None) -> None:
@@ -186,12 +194,12 @@ class LockStep:
         signals: Mapping[str, Signal],
         memory: dict[str, Any],
     ) -> None:
-        qpos, qvel, ctrl = (
+        qpos, qvel, ctrl, act = (
             group if at is _ALL else {name: x[at] for name, x in group.items()}
-            for group in (self._qpos, self._qvel, self._ctrl)
+            for group in (self._qpos, self._qvel, self._ctrl, self._act)
         )
         until_next = self._every * self._timestep
-        value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, until_next, memory))
+        value = law.law(LawInputs(time, qpos, qvel, ctrl, signals, until_next, memory, act))
         if isinstance(law, Controller):
             self._views["ctrl"][at, self._actuator[law.actuator]] = value
         else:

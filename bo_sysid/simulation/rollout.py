@@ -96,6 +96,8 @@ class Engine:
             else:
                 model = _first(models)  # the batch's may have other names and another time step
                 views = {n: batch.bind(n) for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+                if model.na:
+                    views["act"] = batch.bind("act")
                 alone = force is None and not sensors
                 every = steps_held(laws, model.opt.timestep) if alone else 1
                 lockstep = LockStep(model, tuple(laws), signals or {}, views, force, every)

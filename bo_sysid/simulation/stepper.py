@@ -92,7 +92,7 @@ class Stepper:
     def _restart(self) -> None:
         """Forget the past: the simulation was reset."""
         d = self.data
-        views = {n: getattr(d, n)[None] for n in ("qpos", "qvel", "ctrl", "qfrc_applied")}
+        views = {n: getattr(d, n)[None] for n in ("qpos", "qvel", "act", "ctrl", "qfrc_applied")}
         self._signals = {ELAPSED: np.zeros((1, 1))}
         self._every = steps_held(self._laws, self.model.opt.timestep)
         self._lockstep = LockStep(self.model, self._laws, self._signals, views, None, self._every)

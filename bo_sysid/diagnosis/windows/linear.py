@@ -25,6 +25,7 @@ from bo_sysid.diagnosis.windows.reference_motion import Along, smoothed
 from bo_sysid.effects import Part
 from bo_sysid.effects.contract import Reading
 from bo_sysid.effects.readings import readings
+from bo_sysid.mjcf.commands import controlled, lags
 from bo_sysid.simulation import (
     State,
     Trajectory,
@@ -118,9 +119,14 @@ class Linear:
         at = np.minimum(np.arange(self.macros) * self.macro, written.shape[1] - 1)
         ctrl = {n: written[:, at, i] for i, n in enumerate(names)}
         signals = {n: s[:, rows] for n, s in p.windows.signals.items()}
+        lagging = {model.actuator(a).name: a for a in controlled(model) if lags(model, a)}
+        act = {
+            n: self.trajectory.act[:, rows, int(model.actuator_actadr[a])]
+            for n, a in lagging.items()
+        }
         step = self.macro * p.windows.timestep
         time = np.broadcast_to(np.arange(self.macros) * step, (len(p.windows), self.macros))
-        return Along(qpos, qvel, ctrl, signals, time, step)
+        return Along(qpos, qvel, ctrl, signals, time, step, act)
 
     @cached_property
     def recorded(self) -> Along:
