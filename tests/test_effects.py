@@ -396,3 +396,26 @@ def test_a_payload_counts_once_where_static_bodies_are_fused(
         ]
     )
     assert made.body_subtreemass[0] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("load", "offered"),
+    [
+        ('<inertial pos="0 0 0" mass=".2" diaginertia="1e-9 1e-9 1e-9"/>', True),
+        ('<geom size=".03" pos=".02 0 0" mass=".2"/>', False),
+        ('<joint name="grip"/><geom size=".03" mass=".2"/>', False),
+    ],
+)
+def test_a_body_that_only_bears_the_name_of_a_load_is_left_alone(load: str, offered: bool) -> None:
+    """A gripper of that name would have become a point mass, at magnitude 0 too."""
+    model = Model.from_xml(
+        '<mujoco><worldbody><body name="hand"><joint name="j" axis="0 1 0"/><geom size=".1" '
+        f'mass="1"/><body name="hand_payload" pos=".1 0 0">{load}</body></body></worldbody>'
+        "</mujoco>"
+    )
+    time = np.arange(300) * 0.01
+    names = [model.compile().joint(k).name for k in range(model.compile().njnt)]
+    moved = {n: np.sin((3 + k) * time) for k, n in enumerate(names)}
+    machine = survey(model.compile(), [Recording.from_arrays(time, qpos=moved)])
+    sites = applicable(CATALOGUE["payload"], machine)
+    assert (Site("body", "hand") in sites) == offered

@@ -55,15 +55,33 @@ def armature(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 def _carried(site: Site, machine: Machine) -> float:
     """Return the mass of the payload that the model has there already, 0 where there is none."""
-    load = mujoco.mj_name2id(machine.model, mujoco.mjtObj.mjOBJ_BODY, f"{site.name}_payload")
+    load = _body_of_payload(site, machine)
     return float(machine.model.body_mass[load]) if load >= 0 else 0.0
 
 
-def _payload_extent(site: Site, machine: Machine) -> Extent:
+def _body_of_payload(site: Site, machine: Machine) -> int:
+    """Return the number of the body that bears a payload's name, -1 where there is none."""
+    name = f"{site.name}_payload"
+    return int(mujoco.mj_name2id(machine.model, mujoco.mjtObj.mjOBJ_BODY, name))
+
+
+def _taken(site: Site, machine: Machine) -> bool:
+    """Whether the body that bears a payload's name is another one: no point mass, or it moves."""
+    model, load = machine.model, _body_of_payload(site, machine)
+    if load < 0:
+        return False
+    parent = model.body(int(model.body_parentid[load])).name
+    own = model.body_geomnum[load] or model.body_jntnum[load] or model.body_ipos[load].any()
+    return bool(own) or parent != site.name
+
+
+def _payload_extent(site: Site, machine: Machine) -> Extent | None:
     """Bound a load by the mass of all that moves: a wrist carries many times its last link.
 
     And its place by how far bodies reach: a tool may extend beyond its flange.
     """
+    if _taken(site, machine):
+        return None
     body = machine.bodies[site.name]
     most = max(_MOST * body.mass, sum(b.mass for b in machine.bodies.values()))
     carried = _carried(site, machine)
