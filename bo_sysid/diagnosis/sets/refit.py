@@ -27,6 +27,7 @@ _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _MOVE = 3.0  # times its size, that a magnitude may move at once at the cost of one variance
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT, _TINY = 1e9, 1e-12
+_NOTHING = 0.01  # variances of the squared residual: a step that promises less is not tried
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
 
@@ -221,6 +222,9 @@ def _descend(
     J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
+        step = _bounded_step(SP, point, space, _RIDGE, 0.0)
+        if (exact or iteration) and _promised(SP, point, step) < _NOTHING * max(point.rss / dof, 1):
+            break
         tried = None
         for ridge, variance in ((_RIDGE, 0.0), (_DAMPED, 0.0), (_RIDGE, point.rss / dof)):
             step = _bounded_step(SP, point, space, ridge, variance)
@@ -257,6 +261,12 @@ def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, 
         moved = frame.problem.residual(space.hypothesis(theta), point.start)
         columns.append((point.r - moved) / h)
     return np.asarray(np.clip(np.stack(columns, axis=-1), -_CUT, _CUT))
+
+
+def _promised(S: Float[np.ndarray, "W R p"], point: _Point, step: np.ndarray) -> float:
+    """Return how much less of the squared residual a step leaves, to first order."""
+    change = S @ step
+    return float((change * (2.0 * point.y - change)).sum())
 
 
 def _bounded_step(

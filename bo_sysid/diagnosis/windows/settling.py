@@ -13,6 +13,9 @@ from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.simulation import State
 
+_WORTH = 1e-3  # [sigma²] of a window, for which its start is moved
+_SHARE = 1e-6  # the same as a share of what it leaves
+
 
 def settle(
     problem: Problem,
@@ -77,10 +80,16 @@ def moved_along(
 ) -> tuple[State, Float[np.ndarray, "W R"], Bool[np.ndarray, " W"]]:
     """Return starts moved to explain `toward`, where that lowers the residual of a window.
 
-    Only windows `among` them are moved and simulated, by default all.
+    Only windows `among` them are moved and simulated, by default all, and of these only those that
+    are to gain by it: to first order |Qᵀ toward|², next to nothing where a start is at its best.
     """
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
-    if among is None or among.all():
+    gain = (np.einsum("wrk,wr->wk", frame.Q, toward) ** 2).sum(axis=1)
+    worth = gain > np.maximum(_WORTH, _SHARE * (r**2).sum(axis=1))
+    among = worth if among is None else among & worth
+    if not among.any():
+        return start, r, among
+    if among.all():
         moved = problem.moved(start, change)
         return better_of(start, r, moved, problem.residual(hypothesis, moved))
     part = problem.rows(among)
