@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, assess
+from bo_sysid.diagnosis.sets.gauss_newton import LeastSquares, broyden
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, beside, slices_of
@@ -24,9 +25,8 @@ from bo_sysid.simulation import State
 _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothing to speak of
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
-_MOVE = 3.0  # times its size, that a magnitude may move at once at the cost of one variance
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
-_CUT, _TINY = 1e9, 1e-12
+_CUT = 1e9
 _NOTHING = 0.01  # variances of the squared residual: a step that promises less is not tried
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
@@ -222,13 +222,13 @@ def _descend(
     J = _jacobian(frame, space, point) if S is None else np.clip(np.nan_to_num(S), -_CUT, _CUT)
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
-        step = _bounded_step(SP, point, space, _RIDGE, 0.0)
-        if (exact or iteration) and _promised(SP, point, step) < _NOTHING * max(point.rss / dof, 1):
+        local = LeastSquares(SP, point.y, point.theta, space.low, space.high, space.probe)
+        promised = local.promised(local.step(_RIDGE))
+        if (exact or iteration) and promised < _NOTHING * max(point.rss / dof, 1.0):
             break
         tried = None
         for ridge, variance in ((_RIDGE, 0.0), (_DAMPED, 0.0), (_RIDGE, point.rss / dof)):
-            step = _bounded_step(SP, point, space, ridge, variance)
-            tried = _line_search(frame, space, point, J, step)
+            tried = _line_search(frame, space, point, J, local.step(ridge, variance))
             if tried is not None or not exact:
                 break
         if tried is None:
@@ -239,7 +239,7 @@ def _descend(
             continue
         gain, moved = point.rss - tried.rss, tried.theta - point.theta
         if moved.any():
-            J = _broyden(SP, moved, project(frame.Q, point.r - tried.r))
+            J = broyden(SP, moved, project(frame.Q, point.r - tried.r))
         exact, point = False, tried
         share = _FAR_WORTH if point.rss / dof > ROUGH**2 else 0.0 if effort.final else 1e-3
         if gain < effort.gain * max(point.rss / dof, 1.0) + share * point.rss:
@@ -261,48 +261,6 @@ def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, 
         moved = frame.problem.residual(space.hypothesis(theta), point.start)
         columns.append((point.r - moved) / h)
     return np.asarray(np.clip(np.stack(columns, axis=-1), -_CUT, _CUT))
-
-
-def _promised(S: Float[np.ndarray, "W R p"], point: _Point, step: np.ndarray) -> float:
-    """Return how much less of the squared residual a step leaves, to first order."""
-    change = S @ step
-    return float((change * (2.0 * point.y - change)).sum())
-
-
-def _bounded_step(
-    S: Float[np.ndarray, "W R p"],
-    point: _Point,
-    space: _Space,
-    ridge: float,
-    variance: float,
-) -> Float[np.ndarray, " p"]:
-    """Return the Gauss-Newton step; magnitudes that it would push out of bounds stay.
-
-    With a variance damped as Levenberg and Marquardt do, in units of the magnitudes: it minimises
-    |y - S δ|² + variance Σ (δ / 3 size)². What acts in second order alone (a tilt out of the plane
-    that a machine moves in) has a column next to nothing, which asks for moves far beyond what it
-    holds for, and no share of such a step serves the others.
-    """
-    A = S.reshape(-1, S.shape[-1])
-    scale = np.sqrt((A**2).sum(axis=0)) + _TINY
-    A = A / scale
-    move = _MOVE * np.maximum(np.abs(point.theta), np.abs(space.probe))
-    G = A.T @ A + np.diag(ridge + variance / (move * scale) ** 2)
-    g = A.T @ point.y.ravel()
-    theta, free = point.theta, np.ones(len(scale), bool)
-    step = np.zeros(len(scale))
-    for _ in range(len(scale)):
-        step = np.zeros(len(scale))
-        if not free.any():
-            break
-        step[free] = np.linalg.solve(G[np.ix_(free, free)], g[free]) / scale[free]
-        down = (theta + step < space.low) & (theta <= space.low + 1e-12)
-        up = (theta + step > space.high) & (theta >= space.high - 1e-12)
-        bad = free & (down | up)
-        if not bad.any():
-            break
-        free &= ~bad
-    return np.nan_to_num(step)
 
 
 def _line_search(
@@ -328,14 +286,3 @@ def _line_search(
         if (r**2).sum() < point.rss:
             return _Point(theta, start, r, project(frame.Q, r))
     return None
-
-
-def _broyden(
-    S: Float[np.ndarray, "W R p"], moved: Float[np.ndarray, " p"], seen: Float[np.ndarray, "W R"]
-) -> Float[np.ndarray, "W R p"]:
-    """Return the Jacobian, changed least in units of its columns, that reproduces a step."""
-    scaled = moved * (S**2).sum(axis=(0, 1))
-    denominator = float(scaled @ moved)
-    if denominator <= 0:
-        return S
-    return np.asarray(S + (seen - S @ moved)[..., None] * (scaled / denominator))
