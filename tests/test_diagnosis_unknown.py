@@ -1,7 +1,6 @@
 """What is not in the catalogue is flagged, located and described; what is there is not flagged."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -40,6 +39,7 @@ from bo_sysid.diagnosis.windows.reference_motion import smoothed
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects.learned import learned_force
 from bo_sysid.mjcf.touching import touching
+from bo_sysid.simulation import LawInputs
 
 AT_ELBOW = Clue("elbow", ("position",), 1.0)
 
@@ -50,12 +50,10 @@ def spring_law(q: np.ndarray) -> np.ndarray:
     return -0.08 * z * np.exp(-(z**2))
 
 
-def moving(q: np.ndarray) -> SimpleNamespace:
+def moving(q: np.ndarray) -> LawInputs:
     """Both joints at some positions, with as much speed."""
     both = {"elbow": q, "shoulder": q}
-    return SimpleNamespace(
-        time=q, qpos=both, qvel=both, ctrl={}, signals={}, timestep=0.002, memory={}
-    )
+    return LawInputs(q, both, both, ctrl={}, signals={}, timestep=0.002)
 
 
 def settled(nominal: Fit) -> Decision:
