@@ -27,7 +27,7 @@ _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, t
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT = 1e9
-_NOTHING = 0.01  # variances of the squared residual: a step that promises less is not tried
+_NOTHING = 0.01  # variances of the squared residual: where a step promises less, only starts move
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
 
@@ -223,14 +223,12 @@ def _descend(
     for iteration in range(effort.iterations):
         SP = project(frame.Q, J)
         local = LeastSquares(SP, point.y, point.theta, space.low, space.high, space.probe)
-        promised = local.promised(local.step(_RIDGE))
-        if (exact or iteration) and promised < _NOTHING * max(point.rss / dof, 1.0):
-            break
-        tried = None
-        for ridge, variance in ((_RIDGE, 0.0), (_DAMPED, 0.0), (_RIDGE, point.rss / dof)):
-            tried = _line_search(frame, space, point, J, local.step(ridge, variance))
-            if tried is not None or not exact:
-                break
+        idle = local.promised(local.step(_RIDGE)) < _NOTHING * max(point.rss / dof, 1.0)
+        tried: _Point | None = None
+        if idle and (exact or iteration):
+            tried = _settled(frame, space, point)
+        else:
+            tried = _stepped(frame, space, point, J, local, exact=exact)
         if tried is None:
             hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
             if exact or hopeless or point.rss / dof > 1e4:
@@ -240,7 +238,7 @@ def _descend(
         gain, moved = point.rss - tried.rss, tried.theta - point.theta
         if moved.any():
             J = broyden(SP, moved, project(frame.Q, point.r - tried.r))
-        exact, point = False, tried
+        exact, point = exact and not moved.any(), tried
         share = _FAR_WORTH if point.rss / dof > ROUGH**2 else 0.0 if effort.final else 1e-3
         if gain < effort.gain * max(point.rss / dof, 1.0) + share * point.rss:
             break
@@ -248,6 +246,22 @@ def _descend(
         if iteration >= 1 and behind:
             break
     return point, J
+
+
+def _stepped(
+    frame: Linear, space: _Space, point: _Point, J: np.ndarray, local: LeastSquares, *, exact: bool
+) -> _Point | None:
+    """Return the point after a step, damped where the plain one of an exact Jacobian leads nowhere.
+
+    None where nothing leads to less.
+    """
+    for ridge, variance in (
+        (_RIDGE, 0.0), (_DAMPED, 0.0), (_RIDGE, point.rss / frame.problem.dof),
+    ):  # fmt: skip
+        tried = _line_search(frame, space, point, J, local.step(ridge, variance))
+        if tried is not None or not exact:
+            return tried
+    return None
 
 
 def _jacobian(frame: Linear, space: _Space, point: _Point) -> Float[np.ndarray, "W R p"]:
