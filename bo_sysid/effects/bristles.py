@@ -11,10 +11,11 @@ BENT_FINER = (0.6, 1.6)
 """Factors by which the bend that explains most is varied."""
 
 _BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
-_STIFF = 1e-5  # the same, of friction that none of them was found for
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _LEAST = 1e-30  # [J] that bristles store
 _RESOLVED = 0.5  # k·h²/m of bristles that do not bend: a step h follows their oscillation
+_BACKED, _RATTLE = 1.5, 0.01  # the same, where dry friction holds beside them, and c/√(k·m)
+_REMAINS = 0.005  # of what these hold at standstill more, in motion: none at all has no bend
 
 
 def most_bent(joint: JointScale) -> float:
@@ -25,11 +26,6 @@ def most_bent(joint: JointScale) -> float:
 def bends(joint: JointScale) -> tuple[float, ...]:
     """Return the bends that are tried at a joint, in [rad] or [m]."""
     return tuple(bend * joint.spread for bend in _BENDS)
-
-
-def stiff(joint: JointScale) -> float:
-    """Return the bend of bristles in the place of friction that does not bend, in [rad] or [m]."""
-    return _STIFF * joint.spread
 
 
 def add_bristles(
@@ -56,15 +52,51 @@ def add_bristles(
     [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
         friction", IEEE Transactions on Automatic Control 40(3), 1995.
     """
-    low, high, speed = friction
+    low, high, _ = friction
     joint, dt = machine.joints[name], spec.option.timestep
     stiffness = high / np.hypot(bend, high * dt**2 / (_RESOLVED * joint.inertia))
     motor = passive_motor(spec, name, "friction", machine)
     damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
-    motor.dynprm[5:7] = (stiffness, damping)
-    motor.biasprm[3:6] = (low, high, speed)
-    motor.actdim = 1
+    _set_bristles(motor, stiffness, damping, friction)
     spec.joint(name).frictionloss = 0.0
+
+
+def add_rise(
+    spec: mujoco.MjSpec, name: str, excess: float, speed: float, machine: Machine
+) -> float:
+    """Add bristles to a joint's dry friction that are all of it that a joint loses in motion.
+
+    Dry friction holds beside them, so that they may be as stiff as a step bears, and nearly
+    undamped: of 20 pairs these left least in three motions, half of them at rest. Bristles in the
+    place of all friction rang there, and left three to five times as much.
+
+    Args:
+        spec: the spec to change.
+        name: of the joint.
+        excess: of friction at standstill, in [N m] or [N].
+        speed: at which it is lost.
+        machine: the scales of the joint.
+
+    Returns:
+        How much bristles hold in motion, which is to be taken from the dry friction.
+    """
+    joint, dt, low = machine.joints[name], spec.option.timestep, _REMAINS * excess
+    motor = passive_motor(spec, name, "friction", machine)
+    stiffness = _BACKED * joint.inertia / dt**2
+    damping = _RATTLE * np.sqrt(stiffness * joint.inertia)
+    _set_bristles(motor, stiffness, damping, (low, low + excess, speed))
+    return low
+
+
+def _set_bristles(
+    motor: mujoco.MjsActuator,
+    stiffness: float,
+    damping: float,
+    friction: tuple[float, float, float],
+) -> None:
+    motor.dynprm[5:7] = (stiffness, damping)
+    motor.biasprm[3:6] = friction
+    motor.actdim = 1
 
 
 def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion: Motion) -> Signal:

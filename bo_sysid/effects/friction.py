@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import acting
-from bo_sysid.effects.bristles import BENT_FINER, add_bristles, bends, bristled, most_bent, stiff
+from bo_sysid.effects.bristles import BENT_FINER, add_bristles, add_rise, bends, bristled, most_bent
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -118,11 +118,17 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
 
 
 def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
-    """Write the friction of `stribeck_friction` as LuGre friction with the same steady state."""
+    """Write the friction of `stribeck_friction` as LuGre friction with the same steady state.
+
+    Where it does not bend only what it loses in motion, beside dry friction.
+    """
     excess, coulomb, speed, bend = _stribeck_magnitudes(x)
     low = spec.joint(site.name).frictionloss + coulomb
-    bend = bend or stiff(machine.joints[site.name])
-    add_bristles(spec, site.name, (low, low + excess, speed), bend, machine)
+    if bend:
+        add_bristles(spec, site.name, (low, low + excess, speed), bend, machine)
+    else:
+        remains = add_rise(spec, site.name, excess, speed, machine) if excess else 0.0
+        add_dry_friction(spec, site.name, coulomb - remains)
 
 
 def _stribeck_magnitudes(x: Magnitudes) -> tuple[float, float, float, float]:

@@ -28,7 +28,7 @@ class Written:
         beside: in words, what stands beside it.
         unrecorded: joints that were added, each with the joint whose encoder shows it as well.
         timestep: of the file in [s], and of the nominal model.
-        bristles: joints whose friction does not bend, and in the file has to, a little.
+        bristles: joints whose friction does not bend, and in the file does so, a little.
     """
 
     beside: tuple[str, ...]
@@ -50,9 +50,9 @@ class Written:
         if step < own:
             said.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
         said += [
-            f"the friction of {joint} is that of stiff bristles in {MODEL}, the nearest that MJCF "
-            "has: they ring where the joint stands still, and forecasts of the file there are not "
-            "as good as those that are reported"
+            f"the friction of {joint} is dry friction and stiff bristles in {MODEL}, the nearest "
+            "that MJCF has: where the joint stands still they ring a little, and forecasts of the "
+            "file are not as good as those that are reported"
             for joint in self.bristles
         ]
         return tuple(said)
