@@ -104,7 +104,7 @@ def _limit_drive_itself(spec: mujoco.MjSpec, joint: str, machine: Machine) -> No
     """
     limits, own = joint_force_limits(machine.model, joint), spec.joint(joint)
     along = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == joint]
-    drives = [a for a in along if a.ctrlspec != _NO_CONTROL]
+    drives = [a for a in along if a.ctrlspec != _NO_CONTROL and a.gear[0]]
     if limits is None or own.actgravcomp or len(drives) > 1 or other_drives(machine.model, joint):
         return
     for a in drives:
