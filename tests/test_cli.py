@@ -321,6 +321,11 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         frozen = say("report", "run2")[1]
     assert "Nothing is decided yet; fits so far: 1. The same command goes on." in said
     assert "The elbow has dry friction of 0.1 N m.\nThe unseen recordings were not" in frozen
+    with Run.open(folder / "run3", {}, "compare"):
+        (folder / "run3" / "records" / "small" / "greedy").mkdir(parents=True)
+        for name in ("000.json", "001.json", "plan.json"):
+            (folder / "run3" / "records" / "small" / "greedy" / name).touch()
+        assert "Runs of arms so far: 2. The same command goes on." in say("report", "run3")[1]
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err

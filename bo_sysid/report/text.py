@@ -44,6 +44,9 @@ def run_text(folder: str | Path) -> str:
             f"{head}\nIterations so far: {rounds}, each with the policy that it learned "
             "(iterations/*/policy.npz). The same command goes on."
         )
+    compared = len(list(folder.glob("records/*/*/[0-9]*.json")))
+    if record["command"] == "compare" and compared:
+        return f"{head}\nRuns of arms so far: {compared}. The same command goes on."
     fits = len(list((folder / FITS).glob("*.npz")))
     if fits:
         return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
