@@ -27,7 +27,7 @@ _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, t
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
 _CUT = 1e9
-_NOTHING = 0.01  # variances of the squared residual: where a step promises less, only starts move
+_NOTHING = 1e-3  # variances of the squared residual: where a step promises less, only starts move
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
 
 

@@ -13,8 +13,8 @@ from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.simulation import State
 
-_WORTH = 1e-3  # [sigma²] of a window, for which its start is moved
-_SHARE = 1e-6  # the same as a share of what it leaves
+# [sigma²] of a window, for which its start is moved; with 1e-3 a set of two ended elsewhere
+_WORTH = 1e-6
 
 
 def settle(
@@ -81,11 +81,10 @@ def moved_along(
     """Return starts moved to explain `toward`, where that lowers the residual of a window.
 
     Only windows `among` them are moved and simulated, by default all, and of these only those that
-    are to gain by it: to first order |Qᵀ toward|², next to nothing where a start is at its best.
+    can gain by it: to first order |Qᵀ r|² at most, next to nothing where a start is at its best.
     """
     change = np.einsum("wki,wi->wk", frame.start_gain, toward)
-    gain = (np.einsum("wrk,wr->wk", frame.Q, toward) ** 2).sum(axis=1)
-    worth = gain > np.maximum(_WORTH, _SHARE * (r**2).sum(axis=1))
+    worth = (np.einsum("wrk,wr->wk", frame.Q, r) ** 2).sum(axis=1) > _WORTH
     among = worth if among is None else among & worth
     if not among.any():
         return start, r, among
