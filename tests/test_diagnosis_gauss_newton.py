@@ -11,10 +11,10 @@ SCALES = np.array([1.0, 1e-3, 50.0])  # columns in units that have nothing in co
 WIDE = np.full(3, 1e9)
 
 
-def local(low=-WIDE, high=WIDE, theta=(0.0, 0.0, 0.0)) -> LeastSquares:
+def local(high=WIDE) -> LeastSquares:
     rng = np.random.default_rng(0)
     S = rng.normal(size=(4, 25, 3)) * SCALES
-    return LeastSquares(S, rng.normal(size=(4, 25)), np.array(theta), low, high, 1.0 / SCALES)
+    return LeastSquares(S, rng.normal(size=(4, 25)), np.zeros(3), -WIDE, high, 1.0 / SCALES)
 
 
 def by_numpy(squares: LeastSquares, free: list[int]) -> np.ndarray:

@@ -59,8 +59,8 @@ def study_text(
     What was written beside the model is named, after what stood beside the model before, and the
     joints that were added, which nothing measures. Where the study has a parameter at a finding's
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
-    finding's leaves it. One that was the friction of a joint goes, where bristles stand for that,
-    and one that the repaired model has no more, with the reason.
+    finding's leaves it. One that was the friction of a joint goes, where bristles have a part in
+    that, and one that the repaired model has no more, with the reason.
     """
     data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
@@ -82,7 +82,7 @@ def study_text(
 
 
 def _bristles(finding: Finding) -> bool:
-    """Whether a finding is friction that bristles stand for, in the place of `frictionloss`."""
+    """Whether a finding is friction of which `frictionloss` is not all, or none, in the file."""
     bent = finding.effect == "dry_friction" and any(finding.x[BEND:])
     return bent or finding.effect == "stribeck_friction"
 

@@ -1,6 +1,7 @@
 """Steps of Gauss and Newton within bounds, and Broyden's update of the Jacobian between them."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -41,12 +42,9 @@ class LeastSquares:
             ridge: on unit columns.
             variance: of the squared residual; 0 for an undamped step.
         """
-        A = self.S.reshape(-1, self.S.shape[-1])
-        scale = np.sqrt((A**2).sum(axis=0)) + _TINY
-        A = A / scale
+        scale, gram, g = self._normal
         move = _MOVE * np.maximum(np.abs(self.theta), np.abs(self.probe))
-        G = A.T @ A + np.diag(ridge + variance / (move * scale) ** 2)
-        g = A.T @ self.y.ravel()
+        G = gram + np.diag(ridge + variance / (move * scale) ** 2)
         theta, free = self.theta, np.ones(len(scale), bool)
         step = np.zeros(len(scale))
         for _ in range(len(scale)):
@@ -61,6 +59,14 @@ class LeastSquares:
                 break
             free &= ~bad
         return np.nan_to_num(step)
+
+    @cached_property
+    def _normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lengths of the columns, and the normal equations of unit columns, for any damping."""
+        A = self.S.reshape(-1, self.S.shape[-1])
+        scale = np.sqrt((A**2).sum(axis=0)) + _TINY
+        A = A / scale
+        return scale, A.T @ A, A.T @ self.y.ravel()
 
     def promised(self, step: Float[np.ndarray, " p"]) -> float:
         """Return how much smaller the squares are after a step: yᵀy - |y - S δ|²."""
