@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.argmin import argmin_sets
 from bo_sysid.diagnosis.answer.experiment import next_experiment, recording_at_rest
-from bo_sysid.diagnosis.answer.explain import Unexplained, explain
+from bo_sysid.diagnosis.answer.explain import explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
     balls,
@@ -28,6 +28,7 @@ from bo_sysid.diagnosis.answer.hints import (
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
 from bo_sysid.diagnosis.answer.sentences import disputed_sentence, doubts, rivals
+from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search

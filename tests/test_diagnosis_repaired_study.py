@@ -10,7 +10,8 @@ import pytest
 import yaml
 from diagnosis_helpers import ARM, arm, record
 
-from bo_sysid.diagnosis.answer.findings import Finding, Quantity
+from bo_sysid.diagnosis.answer.findings import Finding
+from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.repaired import MODEL, Written
 from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.effects import CATALOGUE, Site, survey

@@ -4,9 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.answer.explain import Unexplained
-from bo_sysid.diagnosis.answer.findings import Finding, Quantity, sentence
+from bo_sysid.diagnosis.answer.findings import Finding
+from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.sentences import found_sentences
+from bo_sysid.diagnosis.answer.unexplained import Unexplained
+from bo_sysid.diagnosis.answer.wording import sentence
 from bo_sysid.diagnosis.windows.hypothesis import candidates
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.effects.contract import Effect

@@ -8,15 +8,9 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.answer import explain as explaining
-from bo_sysid.diagnosis.answer.explain import (
-    Unexplained,
-    _better,
-    _learned,
-    _placed,
-    _refuted,
-    _said,
-)
+from bo_sysid.diagnosis.answer.explain import _better, _learned, _placed, _refuted
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
+from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.decide import Decision
@@ -297,14 +291,14 @@ def test_names_go_where_a_law_or_nothing_forecasts_better(magnet, judged) -> Non
 
 def test_a_law_that_forecasts_worse_than_none_is_left_out(magnet, judged) -> None:
     (error, law), bare = judged, magnet[1].hypothesis
-    said = Unexplained(0.5, "joint", "elbow", ("position",))
-    assert _better(error, bare, law, said) == (law, said)
-    assert _better(None, bare, law, said) == (law, said)  # too short for a forecast
-    assert "A learned force law stands for it" in said.sentences[0]
+    told = Unexplained(0.5, "joint", "elbow", ("position",))
+    assert _better(error, bare, law, told) == (law, told)
+    assert _better(None, bare, law, told) == (law, told)  # too short for a forecast
+    assert "A learned force law stands for it" in told.sentences[0]
     against = replace(law, x=(*law.x[:-1], -law.x[-1]))
-    kept, said = _better(error, bare, against, said)
+    kept, told = _better(error, bare, against, told)
     assert kept is bare
-    assert "it depends on where the joint is. Nothing stands for it" in said.sentences[0]
+    assert "it depends on where the joint is. Nothing stands for it" in told.sentences[0]
 
 
 @pytest.mark.parametrize(("site", "where"), [("elbow", "elbow"), ("shoulder", "world")])
@@ -333,6 +327,6 @@ def test_a_law_that_leaves_most_tells_no_joint(magnet, monkeypatch, left, tells)
     located = Located(settled(far), ready, Search.on(ready, [], 1, None), made)
     _, clue = _learned(located, far, (AT_ELBOW,), None)
     assert clue.tells is tells
-    said = _said(Unknown(True, 1.0, (clue,)))
-    assert (said.site, said.depends_on) == (("elbow", ("position",)) if tells else ("world", ()))
-    assert said.much is not tells
+    told = said(Unknown(True, 1.0, (clue,)))
+    assert (told.site, told.depends_on) == (("elbow", ("position",)) if tells else ("world", ()))
+    assert told.much is not tells

@@ -8,8 +8,9 @@ import pandas as pd
 
 from bo_sysid.diagnosis.answer.exchanges import Entry, Key, exchanges
 from bo_sysid.diagnosis.answer.experiment import Experiment
-from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
+from bo_sysid.diagnosis.answer.explain import Outcome
 from bo_sysid.diagnosis.answer.findings import Finding, findings, named
+from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.effects import Machine

@@ -14,9 +14,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from bo_sysid.diagnosis.answer.explain import Outcome, Unexplained
-from bo_sysid.diagnosis.answer.findings import named, spoken
+from bo_sysid.diagnosis.answer.explain import Outcome
+from bo_sysid.diagnosis.answer.findings import named
 from bo_sysid.diagnosis.answer.sentences import unit_words
+from bo_sysid.diagnosis.answer.unexplained import Unexplained
+from bo_sysid.diagnosis.answer.wording import spoken
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit

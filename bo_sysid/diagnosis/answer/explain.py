@@ -7,9 +7,9 @@ from operator import itemgetter
 import numpy as np
 from scipy.stats import chi2
 
-from bo_sysid.diagnosis.answer.findings import spoken
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.answer.sessions import Sessions, by_recording, by_stretch
+from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import subset
@@ -28,74 +28,11 @@ from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import coarsened
 from bo_sysid.diagnosis.windows.windowing import meets_impacts
-from bo_sysid.effects import Site
 from bo_sysid.errors import RecordingError
 
 _BETTER = 0.95  # of a forecast error: what is less is better
 _MOST_LEFT = 0.25  # of the squares that names leave, above which a law far off explains nothing
 _ENOUGH = 0.05  # of what names leave unexplained: a law that leaves less is not compared
-_WORDS = {
-    "position": "where the joint is",
-    "speed": "how fast it moves",
-    "control": "what is commanded",
-    "load": "the torque it carries",
-    "time": "the time since the recording began",
-    "other_joint": "where another joint is",
-}
-
-
-@dataclass(frozen=True)
-class Unexplained:
-    """What the findings leave unexplained.
-
-    Attributes:
-        share: of what the nominal model left unexplained.
-        kind: kind of site where it sits, None where nothing is flagged.
-        site: name of the site.
-        depends_on: what it depends on: position, speed, control, load, time, other_joint.
-        learned: whether a learned law stands for it, if it is known what it depends on.
-        much: whether far more is left than a law at one joint explains.
-        sought: whether there is a hinge or slide at which a law could act.
-    """
-
-    share: float = 0.0
-    kind: str | None = None
-    site: str | None = None
-    depends_on: tuple[str, ...] = ()
-    learned: bool = True
-    much: bool = False
-    sought: bool = True
-
-    @property
-    def flagged(self) -> bool:
-        """Whether something stays unexplained that is more than noise."""
-        return self.kind is not None
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The same in words."""
-        if self.site is None:
-            return ()
-        where = spoken(Site("world" if self.kind == "world" else "joint", self.site))
-        text = f"Something acts on {where} that no known effect explains"
-        if self.depends_on:
-            text += f"; it depends on {' and '.join(_WORDS[d] for d in self.depends_on)}"
-        elif self.much:
-            text += (
-                ". No force law at one joint explains most of it: more effects may be missing at "
-                "once than were looked for (diagnosis: {most: …})"
-            )
-        elif not self.sought:
-            text += ". Force laws are looked for at hinges and slides alone, and there is none"
-        else:
-            text += (
-                ". No force law of position, speed, command, load or time predicts it, as is so of "
-                "disturbances and of noise in recorded commands"
-            )
-        stands = "Nothing stands for it"
-        if self.learned and (self.depends_on or self.much):
-            stands = f"A learned force law stands for {'a part of ' if self.much else ''}it"
-        return (f"{text}. {stands} in the repaired model.",)
 
 
 @dataclass(frozen=True)
@@ -141,12 +78,12 @@ def explain(located: Located) -> Outcome:
         law = alone
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
-            unexplained = _said(replace(unknown, clues=(clue,)))
+            unexplained = said(replace(unknown, clues=(clue,)))
         if error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
             unexplained = replace(unexplained, share=_share(fit, nominal))
         if not fit.members and alone is not None:
-            unexplained = _said(found)
+            unexplained = said(found)
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
     unexplained = replace(unexplained, sought=bool(problem.machine.joints))
@@ -163,7 +100,7 @@ def _held(
     """
     decision, problem = located.decision, located.prepared.problem
     fit, unknown = decision.best, examine(problem, decision)
-    unexplained = _said(unknown)
+    unexplained = said(unknown)
     if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
     if unknown.law is not None and slopes_reach(problem, fit, decision.nominal):
@@ -173,7 +110,7 @@ def _held(
     disputed = tuple(c for c in named if c.key not in {d.key for d in fit.members})
     if disputed and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
-        unexplained = _said(unknown)
+        unexplained = said(unknown)
     if fit.key != decision.best.key:
         unexplained = replace(unexplained, share=_share(fit, decision.nominal))
     return fit, sessions, unknown, unexplained, disputed
@@ -330,16 +267,6 @@ def _significant(fit: Fit, sessions: Sessions) -> list[bool]:
         distance = x @ np.linalg.pinv(sessions.covariance[own, own], hermitian=True) @ x
         found.append(bool(not widened.any() or distance > chi2.ppf(0.95, c.size)))
     return found
-
-
-def _said(unknown: Unknown) -> Unexplained:
-    if not unknown.flagged:
-        return Unexplained(unknown.share)
-    if unknown.law is None:
-        return Unexplained(unknown.share, "world", "world", ())
-    if not unknown.law.tells:
-        return Unexplained(unknown.share, "world", "world", (), much=True)
-    return Unexplained(unknown.share, "joint", unknown.law.joint, unknown.law.depends_on)
 
 
 def _placed(located: Located, unexplained: Unexplained) -> Unexplained:

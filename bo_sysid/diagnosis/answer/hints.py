@@ -5,8 +5,9 @@ from math import hypot, inf, pi, sqrt
 
 import numpy as np
 
-from bo_sysid.diagnosis.answer.findings import Quantity, amount, quantities, spoken
+from bo_sysid.diagnosis.answer.quantities import Quantity, amount, quantities
 from bo_sysid.diagnosis.answer.sentences import set_words
+from bo_sysid.diagnosis.answer.wording import spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing

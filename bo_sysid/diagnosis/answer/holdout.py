@@ -10,8 +10,8 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.answer.explain import Outcome
-from bo_sysid.diagnosis.answer.findings import spoken
 from bo_sysid.diagnosis.answer.tables import traces
+from bo_sysid.diagnosis.answer.wording import spoken
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import (
     AHEAD,

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from bo_sysid.diagnosis.answer.findings import Finding, Quantity
+from bo_sysid.diagnosis.answer.findings import Finding
+from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
 from bo_sysid.effects.commands import written_lag
 from bo_sysid.effects.friction import BEND

@@ -6,7 +6,9 @@ import pandas as pd
 
 from bo_sysid.diagnosis.answer.argmin import ArgminSets
 from bo_sysid.diagnosis.answer.exchanges import irreducible
-from bo_sysid.diagnosis.answer.findings import Finding, amount, plural, spoken
+from bo_sysid.diagnosis.answer.findings import Finding
+from bo_sysid.diagnosis.answer.quantities import amount
+from bo_sysid.diagnosis.answer.wording import plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_beyond, units_of

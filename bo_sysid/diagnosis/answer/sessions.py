@@ -10,7 +10,7 @@ from scipy.linalg import hadamard
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-from bo_sysid.diagnosis.answer.findings import quantities
+from bo_sysid.diagnosis.answer.quantities import quantities
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.refit import Effort, refit
 from bo_sysid.diagnosis.windows.linear import linearise
