@@ -1,34 +1,25 @@
 """Measuring the scales of a machine from its model and recordings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
-from scipy.signal import savgol_filter
 
+from bo_sysid.effects.actuator_scales import actuator_scale
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
-from bo_sysid.effects.memory import activation, remembers
-from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows, joint_force_limits
+from bo_sysid.effects.recorded_motion import Motion, motion_of
 from bo_sysid.mjcf.compiling import coordinates
-from bo_sysid.mjcf.joints import BALL, HINGE, SCALAR, SLIDE
+from bo_sysid.mjcf.joints import HINGE, SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import stretches
 
-_SMOOTHING = 0.062  # [s] length of the filters that give velocities and accelerations for scales
-_LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
-_LEAST = 0.03  # of the largest torque: less is no saturation
-_FEWEST = 5  # samples that the shortest filter needs
 _POSES = 20
 _INSTANTS = 200
 _LONG = 1.5  # times the next extent of a box or mesh, from which it has ends
 _FLOOR = 1e-6
 _ROUND = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
-_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
@@ -48,9 +39,9 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         for j, n in enumerate(names)
         if int(model.jnt_type[j]) in SCALAR and all(f"qpos.{n}" in r.channels for r in recordings)
     ]
-    motion = {n: _motion(recordings, n) for n in scalar}
+    motion = {n: motion_of(recordings, n) for n in scalar}
     actuators = {
-        model.actuator(a).name: _actuator(model, a, recordings, motion)
+        model.actuator(a).name: actuator_scale(model, a, recordings, motion)
         for a in range(model.nactuator)
         if model.actuator_ctrlnum[a] == 1
     }
@@ -78,161 +69,10 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     )
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Position, velocity and acceleration of one joint on even grids, all recordings in a row."""
-
-    times: tuple[np.ndarray, ...]
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-
-
-def _motion(recordings: Sequence[Recording], joint: str) -> _Motion:
-    grids, q, v, a = [], [], [], []
-    for r in recordings:
-        c = r.channels[f"qpos.{joint}"]
-        dt = float(np.median(np.diff(c.time)))
-        ends = [(c.time[s.start], c.time[s.stop - 1]) for s in stretches(c.time)]
-        pieces = [np.arange(first, last, dt) for first, last in ends]
-        pieces = [grid for grid in pieces if len(grid) >= _FEWEST]
-        if not pieces:
-            raise RecordingError(
-                f"{r.name}: {len(c.time)} samples of qpos.{joint} tell nothing of how it moves; at "
-                f"least {_FEWEST + 1} are needed; leave the recording out"
-            )
-        grids.append(np.concatenate(pieces))
-        for grid in pieces:
-            x = np.interp(grid, c.time, c.values)
-            half = int(np.clip(round(0.5 * _SMOOTHING / dt), 2, (len(x) - 1) // 4 or 1))
-            q.append(x)
-            v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
-            a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
-    return _Motion(tuple(grids), np.concatenate(q), np.concatenate(v), np.concatenate(a))
-
-
-def _actuator(
-    model: mujoco.MjModel, a: int, recordings: Sequence[Recording], motion: Mapping[str, _Motion]
-) -> ActuatorScale:
-    name, joint, k = model.actuator(a).name, _driven(model, a), int(model.actuator_ctrladr[a])
-    affine = int(model.actuator_biastype[a]) == _AFFINE
-    b = model.actuator_biasprm[a, :3] if affine else np.zeros(3)
-    bare = ActuatorScale(
-        name=name,
-        joint=joint,
-        gear=1.0 if joint is None else float(model.actuator_gear[a, 0]),
-        pushes=_pushes(model, a),
-        gain=float(model.actuator_gainprm[a, 0]),
-        bias=(float(b[0]), float(b[1]), float(b[2])),
-        servo=bool(b[1] != 0),
-        ctrl_max=0.0,
-        ctrl_std=0.0,
-        force_max=_FLOOR,
-        force_std=0.0,
-        levels=(),
-        plain=int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-        and int(model.actuator_biastype[a]) in (int(mujoco.mjtBias.mjBIAS_NONE), _AFFINE),
-        jumps=(),
-        ctrl_limits=_limits(bool(model.actuator_ctrllimited[k]), model.actuator_ctrlrange[k]),
-        force_limits=_force_limits(model, a, joint),
-        follows=follows(model, a),
-    )
-    return _as_used(bare, model, recordings, None if joint is None else motion.get(joint))
-
-
-def _as_used(
-    bare: ActuatorScale,
-    model: mujoco.MjModel,
-    recordings: Sequence[Recording],
-    motion: _Motion | None,
-) -> ActuatorScale:
-    """Return an actuator with the controls and forces of the recordings.
-
-    Args:
-        bare: the actuator as the model has it.
-        model: has it.
-        recordings: with its control, or without.
-        motion: of the joint that it drives, None where there is none or it was not recorded.
-    """
-    key = f"ctrl.{bare.name}"
-    told = [r for r in recordings if key in r.channels]
-    known = motion is not None and len(told) == len(recordings)
-    times = motion.times if motion is not None and known else [r.channels[key].time for r in told]
-    at = list(zip(told, times, strict=True))
-    u = np.concatenate([r.channels[key].at(t) for r, t in at]) if at else np.zeros(1)
-    acting, acted = bare, u
-    if at and remembers(model, a := model.actuator(bare.name).id):
-        acting = replace(bare, ctrl_limits=None)
-        acted = np.concatenate([activation(model, r, a, t) for r, t in at])
-    if motion is not None and known:
-        force = acting.force(acted, motion.q, motion.v)
-    else:
-        unbiased = replace(acting, bias=(0.0, 0.0, 0.0))  # where it is, is not known
-        force = unbiased.force(acted, np.zeros(1), np.zeros(1))
-    top = max(float(np.abs(force).max()), _FLOOR)
-    levels = tuple(min(float(np.percentile(np.abs(force), p)) / top, 0.98) for p in _LEVELS)
-    return replace(
-        bare,
-        ctrl_max=float(np.abs(bare.clipped(u)).max()),
-        ctrl_std=float(bare.clipped(u).std()),
-        jumps=_jumps(bare, recordings),
-        force_max=top,
-        force_std=float(force.std()),
-        levels=tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
-    )
-
-
-def _limits(limited: bool, ends: Float[np.ndarray, "2"]) -> tuple[float, float] | None:
-    return (float(ends[0]), float(ends[1])) if limited else None
-
-
-def _force_limits(model: mujoco.MjModel, a: int, joint: str | None) -> tuple[float, float] | None:
-    """Return the ends of an actuator's force: its own, and those of the joint that it drives."""
-    own = _limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a])
-    limits = None if joint is None else joint_force_limits(model, joint)
-    gear = float(model.actuator_gear[a, 0])
-    if limits is None or not gear:
-        return own
-    low, high = sorted(limit / gear for limit in limits)
-    return (low, high) if own is None else (max(own[0], low), min(own[1], high))
-
-
-def _driven(model: mujoco.MjModel, a: int) -> str | None:
-    """Return the hinge or slide joint that an actuator drives, None where there is none."""
-    joint = driven_joint(model, a)
-    return joint if joint and int(model.joint(joint).type[0]) in SCALAR else None
-
-
-def _pushes(model: mujoco.MjModel, a: int) -> bool:
-    """Whether an actuator makes a force in [N] and no torque.
-
-    On a slide, through a crank, along a spatial tendon, at a site, a body or a free joint.
-    """
-    at, k = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
-    if at in ALONG_JOINT and int(model.jnt_type[k]) in (*SCALAR, BALL):
-        return int(model.jnt_type[k]) == SLIDE
-    if at == int(mujoco.mjtTrn.mjTRN_TENDON):
-        first = model.tendon_adr[k]
-        return int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT)
-    if at == int(mujoco.mjtTrn.mjTRN_SLIDERCRANK):
-        return True
-    return bool(np.any(model.actuator_gear[a, :3]))
-
-
-def _jumps(a: ActuatorScale, recordings: Sequence[Recording]) -> tuple[float, ...]:
-    own = [r.channels[key] for r in recordings if (key := f"ctrl.{a.name}") in r.channels]
-    held = [np.diff(a.clipped(channel.values)) for channel in own]
-    moved = np.abs(np.concatenate(held)) if held else np.zeros(1)
-    moved = moved[moved > 0]
-    if not moved.size:
-        return ()
-    return tuple(float(np.percentile(moved, p)) for p in (100.0, *_LEVELS))
-
-
 def _joint(
     model: mujoco.MjModel,
     name: str,
-    motion: _Motion,
+    motion: Motion,
     inertia: Float[np.ndarray, " nv"],
     loads: Float[np.ndarray, " nv"],
     actuators: Mapping[str, ActuatorScale],
@@ -275,7 +115,7 @@ def _inertia(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Float[np
     return np.asarray(np.mean(found, axis=0))
 
 
-def _loads(model: mujoco.MjModel, motion: Mapping[str, _Motion]) -> Float[np.ndarray, " nv"]:
+def _loads(model: mujoco.MjModel, motion: Mapping[str, Motion]) -> Float[np.ndarray, " nv"]:
     """Return how much gravity and the motion of all joints load each degree of freedom.
 
     The larger of the root mean square of M a and the standard deviation of the bias force, over
