@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.windows.windowing import meets_impacts
 from bo_sysid.effects.learned import Feature, features
 
 _GAIN = 0.02  # of the squared residual per degree of freedom that a law must predict
-_RELATIVE = 0.005  # the same, of what the nominal model left unexplained
+_RELATIVE = 0.002  # the same, of what the nominal model left unexplained
 _LOOSE, _LOOSE_SHARE = 0.35, 0.08  # rms and share unexplained that are flagged without a law
 _LOOSE_IN_CONTACT = 1.5  # the same rms in contact, where 1.05 was left of nothing missing
 _BETWEEN_IMPACTS = 0.1  # of what is left, that a law must predict in contact
