@@ -158,6 +158,11 @@ class _View:
             self.qpos[name] = data.qpos[joint.qposadr]
             self.qvel[name] = data.qvel[joint.dofadr]
         self.ctrl = {n: data.ctrl[i : i + 1] for i, n in enumerate(model.actuators)}
+        self.act = {
+            n: data.act[a : a + 1]
+            for n in model.actuators
+            if (a := int(data.model.actuator(n).actadr[0])) >= 0
+        }
 
 
 def _filtered(model, time, goal, filters, fine, count) -> np.ndarray:

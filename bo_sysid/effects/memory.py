@@ -6,11 +6,13 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.mjcf.commands import LAGS, driven_joint
+from bo_sysid.effects.balance import needed
+from bo_sysid.mjcf.commands import LAGS
 from bo_sysid.recording import Channel, Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
+_ROUNDS, _ASIDE = 3, 1e-6  # of balancing; a beginning beside another one
 
 
 def remembers(compiled: mujoco.MjModel, a: int) -> bool:
@@ -25,14 +27,24 @@ def activation(
     """Return the activation of an actuator that remembers at some times in [s].
 
     A lag begins settled at its first control. An integrator that holds a position begins where its
-    joint is first seen, which in a part of a log is after its first control.
+    forces balance what was recorded on the whole (`balance`), from where its joint is first seen;
+    any other begins at 0.
     """
     control = _late(compiled, _held(_clipped(compiled, recording, a)), a)
     ends = _act_range(compiled, a)
     if int(compiled.actuator_dyntype[a]) in LAGS:
         return _lagging(control, float(compiled.actuator_dynprm[a, 0]), ends, at)
-    first, held = _held_position(compiled, recording, a)
-    return _integral(_from(control, first), held, ends, at)
+    balance = needed(compiled, recording, a)
+    if balance is None:
+        return _integral(control, 0.0, ends, at)
+    time, act = balance
+    control, first = _from(control, float(time[0])), float(act[0])
+    for _ in range(_ROUNDS):
+        found, beside = (_integral(control, first + step, ends, time) for step in (0.0, _ASIDE))
+        told = beside != found  # once it is at an end of its range, its beginning is forgotten
+        weight = np.hanning(int(told.sum()) + 2)[1:-1]  # momentum at the ends counts for nothing
+        first += float(np.average((act - found)[told], weights=weight)) if told.any() else 0.0
+    return _integral(control, first, ends, at)
 
 
 def _clipped(compiled: mujoco.MjModel, recording: Recording, a: int) -> Channel:
@@ -112,16 +124,3 @@ def _from(channel: Channel, first: float) -> Channel:
         return channel
     time = np.concatenate([[first], channel.time[row + 1 :]])
     return replace(channel, time=time, values=channel.values[row:])
-
-
-def _held_position(compiled: mujoco.MjModel, recording: Recording, a: int) -> tuple[float, float]:
-    """Return when an actuator's joint is first seen, and the activation that holds it there.
-
-    The beginning of all time and 0 where the actuator holds no position, or nothing is known of it.
-    """
-    joint = driven_joint(compiled, a)
-    gain, seen = float(compiled.actuator_gainprm[a, 0]), recording.channels.get(f"qpos.{joint}")
-    if joint is None or not compiled.actuator_biasprm[a, 1] or not gain or seen is None:
-        return -np.inf, 0.0
-    b, length = compiled.actuator_biasprm[a], compiled.actuator_gear[a, 0] * seen.values[0]
-    return float(seen.time[0]), float(-(b[0] + b[1] * length) / gain)

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.arrays import Ctrl
+from bo_sysid.effects.balance import balances
+from bo_sysid.effects.driven import driven, is_driven
 from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.mjcf import Model, ParameterLike
 from bo_sysid.mjcf.address import resolve
@@ -24,8 +26,9 @@ def activations(
 ) -> Float[np.ndarray, "W na"]:
     """Return the activations at some times: recorded, or what the recorded controls led to.
 
-    A lag begins settled at its first control. An integrator that holds a position begins where its
-    joint is. Any other activation is taken as settled at its control.
+    A lag begins settled at its first control, an integrator that holds a position where its forces
+    balance (`effects.memory`). Muscles, motors with states of their own and PIDs follow the
+    recorded motion (`effects.driven`). Any other activation is taken as settled at its control.
 
     Args:
         model: names the channels.
@@ -34,7 +37,7 @@ def activations(
         start: `W` times in [s].
         ctrl: `W x S x nu` controls from there on.
     """
-    act = np.zeros((len(start), compiled.na))
+    act, along = np.zeros((len(start), compiled.na)), None
     for k, a in enumerate(controlled(compiled)):
         address, count = int(compiled.actuator_actadr[a]), int(compiled.actuator_actnum[a])
         if address < 0:
@@ -48,6 +51,9 @@ def activations(
             continue
         elif remembers(compiled, a):
             act[:, address] = activation(compiled, recording, a, start)
+        elif is_driven(compiled, a):
+            along = driven(compiled, recording, start) if along is None else along
+            act[:, own] = along[:, own]
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
     return act
@@ -77,6 +83,12 @@ def activations_of(
 
 
 def set_activations(model: Model, parameters: Sequence[ParameterLike]) -> bool:
-    """Whether parameters set time constants or delays, which activations follow from."""
+    """Whether parameters set what activations follow from.
+
+    That is time constants and delays, and all of a model for a servo that balances what it carries.
+    """
+    compiled = model.compile()
+    if parameters and any(balances(compiled, a) for a in controlled(compiled)):
+        return True
     targets = [t for p in parameters for address in p.addresses for t in resolve(model, address)]
     return any(t.kind == "actuator" and t.name in ("dynprm", "delay") for t in targets)
