@@ -123,3 +123,10 @@ def test_traces_of_other_joints_show_nothing(tmp_path: Path) -> None:
     other = traces(0.1).assign(channel="qpos.knee")
     assert not write_animation(tmp_path / "a.gif", Model.from_file(ARM), other)
     assert not (tmp_path / "a.gif").exists()
+
+
+def test_a_robot_of_inertials_alone_is_not_drawn(tmp_path: Path) -> None:
+    link = '<joint name="{}"/><inertial pos="0 0 -.2" mass="1" diaginertia=".1 .1 .1"/>'
+    arm = f"<body>{link.format('shoulder')}<body>{link.format('elbow')}</body></body>"
+    bare = Model.from_xml(f"<mujoco><worldbody>{arm}</worldbody></mujoco>")
+    assert not write_animation(tmp_path / "a.gif", bare, traces(0.1))

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.effects.recorded_motion import Motion, motion_of
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.commands import driven_joint, other_drives
+from bo_sysid.mjcf.commands import controlled, driven_joint, other_drives
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import Recording
 
@@ -54,6 +54,19 @@ def needed(
     force = _carried(compiled, recording, joint, time) / gear
     held = b[0] + b[1] * gear * q + b[2] * gear * v
     return time, np.asarray((force - held) / compiled.actuator_gainprm[a, 0])
+
+
+def balance_notes(compiled: mujoco.MjModel, recording: Recording) -> tuple[str, ...]:
+    """Return in words which servos begin where their forces balance, and what that hides."""
+    named = {str(compiled.actuator(a).name): a for a in controlled(compiled)}
+    return tuple(
+        f"{name} integrates its control and begins where its forces balance, since act.{name} was "
+        f"not recorded: no constant force on {driven_joint(compiled, a)} can be told"
+        for name, a in named.items()
+        if balances(compiled, a)
+        and f"ctrl.{name}" in recording.channels
+        and f"act.{name}" not in recording.channels
+    )
 
 
 def _carried(

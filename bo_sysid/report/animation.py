@@ -35,7 +35,8 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
         traces: recording, time [s], window, channel, recorded and one column for each model.
 
     Returns:
-        Whether there is anything to show: the traces have positions of the model's joints.
+        Whether there is anything to show: the traces have positions of the model's joints, and the
+        model has geoms.
     """
     piece = _worst(traces[traces["channel"].isin(model.qpos_channels)], _COMPARED[0])
     if piece.empty:
@@ -43,6 +44,8 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
     instants = _shown(piece["time"])
     poses = {m: _poses(piece, m, instants) for m in ("recorded", *_COMPARED)}
     posed = Posed.of(model, poses["recorded"][0])
+    if not len(posed.geoms):
+        return False
     onto = view(posed)
     shapes = {m: [_shapes(posed, pose, onto) for pose in poses[m]] for m in poses}
     shown, place = _placed(shapes)

@@ -78,6 +78,8 @@ def activations_of(
     act = np.zeros((len(windows), compiled.na))
     for i, recording in enumerate(recordings):
         own = windows.recording == i
+        if not own.any():
+            continue
         act[own] = activations(model, compiled, recording, windows.time[own], ctrl[own])
     return act
 

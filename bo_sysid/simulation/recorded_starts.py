@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Ctrl
-from bo_sysid.effects.balance import balances
+from bo_sysid.effects.balance import balance_notes
 from bo_sysid.mjcf import Loops, Model
-from bo_sysid.mjcf.commands import controlled, driven_joint
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.activations import activations
 from bo_sysid.simulation.smoothing import smooth
@@ -58,7 +57,7 @@ def recorded_start(
             qpos = state.moved(compiled, np.hstack([fit.offset, zero])).qpos
         notes = _estimated(recording, fit.samples[~kept.all(axis=0)])
     act = activations(model, compiled, recording, time[first], ctrl)
-    notes += _balanced(compiled, recording)
+    notes += tuple(f"{recording.name}: {n}" for n in balance_notes(compiled, recording))
     return State(qpos, qvel, act, _warmstart(compiled, recording, time[first])), notes
 
 
@@ -69,18 +68,6 @@ def _estimated(recording: Recording, samples: Int[np.ndarray, " j"]) -> tuple[st
     few, many = int(samples.min()), int(samples.max())
     count = f"{few}" if few == many else f"{few} to {many}"
     return (f"{recording.name}: start velocities are estimated from {count} samples each",)
-
-
-def _balanced(compiled: mujoco.MjModel, recording: Recording) -> tuple[str, ...]:
-    """Return in words which integrating servos begin where their forces balance."""
-    told = [(str(compiled.actuator(a).name), driven_joint(compiled, a))
-            for a in controlled(compiled) if balances(compiled, a)]  # fmt: skip
-    return tuple(
-        f"{recording.name}: {name} integrates its control and begins where its forces balance; no "
-        f"constant force on {joint} can be told unless act.{name} is recorded"
-        for name, joint in told
-        if f"ctrl.{name}" in recording.channels and f"act.{name}" not in recording.channels
-    )
 
 
 def on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, tuple[str, ...]]:

@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.windows.evidence import Evidence, rates_note
 from bo_sysid.effects import chosen
+from bo_sysid.effects.balance import balance_notes
 from bo_sysid.mjcf import nominal
 from bo_sysid.recording import Recording
 from bo_sysid.study import Study
@@ -25,12 +26,14 @@ def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
 
 
 def not_compared(evidence: Evidence) -> tuple[str, ...]:
-    """Return at which joints nothing is looked for, and which sensors are not compared."""
+    """Return at which joints nothing or less is looked for, and which sensors are not compared."""
     said = []
     silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
     if silent:
         said.append(f"Nothing is looked for at {listed(silent)}, whose position was not recorded.")
-    channels = dict.fromkeys(n for r in evidence.recordings for n in r.channels)
+    model, recordings = evidence.machine.model, evidence.recordings
+    said += [f"{n}." for n in dict.fromkeys(n for r in recordings for n in balance_notes(model, r))]
+    channels = dict.fromkeys(n for r in recordings for n in r.channels)
     sensors = [n for n in channels if n.startswith("sensor.")]
     if sensors:
         said.append(f"Positions of joints are compared, not {listed(sensors)}.")
