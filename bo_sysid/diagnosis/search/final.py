@@ -9,6 +9,7 @@ from bo_sysid.diagnosis.search.moves import eliminate, rubbing
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.sharpen import repeated_anew
 from bo_sysid.diagnosis.search.variants import vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
@@ -44,6 +45,8 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
         if f.members:
             _fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
     _bent_anew(final)
+    if not (clean(final.best) or explains_little(final.best, final.nominal)):
+        repeated_anew(final)
     _straightened(final)
     return final
 

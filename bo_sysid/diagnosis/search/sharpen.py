@@ -1,15 +1,21 @@
 """The shapes of the leading set, such as a period, searched between the points of their grids."""
 
+import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import enrich, vary
+from bo_sysid.diagnosis.sets import subsets
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.shapes import UNIFORM, Place, profile, ranges, reshaped_members
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.linear import linearise
 
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of its range that is told apart
 _SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
+_APART = 0.5  # of what a stroke tells apart, between periods that are tried again
 _UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
 
 
@@ -26,6 +32,48 @@ def sharpened(search: Search) -> None:
     while left := [c for c in search.best.members if c.key not in done]:
         done.add(left[0].key)
         _sharpened_at(search, search.best, left[0].key)
+
+
+def repeated_anew(search: Search) -> None:
+    """Look for the periods of the leading set again, over all that they may be.
+
+    Windows that visit few positions leave a period open, and one that fits some of them need not
+    fit the others: a force that repeats along a slide was dropped for that.
+    """
+    for c in search.best.members:
+        if c in search.best.members and _repeats(c):
+            _repeated_anew(search, search.best, c)
+
+
+def _repeats(c: Candidate) -> bool:
+    return bool(c.extent.refine) and c.effect.vector > 1 and len(c.shapes) == 1
+
+
+def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
+    """Fit a set with the period at which one member explains most, by slopes, and around it."""
+    problem, k = search.prepared.problem, leader.members.index(c)
+    joint = problem.machine.joint_of(c.site.kind, c.site.name)
+    assert joint is not None  # noqa: S101 - what repeats with position is at a joint
+    rest = subset(leader, [i for i in range(len(leader.members)) if i != k])
+    base = search.fit(*rest, start=leader.start, guess=leader.hypothesis)
+    apart = _APART * 2 * np.pi / joint.span
+    first, last = (end(grid[-1] for grid in c.extent.grid) for end in (min, max))
+    tried = [c.with_shapes(np.array([p])) for p in np.arange(first, last + apart, apart)]
+    screen = Screen.at(
+        base, linearise(problem, base.hypothesis, base.start), [*base.members, *tried]
+    )
+    fixed = range(len(base.members))
+    table = screen.gram(fixed, dict(zip(fixed, base.x, strict=True)))
+    best = max(subsets.search(table, c.effect.weight, (), deepest=1)[1], key=lambda s: s.gain)
+    found = screen.candidates[best.members[0]]
+    if abs(found.shapes[0] - c.shapes[0]) < apart:
+        return
+    made = search.refit(
+        (*base.members, search.known(found)), (*base.x, best.x),
+        start=base.start, guess=base.hypothesis,
+    )  # fmt: skip
+    at = (len(base.members), 0)
+    _sharpen(search, made, at, ranges(made.members[at[0]], problem.machine)[0])
 
 
 def _sharpened_at(search: Search, leader: Fit, key: tuple[str, str]) -> None:

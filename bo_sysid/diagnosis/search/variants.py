@@ -116,19 +116,25 @@ def _other_shapes(c: Candidate) -> list[np.ndarray]:
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
-    """Fit a set with the simpler effect in the place of each that contains one, bent alike."""
+    """Fit a set with the simpler effect in the place of each that contains one, bent alike.
+
+    Where that does not bend also with its other shapes: friction that creeps is no less simple
+    than friction that holds, and beside one that rises by nothing it was never tried.
+    """
     for k, c in enumerate(fit.members):
-        plain = _plainer(search, c) if fit.unique[k] < 1.0 or effort else None
-        if plain is not None:
+        for plain in _plainer(search, c) if fit.unique[k] < 1.0 or effort else ():
             members = (*fit.members[:k], plain, *fit.members[k + 1 :])
             x = (*fit.x[:k], fit.x[k][1:], *fit.x[k + 1 :])
             if not clashes(members):
                 search.fit(members, x, start=fit.start, guess=fit.hypothesis, effort=effort)
 
 
-def _plainer(search: Search, c: Candidate) -> Candidate | None:
+def _plainer(search: Search, c: Candidate) -> list[Candidate]:
     wanted = (c.effect.nested, c.site.name)
     plain = next((d for d in search.candidates if d.key == wanted and not d.secant), None)
-    if plain is None or not c.bent:
-        return plain
-    return search.known(plain.with_shapes(np.array([*plain.shapes[:-1], c.shapes[-1]])))
+    if plain is None:
+        return []
+    if c.bent:
+        return [search.known(plain.with_shapes(np.array([*plain.shapes[:-1], c.shapes[-1]])))]
+    straight = [np.array(v) for v in plain.extent.variants if not v[-1]]
+    return [plain, *(search.known(plain.with_shapes(v)) for v in straight)]
