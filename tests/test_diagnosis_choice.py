@@ -32,10 +32,12 @@ from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.search.moves import fit_some
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.search.sharpen import repeated_anew, sharpened
+from bo_sysid.diagnosis.search.variants import simplify
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import meshing
+from bo_sysid.diagnosis.sets.refit import Effort
 from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, LONGER
@@ -698,3 +700,35 @@ def test_a_period_is_sharpened_whatever_the_order_in_which_a_set_was_first_fitte
     sharpened(search)
     rest = {k: f for k, f in search.fits.items() if k != leader.key}
     assert min(f.rms for f in rest.values()) <= found.decision.best.rms * 1.001
+
+
+def test_a_period_that_a_part_of_the_windows_left_is_looked_for_again(monkeypatch) -> None:
+    """From one far off, where no small change of it leads to the one that is there."""
+    missing = [("cogging", "joint", "elbow", [0.0, 0.05, 4.0])]
+    found = located(record(missing, duration=6.0), effects=("cogging", "constant_force"))
+    (right,), search = found.decision.best.members, found.search
+    far = search.fit((search.known(right.with_shapes(np.array([9.5]))),), (right.probe,))
+    assert far.rms > 1.5 * found.decision.best.rms
+    search.fits = {f.key: f for f in (search.nominal, far)}
+    repeated_anew(search)
+    assert search.best.rms == pytest.approx(found.decision.best.rms, rel=1e-3)
+    (c,) = search.best.members
+    assert c.shapes[0] == pytest.approx(4.0, rel=0.02)
+
+
+def test_friction_that_rises_by_nothing_is_tried_as_one_that_creeps() -> None:
+    missing = [("dry_friction", "joint", "elbow", [0.05, 0.0, 0.0])]
+    found = located(record(missing, duration=4.0), effects=("dry_friction", "stribeck_friction"))
+    search = found.search
+    rises = next(
+        c
+        for c in search.candidates
+        if c.key == ("stribeck_friction", "elbow") and not c.bent and not c.secant
+    )
+    search.fits = {search.nominal.key: search.nominal}
+    fit = search.fit((rises,), (np.array([0.0, 0.05]),))
+    simplify(search, fit, Effort())
+    dry = [f for f in search.fits.values() if f.key and f.members[0].key[0] == "dry_friction"]
+    shapes = {tuple(f.members[0].shapes): f.rms for f in dry}
+    assert {s[0] for s in shapes} == {0.0, 1.0}
+    assert min(shapes.values()) == shapes[0.0, 0.0]
