@@ -181,3 +181,18 @@ def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
     answer = {"verdict": "nothing-missing", "holdout": {"forecast": forecast}}
     assert verdict_text(answer).startswith(begins)
     assert verdict_text({**answer, "holdout": {}}) == "Nothing is missing from the model."
+
+
+@pytest.mark.parametrize(
+    ("instead", "begins"),
+    [
+        ("actuator_gain", "Either the model or what was measured is off"),
+        ("sensor_delay", "The model is right"),
+        (None, "The model is right"),
+    ],
+)
+def test_a_reading_that_a_motor_may_stand_for_leaves_the_model_in_doubt(instead, begins) -> None:
+    equivalents = [[{"effect": instead, "site": "my"}]] if instead else []
+    found = [{"effect": "encoder_scale", "site": "y", "equivalents": equivalents}]
+    answer = {"verdict": "sensing", "holdout": {}, "findings": found}
+    assert verdict_text(answer).startswith(begins)

@@ -35,7 +35,7 @@ def _gain_extent(site: Site, machine: Machine) -> Extent | None:
     components=(Component("change", "relative"),),
     extent=_gain_extent,
     noun="the torque per command",
-    sentence="The torque of {site} per command differs from the model's by {value}.",
+    sentence="The output of {site} per command differs from the model's by {value}.",
     form="gain and bias",
     evidence="one common scale of everything that the actuator does",
     separation="a known load or gravity torque",

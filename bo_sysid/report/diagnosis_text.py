@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from bo_sysid.effects import CATALOGUE
 from bo_sysid.report.text import notes_text, table
 
 VERDICTS = {
@@ -18,6 +19,7 @@ _AFTER_FIT = (
     "The model needs what was fitted, parameters of the study or a finer time step; no more is "
     "seen to be missing."
 )
+_EITHER = "Either the model or what was measured is off; these recordings do not tell which."
 _HELPED = 1.15  # by how much the forecast gains from what the study fits, before that is a verdict
 _SHOWN = 5  # of the other sets
 _MODELS = ("nominal", "refitted", "repaired", "learned_residual", "noise_floor")
@@ -42,6 +44,11 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     nominal, refitted = (forecast.get(m) or 0.0 for m in ("nominal", "refitted"))
     if verdict == "nothing-missing" and nominal > _HELPED * refitted:
         return _AFTER_FIT
+    found = diagnosis.get("findings") or ()
+    instead = {str(e["effect"]) for f in found for several in f["equivalents"] for e in several}
+    measured = {i for i, effect in CATALOGUE.items() if effect.family == "sensing"}
+    if verdict == "sensing" and not instead <= measured:
+        return _EITHER
     return VERDICTS.get(verdict, verdict)
 
 
