@@ -139,17 +139,20 @@ def test_an_integrator_balances_what_a_hypothesis_has_it_carry() -> None:
         [recording], parameters=(mass,), noise={"qpos": NOISE}, threads=1,
     )  # fmt: skip
     problem = windows_of(evidence, 20, STEP)
-    force = next(c for c in evidence.candidates if c.effect.id == "constant_force")
+    at = {c.effect.id: c for c in evidence.candidates}
     start = problem.windows.start
 
-    def left(x: float, f: float) -> float:
-        h = Hypothesis((force,), (np.array([f]),), evidence.nuisances, (np.array([x]),))
+    def left(x: float, f: float, effect: str = "constant_force") -> float:
+        sizes = (np.full(at[effect].size, f),)
+        h = Hypothesis((at[effect],), sizes, evidence.nuisances, (np.array([x]),))
         r = project(linearise(problem, h, start).Q, problem.residual(h, start))
         return float(np.sqrt((r**2).sum() / problem.dof))
 
     assert left(0.3, 0.0) < 1.05
     assert left(0.0, 0.0) > 1.2
     assert left(0.3, 0.5) == pytest.approx(left(0.3, 0.0), rel=0.02)
+    passive = left(0.3, 1e-9, "cogging")  # an actuator that drives nothing
+    assert passive == pytest.approx(left(0.3, 0.0), rel=0.02)
 
 
 DRIVES = {

@@ -25,7 +25,8 @@ _INSTANTS = 400  # of a recording, at which forces are balanced
 def balances(compiled: mujoco.MjModel, a: int) -> bool:
     """Whether an actuator integrates its control and pulls a joint to the integral."""
     integrates = int(compiled.actuator_dyntype[a]) == _INTEGRATOR
-    pulls = bool(compiled.actuator_biasprm[a, 1] and compiled.actuator_gainprm[a, 0])
+    gain, gear = compiled.actuator_gainprm[a, 0], compiled.actuator_gear[a, 0]
+    pulls = bool(gain and gear and compiled.actuator_biasprm[a, 1])
     return integrates and pulls and driven_joint(compiled, a) is not None
 
 
@@ -76,7 +77,7 @@ def _carried(
 
     Joints that were not recorded are at rest where the model puts them.
     """
-    drives = [k for k in range(compiled.nactuator) if driven_joint(compiled, k) == joint]
+    drives = [k for k in controlled(compiled) if driven_joint(compiled, k) == joint]
     if len(drives) > 1 or other_drives(compiled, joint) or compiled.neq:
         return np.zeros(len(time))
     model = copy.copy(compiled)
