@@ -46,7 +46,8 @@ def repeated_anew(search: Search) -> None:
 
 
 def _repeats(c: Candidate) -> bool:
-    return bool(c.extent.refine) and c.effect.vector > 1 and len(c.shapes) == 1
+    several = bool(c.extent.refine) and len(c.extent.grid) > 1
+    return several and c.effect.vector > 1 and len(c.shapes) == 1
 
 
 def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
@@ -64,7 +65,10 @@ def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
     )
     fixed = range(len(base.members))
     table = screen.gram(fixed, dict(zip(fixed, base.x, strict=True)))
-    best = max(subsets.search(table, c.effect.weight, (), deepest=1)[1], key=lambda s: s.gain)
+    scored = subsets.search(table, c.effect.weight, (), deepest=1)[1]
+    if not scored:
+        return
+    best = max(scored, key=lambda s: s.gain)
     found = screen.candidates[best.members[0]]
     if abs(found.shapes[0] - c.shapes[0]) < apart:
         return
