@@ -34,7 +34,7 @@ def _gain_extent(site: Site, machine: Machine) -> Extent | None:
     kind="actuator",
     components=(Component("change", "relative"),),
     extent=_gain_extent,
-    noun="the torque per command",
+    noun="the output per command",
     sentence="The output of {site} per command differs from the model's by {value}.",
     form="gain and bias",
     evidence="one common scale of everything that the actuator does",

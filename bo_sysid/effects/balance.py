@@ -11,14 +11,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects.recorded_motion import Motion, motion_of
-from bo_sysid.errors import RecordingError
+from bo_sysid.effects.recorded_motion import along
 from bo_sysid.mjcf.commands import controlled, driven_joint, other_drives
-from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-_OTHERS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+_TOUCH = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)  # forces that no motion tells
 _INSTANTS = 400  # of a recording, at which forces are balanced
 
 
@@ -43,16 +41,12 @@ def needed(
     joint = driven_joint(compiled, a)
     if joint is None or not balances(compiled, a) or f"qpos.{joint}" not in recording.channels:
         return None
-    seen = recording.channels[f"qpos.{joint}"]
-    try:
-        motion = motion_of([recording], joint)
-    except RecordingError:  # too short: it rests
-        zero = np.zeros(len(seen.values))
-        motion = Motion((seen.time,), seen.values, zero, zero)
-    few = np.unique(np.linspace(0, len(motion.q) - 1, _INSTANTS).astype(int))
-    time, q, v = motion.times[0][few], motion.q[few], motion.v[few]
+    seen = recording.channels[f"qpos.{joint}"].time
+    time = seen[np.unique(np.linspace(0, len(seen) - 1, _INSTANTS).astype(int))]
+    moved, at = along(compiled, recording, time), compiled.joint(joint)
+    q, v = moved[0][:, at.qposadr[0]], moved[1][:, at.dofadr[0]]
     b, gear = compiled.actuator_biasprm[a], compiled.actuator_gear[a, 0]
-    force = _carried(compiled, recording, joint, time) / gear
+    force = _carried(compiled, joint, *moved) / gear
     held = b[0] + b[1] * gear * q + b[2] * gear * v
     return time, np.asarray((force - held) / compiled.actuator_gainprm[a, 0])
 
@@ -71,41 +65,22 @@ def balance_notes(compiled: mujoco.MjModel, recording: Recording) -> tuple[str, 
 
 
 def _carried(
-    compiled: mujoco.MjModel, recording: Recording, joint: str, time: Float[np.ndarray, " n"]
+    compiled: mujoco.MjModel,
+    joint: str,
+    qpos: Float[np.ndarray, "n nq"],
+    qvel: Float[np.ndarray, "n nv"],
+    qacc: Float[np.ndarray, "n nv"],
 ) -> Float[np.ndarray, " n"]:
-    """Return what the actuator of a joint has to do at some times in [s], in [N m] or [N].
-
-    Joints that were not recorded are at rest where the model puts them.
-    """
+    """Return what the actuator of a joint has to do in some motion, in [N m] or [N]."""
+    force = np.zeros(len(qpos))
     drives = [k for k in controlled(compiled) if driven_joint(compiled, k) == joint]
     if len(drives) > 1 or other_drives(compiled, joint) or compiled.neq:
-        return np.zeros(len(time))
+        return force
     model = copy.copy(compiled)
-    model.opt.disableflags |= _OTHERS
-    qpos, qvel, qacc = np.tile(model.qpos0, (len(time), 1)), *np.zeros((2, len(time), model.nv))
-    for j in range(model.njnt):
-        name = model.joint(j).name
-        if int(model.jnt_type[j]) in SCALAR and f"qpos.{name}" in recording.channels:
-            moved = _moved(recording, name, time)
-            qpos[:, model.jnt_qposadr[j]] = moved[0]
-            qvel[:, model.jnt_dofadr[j]], qacc[:, model.jnt_dofadr[j]] = moved[1:]
+    model.opt.disableflags |= _TOUCH
     data, dof = mujoco.MjData(model), int(model.joint(joint).dofadr[0])
-    force = np.zeros(len(time))
-    for k in range(len(time)):
+    for k in range(len(force)):
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
         mujoco.mj_inverse(model, data)
         force[k] = data.qfrc_inverse[dof]
     return force
-
-
-def _moved(
-    recording: Recording, joint: str, time: Float[np.ndarray, " n"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return position, velocity and acceleration of a joint at some times."""
-    try:
-        motion = motion_of([recording], joint)
-    except RecordingError:  # too short: it rests
-        q = recording.channels[f"qpos.{joint}"].at(time)
-        return q, np.zeros(len(time)), np.zeros(len(time))
-    q, v, a = (np.interp(time, motion.times[0], x) for x in (motion.q, motion.v, motion.a))
-    return q, v, a

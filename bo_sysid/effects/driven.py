@@ -11,9 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects.recorded_motion import motion_of
-from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.effects.recorded_motion import along
 from bo_sysid.recording import Recording
 
 _PID = int(mujoco.mjtDyn.mjDYN_PID)
@@ -39,7 +37,7 @@ def driven(
     model.opt.disableflags |= _APART
     dt, begin = float(model.opt.timestep), recording.span[0]
     time = begin + dt * np.arange(max(int(np.ceil((at.max() - begin) / dt)), 0) + 2)
-    qpos, qvel = _along(model, recording, time)
+    qpos, qvel, _ = along(model, recording, time)
     ctrl = np.zeros((len(time), model.nu))
     for a in range(model.nactuator):
         name = f"ctrl.{model.actuator(a).name}"
@@ -60,25 +58,3 @@ def driven(
         act[k] = data.act
         step(k)
     return np.stack([np.interp(at, time, column) for column in act.T], axis=1)
-
-
-def _along(
-    model: mujoco.MjModel, recording: Recording, time: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n nq"], Float[np.ndarray, "n nv"]]:
-    """Return positions and velocities at some times; these by a filter where none were recorded."""
-    qpos, qvel = np.tile(model.qpos0, (len(time), 1)), np.zeros((len(time), model.nv))
-    for j in range(model.njnt):
-        name = model.joint(j).name
-        if int(model.jnt_type[j]) not in SCALAR or f"qpos.{name}" not in recording.channels:
-            continue
-        q, v = int(model.jnt_qposadr[j]), int(model.jnt_dofadr[j])
-        try:
-            motion = motion_of([recording], name)
-            qpos[:, q] = np.interp(time, motion.times[0], motion.q)
-            qvel[:, v] = np.interp(time, motion.times[0], motion.v)
-        except RecordingError:  # too short: it rests
-            qpos[:, q] = recording.channels[f"qpos.{name}"].at(time)
-        if f"qvel.{name}" in recording.channels:
-            channel = recording.channels[f"qvel.{name}"]
-            qvel[:, v] = np.interp(time, channel.time, channel.values)
-    return qpos, qvel

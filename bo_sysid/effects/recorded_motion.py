@@ -1,12 +1,15 @@
-"""How the joints moved in the recordings: velocities and accelerations that set scales."""
+"""How the joints moved in the recordings: velocities and accelerations from a filter."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
+from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from bo_sysid.errors import RecordingError
+from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import stretches
 
@@ -50,3 +53,30 @@ def motion_of(recordings: Sequence[Recording], joint: str) -> Motion:
             v.append(savgol_filter(x, 2 * half + 1, min(3, 2 * half), deriv=1, delta=dt))
             a.append(savgol_filter(x, 4 * half + 1, min(3, 2 * half), deriv=2, delta=dt))
     return Motion(tuple(grids), np.concatenate(q), np.concatenate(v), np.concatenate(a))
+
+
+def along(
+    model: mujoco.MjModel, recording: Recording, time: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n nq"], Float[np.ndarray, "n nv"], Float[np.ndarray, "n nv"]]:
+    """Return positions, velocities and accelerations of a model at some times in [s].
+
+    Joints that were not recorded, and such with several coordinates, rest where the model puts
+    them; so do those of which there are too few samples.
+    """
+    qpos, qvel, qacc = np.tile(model.qpos0, (len(time), 1)), *np.zeros((2, len(time), model.nv))
+    for j in range(model.njnt):
+        name, dof = model.joint(j).name, model.jnt_dofadr[j]
+        if int(model.jnt_type[j]) not in SCALAR or f"qpos.{name}" not in recording.channels:
+            continue
+        seen = recording.channels[f"qpos.{name}"]
+        qpos[:, model.jnt_qposadr[j]] = np.interp(time, seen.time, seen.values)
+        try:
+            motion = motion_of([recording], name)
+        except RecordingError:  # too short
+            continue
+        qvel[:, dof], qacc[:, dof] = (
+            np.interp(time, motion.times[0], x) for x in (motion.v, motion.a)
+        )
+        if rate := recording.channels.get(f"qvel.{name}"):
+            qvel[:, dof] = np.interp(time, rate.time, rate.values)
+    return qpos, qvel, qacc
