@@ -58,8 +58,8 @@ def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
     rest = subset(leader, [i for i in range(len(leader.members)) if i != k])
     base = search.fit(*rest, start=leader.start, guess=leader.hypothesis)
     apart = _APART * 2 * np.pi / joint.span
-    first, last = (end(grid[-1] for grid in c.extent.grid) for end in (min, max))
-    tried = [c.with_shapes(np.array([p])) for p in np.arange(first, last + apart, apart)]
+    first, most = min(grid[-1] for grid in c.extent.grid), float(c.extent.high[-1])
+    tried = [c.with_shapes(np.array([p])) for p in np.arange(first, most, apart)]
     screen = Screen.at(
         base, linearise(problem, base.hypothesis, base.start), [*base.members, *tried]
     )
