@@ -16,7 +16,7 @@ from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
@@ -237,3 +237,24 @@ def test_far_off_a_block_is_left_out_as_by_fitting_without_it() -> None:
         r = settle(own.problem, own, without.hypothesis, start, r=r)[1]
         brute.append(float((project(own.Q, r) ** 2).sum()))
     assert made.cv.sum() == pytest.approx(sum(brute), rel=0.02)
+
+
+def test_without_a_limit_the_screen_has_what_the_model_without_it_leaves() -> None:
+    """Another limit beside it is no more of it: looser, it does nothing."""
+    truth = [("actuator_saturation", "actuator", "elbow", [0.6])]
+    problem, machine = posed(record(truth, duration=5.0), horizon=75)
+    ready = prepare(problem)
+    limit, damping, friction = (
+        candidate(machine, e, "elbow")
+        for e in ("actuator_saturation", "viscous_damping", "dry_friction")
+    )
+    fit = refit(ready.linear, [limit], [limit.probe], effort=FINAL)
+    frame = linearise(problem, fit.hypothesis, fit.start)
+    held = [limit, damping, friction]
+    table = Screen.at(fit, frame, held).without([limit], fit.x)
+    left = project(frame.Q, problem.residual(Hypothesis(), fit.start))
+    assert (left**2).sum() > 1.3 * fit.rss
+    beside = signatures(frame, held[1:])
+    for k, column in enumerate(np.moveaxis(beside, -1, 0), start=1):
+        expected = float((column * left).sum())
+        assert table.b[k] == pytest.approx(expected, rel=0.02, abs=1e-3 * np.abs(table.b[0]))

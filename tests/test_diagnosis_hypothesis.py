@@ -1,6 +1,7 @@
 """Hypotheses as edits and parts."""
 
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -13,15 +14,30 @@ from effect_machines import case
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, MODULE, write_model
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, candidates, edits_and_parts
+from bo_sysid.diagnosis.windows.hypothesis import (
+    Hypothesis,
+    candidates,
+    edits_and_parts,
+    parameter_candidates,
+)
 from bo_sysid.diagnosis.windows.timestep import coarsened, finer_step
-from bo_sysid.effects import CATALOGUE, Extent, Force, Reading, catalogue, load_effects
+from bo_sysid.effects import (
+    CATALOGUE,
+    Component,
+    Extent,
+    Force,
+    Reading,
+    catalogue,
+    load_effects,
+    survey,
+)
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.errors import ModelError, StudyError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import can_touch
+from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Channel, Recording
-from bo_sysid.simulation import Controller
+from bo_sysid.simulation import Controller, LawInputs
 
 MINE = Path(__file__).parent.parent / "studies" / "effects" / "my_effect.py"
 
@@ -38,6 +54,10 @@ def test_an_effect_whose_extent_is_wrong_is_named_with_its_site() -> None:
     two = Extent((1.0, 1.0), (0.0, 0.0), (2.0, 2.0))
     with pytest.raises(StudyError, match=r"has 2 numbers; it needs one for each component"):
         candidates([replace(own, extent=lambda site, machine: two)], c.machine)
+    idle = Extent((1.0, 0.0), (0.0, 0.0), (2.0, 2.0))
+    both = (Component("force", "N m"), Component("rate", "N m s/rad"))
+    with pytest.raises(StudyError, match=r"its extent's probe of rate is 0"):
+        candidates([replace(own, extent=lambda s, m: idle, components=both)], c.machine)
 
 
 def test_each_part_comes_once_however_often_a_model_is_edited() -> None:
@@ -52,6 +72,68 @@ def test_each_part_comes_once_however_often_a_model_is_edited() -> None:
     for _ in range(2):
         c.model.compile(edits)
         assert [type(p) for p in parts] == [Force, Reading, Reading]
+
+
+ROD = """<mujoco><option gravity="0 0 0"/><worldbody><body name="rod">
+<joint name="a" axis="0 1 0" damping=".1"/><geom name="g" type="sphere" size=".05" density="900"/>
+<body pos="0 0 1"><joint name="b" axis="0 1 0" damping=".5"/><geom size=".1"/></body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_parameters_are_the_same_model_in_any_order(order: tuple[int, ...]) -> None:
+    """A body's mass is what was asked for whatever its geoms' sizes became, its inertia as well."""
+    model, t = Model.from_xml(ROD), np.arange(0, 2, 0.01)
+    machine = survey(model.compile(), [Recording.from_arrays(t, qpos={"a": t, "b": t})])
+    asked = {"body[rod].mass": 0.6, "geom[g].size[0]": 0.02, "body[rod].inertia[0]": 1.5e-4}
+    parameters = [Parameter(a, (a,), 1e-6, 2.0) for a in asked]
+    held = [parameter_candidates(model, parameters)[k] for k in order]
+    change = [np.array([asked[c.site.name] - c.effect.nominal(c.site, machine)]) for c in held]
+    edits, _ = edits_and_parts(Hypothesis((), (), tuple(held), tuple(change)), machine)
+    made, told = model.compile(edits), list(asked.values())
+    assert made.body("rod").mass[0] == pytest.approx(told[0])
+    assert made.geom("g").size[0] == pytest.approx(told[1])
+    assert made.body("rod").inertia[0] == pytest.approx(told[2])
+
+
+def test_one_value_for_numbers_that_differ_in_the_model_is_no_jump() -> None:
+    model, t = Model.from_xml(ROD), np.arange(0, 2, 0.01)
+    machine = survey(model.compile(), [Recording.from_arrays(t, qpos={"a": t, "b": t})])
+    held = parameter_candidates(model, [Parameter("damping", ("joint[*].damping",), 0.0, 1.0)])
+    for change in (0.0, 1e-9):
+        h = Hypothesis((), (), held, (np.array([change]),))
+        made = model.compile(edits_and_parts(h, machine)[0])
+        np.testing.assert_allclose(np.ravel(made.dof_damping)[:2], 0.3, atol=1e-8)
+
+
+def test_laws_of_drives_are_of_what_others_made_of_them() -> None:
+    """Friction by load of a motor whose gain is off, whichever was named first."""
+    bench = pendulum(MOTOR)
+    share, gain = (
+        next(c for c in candidates([CATALOGUE[e]], bench.machine) if not c.bent)
+        for e in ("load_dependent_friction", "actuator_gain")
+    )
+    more = {share.key: np.array([0.1]), gain.key: np.array([0.5])}
+    for members in ((share, gain), (gain, share)):
+        h = Hypothesis(members, tuple(more[c.key] for c in members))
+        edits, parts = edits_and_parts(h, bench.machine)
+        bench.model.compile(edits)
+        (law,) = (p.law for p in parts if isinstance(p, Force))
+        moving = {"hinge": np.array([5.0])}
+        motion = LawInputs(np.zeros(1), moving, moving, {"motor": np.array([0.8])}, {}, 1e-4)
+        assert law(motion)[0] == pytest.approx(-0.1 * 1.5 * 0.8)
+
+
+def test_an_effect_that_raises_is_named_where_a_law_makes_controls() -> None:
+    def fails(spec, site, x, machine):
+        raise RuntimeError("of its author")
+
+    own = replace(CATALOGUE["viscous_damping"], apply=fails)
+    law = Controller("elbow", lambda inputs: 0.1 * np.sin(5 * inputs.time))
+    with pytest.raises(StudyError, match=r"'viscous_damping' at shoulder fails: .*of its author"):
+        make_evidence(
+            arm(), [record(duration=2.0)], effects=[own], noise={"qpos": SIGMA}, laws=[law]
+        )
 
 
 def test_what_would_change_a_known_number_is_not_looked_for() -> None:

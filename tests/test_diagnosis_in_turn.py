@@ -33,6 +33,8 @@ def test_orders_are_those_of_what_acts_on_one_command(machine: Machine) -> None:
     assert orders([lag, delay]) == []  # both are linear and the same at all times
     assert orders([dead, other]) == []
     assert orders([delay, lag, other, dead]) == [(0, 3, 2, 1)]
+    both = held(machine, "actuator_lag", "actuator_deadzone", at="elbow")
+    assert orders([lag, dead, *both]) == [(0, 1, 3, 2), (1, 0, 2, 3), (1, 0, 3, 2)]
     (rate,) = held(machine, "command_rate")
     assert len(orders([lag, dead, rate])) == 5
     assert [followed([lag, delay, dead], k) for k in range(3)] == [True, False, False]

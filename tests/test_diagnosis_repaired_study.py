@@ -13,9 +13,9 @@ from diagnosis_helpers import ARM, arm, record
 from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.repaired import MODEL, Written
-from bo_sysid.diagnosis.answer.repaired_study import study_text
+from bo_sysid.diagnosis.answer.repaired_study import _parameters, study_text
 from bo_sysid.effects import CATALOGUE, Site, survey
-from bo_sysid.mjcf import Address, make_explicit, parameter_edits
+from bo_sysid.mjcf import Address, Model, make_explicit, parameter_edits
 from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
@@ -140,6 +140,21 @@ def found(effect: str, kind: str, site: str, value: float, unit: str, **details:
     within = {d: Quantity(x, unit, (x - 0.02, x + 0.02)) for d, x in details.items()}
     q = Quantity(value, unit, (0.99 * value, 1.01 * value))
     return Finding(effect, kind, site, q, 0.0, value, within, None, 0.98, (), "", (value,))
+
+
+def test_a_medium_that_a_model_has_is_a_parameter_with_what_is_beside_it() -> None:
+    """The details of a finding are changes; a file has the whole."""
+    xml = (
+        '<mujoco><option density="400" viscosity=".3" wind="3 0 -2"/><worldbody><body>'
+        '<joint name="j"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    model = Model.from_xml(xml)
+    drag = found("fluid_drag", "world", "world", 300.0, "kg/m³", viscosity=0.2)
+    moves = found("wind", "world", "world", 2.0, "m/s", x=2.0, y=0.0, z=0.0)
+    made = [p for f in (replace(drag, after=400.0), moves) for p in _parameters(model, f)]
+    middle = {p["address"]: (p["low"] + p["high"]) / 2 for p in made}
+    assert middle["option.viscosity"] == pytest.approx(0.3)
+    assert [middle[f"option.wind[{k}]"] for k in range(3)] == pytest.approx([3.0, 0.0, -2.0])
 
 
 SERVO = '<position name="elbow" joint="elbow" kp="20" kv="1"/>'

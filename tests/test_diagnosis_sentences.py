@@ -1,16 +1,18 @@
 """What is said of an effect that the nominal model has, too."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.quantities import Quantity
+from bo_sysid.diagnosis.answer.quantities import Quantity, details_of
 from bo_sysid.diagnosis.answer.sentences import found_sentences
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.answer.wording import sentence
 from bo_sysid.diagnosis.windows.hypothesis import candidates
-from bo_sysid.effects import CATALOGUE, Machine, Site, survey
+from bo_sysid.effects import CATALOGUE, Component, Extent, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.recording import Recording
 from bo_sysid.report.diagnosis_text import verdict_text
@@ -83,6 +85,22 @@ def test_a_medium_is_told_with_both_of_its_numbers() -> None:
     assert sentence(drag, density, 0.0, 0.0, viscosity) == (
         "The machine moves in a medium denser than the model's by 20 ± 50 kg/m³, "
         "and more viscous by 15.6 ± 0.2 Pa s."
+    )
+
+
+def test_a_sentence_of_ones_own_may_ask_for_any_component() -> None:
+    """The value by its name, and a shape that is as it usually is."""
+    own = replace(
+        CATALOGUE["viscous_damping"],
+        components=(Component("level", "N m"), Component("speed", "rad/s")),
+        shapes=1,
+        extent=lambda site, made: Extent((0.1, 2.0), (0.0, 1.0), (10.0, 3.0)),
+        sentence="{site} has a drag of {level} above {speed}.",
+    )
+    (drag,) = candidates([own], machine())
+    told = details_of(drag, np.array([1.0]), np.array([[1e-4]]), np.zeros(1), machine())
+    assert sentence(drag, told["level"], 0.0, 0.0, told) == (
+        "The hinge has a drag of 1.00 ± 0.02 N m above 2.000 ± 0.020 rad/s."
     )
 
 

@@ -5,9 +5,22 @@ import numpy as np
 import pytest
 from effect_bench import MOTOR, PENDULUM, SERVO, SLIDE, Bench, G, pendulum
 
-from bo_sysid.effects import CATALOGUE, Filter, Machine, Reading, Site, applicable, survey, unit_at
+from bo_sysid.effects import (
+    CATALOGUE,
+    Filter,
+    Machine,
+    Part,
+    Reading,
+    Site,
+    applicable,
+    extent_at,
+    survey,
+    unit_at,
+)
 from bo_sysid.effects.actuation import supply_of
-from bo_sysid.mjcf import Model
+from bo_sysid.effects.readings import readings
+from bo_sysid.mjcf import Model, parameter_edits
+from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
 from bo_sysid.simulation import Engine, State
@@ -68,7 +81,7 @@ class TestServo:
         model, readings = arm.edited("encoder_scale", "joint", "hinge", [0.1, *way])
         model.opt.gravity[:] = 0
         assert 1.1 * rest(arm, model) == pytest.approx(GOAL, abs=1e-6)
-        assert readings[0] == Reading("qpos.hinge", scale=0.1)
+        assert readings[0] == Reading("qpos.hinge", scale=0.1, encoder=True)
 
 
 @pytest.mark.parametrize(
@@ -547,3 +560,76 @@ def test_a_force_that_goes_with_the_drive_follows_what_lags_behind_the_command()
         data.qfrc_applied[0] = -np.sign(v) * min(share * abs(4 * data.act[0]), stopping)
         mujoco.mj_step(compiled, data)
         assert found.qpos[0, k + 1, 0] == pytest.approx(data.qpos[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("first", ["encoder_scale", "encoder_offset"])
+@pytest.mark.parametrize("way", [(1.0, 0.0), (1.0, 1.0)], ids=["position", "goal"])
+def test_a_servo_goes_by_what_an_encoder_with_two_faults_reads(first: str, way) -> None:
+    """It rests where the channel shows its goal, in whichever order the two are named."""
+    arm, hinge = pendulum(SERVO), Site("joint", "hinge")
+    told = {"encoder_scale": np.array([0.5, *way]), "encoder_offset": np.array([0.05])}
+    order = sorted(told, key=lambda name: name != first)
+    parts: list[Part] = []
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        parts[:] = [p for e in order for p in CATALOGUE[e].parts(spec, hinge, told[e], arm.machine)]
+
+    model = arm.model.compile([edit])
+    model.opt.gravity[:] = 0
+    shown = readings(parts)["qpos.hinge"]
+    assert (1 + shown.scale) * rest(arm, model) + shown.offset == pytest.approx(GOAL, abs=1e-6)
+
+
+@pytest.mark.parametrize("lost", [(0.4, 0.05), (0.05, 0.4)])
+def test_of_two_limits_the_tighter_one_stays(lost: tuple[float, float]) -> None:
+    arm = pendulum(MOTOR)
+    made, at = CATALOGUE["actuator_saturation"], Site("actuator", "motor")
+    most = arm.machine.actuators["motor"].force_max
+
+    def edit(spec: mujoco.MjSpec) -> None:
+        for x in lost:
+            made.parts(spec, at, np.array([x]), arm.machine)
+
+    limits = arm.model.compile([edit]).actuator_forcerange[0]
+    np.testing.assert_allclose(limits, [0.4 - most, most - 0.4])
+
+
+def test_magnitudes_are_of_the_machine_whose_parameters_were_fitted() -> None:
+    """A gear of 2 and a rod of 1 kg, where the model has 1 and .5 kg."""
+    arm = pendulum(MOTOR)
+    fitted = [
+        Parameter("gear", ("actuator[motor].gear[0]",), 0.1, 5.0),
+        Parameter("mass", ("body[rod].mass",), 0.1, 2.0),
+    ]
+
+    def made(id: str, site: Site, x: list[float]) -> mujoco.MjModel:
+        def edit(spec: mujoco.MjSpec) -> None:
+            CATALOGUE[id].parts(spec, site, np.array(x), arm.machine)
+
+        return arm.model.compile([*parameter_edits(arm.model, fitted, [2.0, 1.0]), edit])
+
+    def torque(model: mujoco.MjModel, ctrl: float, v: float) -> float:
+        data = mujoco.MjData(model)
+        data.ctrl[0], data.qvel[0] = ctrl, v
+        mujoco.mj_forward(model, data)
+        return float(data.qfrc_actuator[0])
+
+    motor, most = Site("actuator", "motor"), arm.machine.actuators["motor"].force_max
+    assert torque(made("back_emf", motor, [0.3]), 0.0, 1.0) == pytest.approx(-0.3)
+    limited = made("actuator_saturation", motor, [0.4])
+    assert torque(limited, 10.0, 0.0) == pytest.approx(most - 0.4)
+    heavy = made("link_mass", Site("body", "rod"), [0.1])
+    assert heavy.body("rod").mass[0] == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize(
+    "drive",
+    ['<position name="d" joint="hinge" kp="10" gear="0"/>',
+     '<motor name="d" joint="hinge" ctrlrange="-10 10" forcerange="3 10"/>'],
+)  # fmt: skip
+def test_what_cannot_be_weaker_is_looked_for_at_no_idle_drive(drive: str) -> None:
+    arm = pendulum(f"<actuator>{drive}</actuator>")
+    for id in ("servo_kd", "servo_kp", "actuator_saturation", "back_emf"):
+        at = Site("actuator", "d")
+        if (extent := extent_at(CATALOGUE[id], at, arm.machine)) is not None:
+            arm.edited(id, "actuator", "d", list(extent.probe))

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 import yaml
 from diagnosis_helpers import ARM, SIGMA, arm, record
+from effect_bench import SERVO, pendulum
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.effects import CATALOGUE, Filter, Force, Site, survey
+from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.effects import CATALOGUE, Filter, Force, Site, extent_at, survey
 from bo_sysid.effects.beside import (
     Beside,
     LearnedLaw,
@@ -74,6 +77,29 @@ def test_the_forces_are_those_of_the_catalogue(machine) -> None:
     expected = effect.parts(arm().spec(), ELBOW, np.array([0.02]), machine)[0]
     first = beside(machine).parts(arm())[0]
     np.testing.assert_array_equal(first.law(motion()), expected.law(motion()))
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_loop_beside_a_file_has_the_gains_that_are_in_the_file(order, tmp_path) -> None:
+    """An encoder that scales is in the servo of the file: it is not scaled once more."""
+    arm = pendulum(SERVO)
+    told = {"encoder_scale": [0.2, 1.0, 0.0], "joint_compliance": [0.01, 0.01, 0.5, 1.0]}
+    hinge = Site("joint", "hinge")
+    members = []
+    for effect, point in told.items():
+        extent = extent_at(CATALOGUE[effect], hinge, arm.machine)
+        members.append(Candidate(CATALOGUE[effect], hinge, extent, np.array(point)))
+    members = [members[k] for k in order]
+    h = Hypothesis(tuple(members), tuple(c.point[: c.size] for c in members))
+    write_model(arm.model, arm.machine, h, tmp_path, timestep=0.001)
+    model = Model.from_file(tmp_path / MODEL)
+    parts = read_beside(tmp_path / BESIDE, model.compile()).parts(model)
+    (law,) = (p.law for p in parts if isinstance(p, Force))
+    q = {"hinge": np.array([0.3]), "hinge_flex": np.array([0.01])}
+    v = {"hinge": np.array([0.1]), "hinge_flex": np.array([0.02])}
+    made = law(LawInputs(np.zeros(1), q, v, {"servo": np.array([0.5])}, {}, 0.001))
+    kp, kd = 10 * 1.2, 1 * 1.2
+    assert made[0] == pytest.approx(-kp * 0.01 - kd * 0.02)
 
 
 def test_stepping_in_plain_mujoco_is_the_lock_step_simulation(machine, tmp_path) -> None:
@@ -255,13 +281,17 @@ def test_one_late_encoder_of_several_shares_its_stamps_with_the_others(machine, 
     assert alike.notes == recording.notes
 
 
+@pytest.mark.parametrize(
+    ("of", "at", "scale"),
+    [("sensor", Site("channel", "qpos.elbow"), (0.05,)),
+     ("encoder", Site("joint", "elbow"), (0.05, 1.0, 0.0))],
+)  # fmt: skip
 def test_readings_of_two_diagnoses_are_undone_in_the_order_in_which_they_were_found(
-    machine, tmp_path
+    machine, tmp_path, of: str, at: Site, scale: tuple[float, ...]
 ) -> None:
     """The second was found in recordings of which the first was undone."""
-    elbow = Site("channel", "qpos.elbow")
-    for name, effect, x in (("one", "sensor_offset", 0.3), ("two", "sensor_scale", 0.05)):
-        Beside(machine, (Placed(effect, elbow, (x,)),)).write(tmp_path / f"{name}.json")
+    for name, effect, x in (("one", of + "_offset", (0.3,)), ("two", of + "_scale", scale)):
+        Beside(machine, (Placed(effect, at, x),)).write(tmp_path / f"{name}.json")
     content = {
         "version": 1,
         "model": {"file": str(ARM), "beside": ["one.json", "two.json"]},

@@ -65,10 +65,17 @@ def test_a_servo_behind_a_spring_closes_its_loop_where_its_encoder_sits(
     np.testing.assert_allclose((motor + play)[rows], exact[:, 1], atol=3e-3 * rest)
 
 
+@pytest.mark.parametrize(
+    "limit",
+    [("kp=", 'forcerange="-.3 .3" kp='), ("armature", 'actuatorfrcrange="-.6 .6" armature')],
+    ids=["of the drive", "of the joint"],
+)
 @pytest.mark.parametrize("on_link", [0.0, 1.0])
-def test_a_loop_that_is_closed_at_the_link_keeps_the_limit_of_its_force(on_link: float) -> None:
+def test_a_loop_that_is_closed_at_the_link_keeps_the_limit_of_its_force(
+    on_link: float, limit: tuple[str, str]
+) -> None:
     """Against SciPy: two inertias, a spring between them, and a drive that saturates for long."""
-    model = Model.from_xml(GEARED.replace("kp=", 'forcerange="-.3 .3" kp='))
+    model = Model.from_xml(GEARED.replace(*limit))
     machine = _surveyed(model)
     soft, lag = 0.02, 0.01
     flex = _at(machine, "joint_compliance", Site("joint", "hinge"), [soft, lag, 0.5, on_link])

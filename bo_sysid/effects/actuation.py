@@ -6,7 +6,14 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import acting, actuator_at, affine, used, with_own_bias
+from bo_sysid.effects.actuators import (
+    acting,
+    actuator_at,
+    affine,
+    as_edited,
+    used,
+    with_own_bias,
+)
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -20,6 +27,7 @@ from bo_sysid.effects.contract import (
 )
 from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
 from bo_sysid.effects.registry import effect
+from bo_sysid.mjcf.edits import RangeEdit
 
 _SAG = 0.005  # of a supply's voltage: less is no sag
 
@@ -100,7 +108,7 @@ def _kd(site: Site, machine: Machine) -> float:
 
 def _kd_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if not (a.servo and affine(site, machine)):
+    if not (a.servo and a.gear and affine(site, machine)):
         return None
     speed = machine.joints[a.joint or ""].speed
     scale = max(-a.bias[2], 0.05 * a.force_std / speed / a.gear**2)
@@ -128,7 +136,8 @@ def servo_kd(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -
 
 def _saturation_extent(site: Site, machine: Machine) -> Extent | None:
     a = actuator_at(site, machine)
-    if not used(site, machine) or not a.levels or not a.plain:
+    low, high = a.force_limits or (-np.inf, np.inf)
+    if not used(site, machine) or not a.levels or not a.plain or not low <= 0 <= high:
         return None
     lost = tuple(((1.0 - level) * a.force_max,) for level in a.levels)
     return Extent((0.05 * a.force_max,), (0.0,), (0.97 * a.force_max,), lost)
@@ -161,12 +170,10 @@ def _saturation_lost(x: Magnitudes, machine: Machine, site: Site) -> dict[str, t
 )
 def actuator_saturation(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Limit the force so that x[0] of the largest one used is lost; a tighter limit stays."""
-    a, scale = machine.model.actuator(site.name), actuator_at(site, machine)
-    low, high = a.forcerange if a.forcelimited[0] else (-np.inf, np.inf)
-    most = max(scale.force_max - float(x[0]), 1e-9) / abs(scale.gear)
-    limited = spec.actuator(site.name)
-    limited.forcerange = [max(low, -most), min(high, most)]
-    limited.forcelimited = True
+    scale = actuator_at(site, machine)
+    gear = as_edited(spec, scale).gear
+    most = max(scale.force_max - float(x[0]), 1e-9) / max(abs(gear), 1e-9)
+    RangeEdit({}, {site.name: (-most, most)})(spec)
 
 
 def _back_emf(site: Site, machine: Machine) -> float:
@@ -198,8 +205,9 @@ def _back_emf_extent(site: Site, machine: Machine) -> Extent | None:
 )
 def back_emf(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Torque -x[0]·v at the joint, inside the actuator's limits."""
-    a = with_own_bias(spec, site.name)
-    a.biasprm[2] = a.biasprm[2] - float(x[0]) / actuator_at(site, machine).gear ** 2
+    a, gear = with_own_bias(spec, site.name), as_edited(spec, actuator_at(site, machine)).gear
+    if gear:  # a parameter may take it away
+        a.biasprm[2] = a.biasprm[2] - float(x[0]) / gear**2
 
 
 def supply_of(site: Site, machine: Machine) -> str | None:
@@ -238,8 +246,10 @@ def _sag_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent((0.2 * sag,), (0.0,), (4 * sag,))
 
 
-def _lost_torque(x: Magnitudes, site: Site, machine: Machine) -> Callable[[Motion], Signal]:
-    a, supply = actuator_at(site, machine), supply_of(site, machine) or ""
+def _lost_torque(
+    a: ActuatorScale, x: Magnitudes, site: Site, machine: Machine
+) -> Callable[[Motion], Signal]:
+    supply = supply_of(site, machine) or ""
     c, joint = machine.scales[supply], a.joint or ""
 
     def law(m: Motion) -> Signal:
@@ -266,10 +276,12 @@ def _sag_share(x: Magnitudes, machine: Machine, site: Site) -> dict[str, tuple[f
     evidence="less torque per command while the supply is low",
     separation="the same motion with a full and an empty battery",
     details=_sag_share,
+    of_drives=True,
 )
 def voltage_sag(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part:
     """The torque falls with the recorded supply V(t), by the share x[0]/Vmax where V is lowest.
 
     With x[0] = Vmax - Vmin it is in proportion to V(t).
     """
-    return Force(actuator_at(site, machine).joint or "", _lost_torque(x, site, machine))
+    a = as_edited(spec, actuator_at(site, machine))
+    return Force(a.joint or "", _lost_torque(a, x, site, machine))

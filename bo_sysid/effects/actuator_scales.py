@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.effects.actuators import within_joint
 from bo_sysid.effects.machine import ActuatorScale
 from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.effects.recorded_motion import Motion
@@ -106,12 +107,8 @@ def _limits(limited: bool, ends: Float[np.ndarray, "2"]) -> tuple[float, float] 
 def _force_limits(model: mujoco.MjModel, a: int, joint: str | None) -> tuple[float, float] | None:
     """Return the ends of an actuator's force: its own, and those of the joint that it drives."""
     own = _limits(bool(model.actuator_forcelimited[a]), model.actuator_forcerange[a])
-    limits = None if joint is None else joint_force_limits(model, joint)
-    gear = float(model.actuator_gear[a, 0])
-    if limits is None or not gear:
-        return own
-    low, high = sorted(limit / gear for limit in limits)
-    return (low, high) if own is None else (max(own[0], low), min(own[1], high))
+    along = None if joint is None else joint_force_limits(model, joint)
+    return within_joint(own, along, float(model.actuator_gear[a, 0]))
 
 
 def _driven(model: mujoco.MjModel, a: int) -> str | None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.effects.contract import Filter, Motion, Signal, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
@@ -34,6 +35,40 @@ def used(site: Site, machine: Machine) -> bool:
 def drives(site: Site, machine: Machine) -> bool:
     """Whether the actuator drives one joint that was recorded, and was used."""
     return actuator_at(site, machine).joint is not None and used(site, machine)
+
+
+def as_edited(spec: mujoco.MjSpec, a: ActuatorScale) -> ActuatorScale:
+    """Return an actuator as it is in a spec, in which effects and parameters have changed it."""
+    now = spec.actuator(a.name)
+    affine = now.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    b0, b1, b2 = now.biasprm[:3].tolist() if affine else (0.0, 0.0, 0.0)
+    gear, limits = a.gear, _limits(now.forcelimited, now.forcerange)
+    if a.joint is not None:
+        gear, joint = float(now.gear[0]), spec.joint(a.joint)
+        limits = within_joint(limits, _limits(joint.actfrclimited, joint.actfrcrange), gear)
+    return replace(a, gear=gear, gain=float(now.gainprm[0]), bias=(b0, b1, b2), force_limits=limits)
+
+
+def _limits(limited: mujoco.mjtLimited, ends: Float[np.ndarray, "2"]) -> tuple[float, float] | None:
+    """Return the ends of a force in a spec, None where there are none."""
+    there = limited != mujoco.mjtLimited.mjLIMITED_FALSE and ends[0] < ends[1]
+    return (float(ends[0]), float(ends[1])) if there else None
+
+
+def within_joint(
+    own: tuple[float, float] | None, joint: tuple[float, float] | None, gear: float
+) -> tuple[float, float] | None:
+    """Return the ends of an actuator's force within those of the joint that it drives.
+
+    Args:
+        own: its own ends, None where it has none.
+        joint: those along the joint.
+        gear: of the actuator.
+    """
+    if joint is None or not gear:
+        return own
+    low, high = sorted(end / gear for end in joint)
+    return (low, high) if own is None else (max(own[0], low), min(own[1], high))
 
 
 def affine(site: Site, machine: Machine) -> bool:

@@ -81,14 +81,11 @@ class Beside:
             ModelError: an effect, a site or a term is not known or not in the model, or magnitudes
                 are missing.
         """
-        spec = model.spec()  # edits are in the model's file already: this copy is thrown away
-        made = [
-            part for placed in self.effects for part in self._placed(model, spec, placed, effects)
-        ]
+        made = [part for placed in self.effects for part in self._placed(model, placed, effects)]
         return (*made, *(self._force(model, law) for law in self.laws))
 
     def _placed(
-        self, model: Model, spec: mujoco.MjSpec, placed: Placed, effects: Mapping[str, Effect]
+        self, model: Model, placed: Placed, effects: Mapping[str, Effect]
     ) -> tuple[Part, ...]:
         effect, site = effects[self._known("effect", placed.effect, effects)], placed.site
         self._known("kind of site", site.kind, (effect.kind,))
@@ -100,10 +97,11 @@ class Beside:
                 + ", ".join(c.name for c in effect.components)
             )
         x = np.array(placed.x)
-        remaining = beside_a_file(effect.write(spec, site, x, self.machine))
+        # edits are in the model's file already: copies are thrown away
+        remaining = beside_a_file(effect.write(model.spec(), site, x, self.machine))
         # what is listed stands beside the file: where a file could say it, this one does not, since
         # something follows it or the step was another
-        return remaining or effect.parts(spec, site, x, self.machine)
+        return remaining or effect.parts(model.spec(), site, x, self.machine)
 
     def _force(self, model: Model, law: LearnedLaw) -> Force:
         joint = self._known("joint", law.joint, self.machine.joints)

@@ -106,6 +106,7 @@ class Reading:
         offset: in the channel's unit.
         delay: in [s].
         source: the channel whose quantity it measures instead of its own, where swapped.
+        encoder: whether it is the joint's encoder that reads so, by which a servo goes as well.
     """
 
     channel: str
@@ -113,6 +114,7 @@ class Reading:
     offset: float = 0.0
     delay: float = 0.0
     source: str | None = None
+    encoder: bool = False
 
 
 @dataclass(frozen=True)
@@ -234,6 +236,8 @@ class Effect:
         hidden: whether it adds a joint, whose coordinate no recording shows.
         in_turn: whether it changes a command so that it matters which of two such comes first: a
             dead zone of what a lag has smoothed is no lag of what passed a dead zone.
+        of_drives: whether it is a law of what the actuators of its joint do, whatever else changes
+            them.
         written: edits the spec of a model file, where plain MJCF can say what `apply` does with
             parts; like it, returns the parts that remain.
     """
@@ -264,6 +268,7 @@ class Effect:
     form: str = ""
     hidden: bool = False
     in_turn: bool = False
+    of_drives: bool = False
     written: Apply | None = None
 
     @property
@@ -275,6 +280,14 @@ class Effect:
     def acting(self) -> int:
         """How many components there are whatever its place, all 0 where nothing is there."""
         return len(self.components) - max(self.shapes, self.placed)
+
+    @property
+    def turn(self) -> int:
+        """When it is edited in among others: laws of drives after what changes those, loops last.
+
+        A joint that is added closes the loops of servos with the gains that others have changed.
+        """
+        return 2 if self.hidden else int(self.of_drives)
 
     @property
     def free(self) -> "Effect":

@@ -1,11 +1,11 @@
 """Friction at joints: what hardly depends on speed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import acting
+from bo_sysid.effects.actuators import acting, as_edited
 from bo_sysid.effects.bristles import BENT_FINER, add_bristles, add_rise, bends, bristled, most_bent
 from bo_sysid.effects.contract import (
     Component,
@@ -17,7 +17,7 @@ from bo_sysid.effects.contract import (
     Signal,
     Site,
 )
-from bo_sysid.effects.machine import JointScale, Machine
+from bo_sysid.effects.machine import ActuatorScale, JointScale, Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.touching import can_touch
 
@@ -216,8 +216,7 @@ def asymmetric_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine:
 
 def _load_extent(site: Site, machine: Machine) -> Extent | None:
     joint = machine.joints[site.name]
-    drives = [machine.actuators[a] for a in joint.actuators]
-    if not any(a.plain and a.follows and a.ctrl_max > 0 for a in drives):
+    if not any(a.ctrl_max > 0 for a in _drives(site, machine)):
         return None
     return Extent(
         (0.02, 0.0),
@@ -228,33 +227,30 @@ def _load_extent(site: Site, machine: Machine) -> Extent | None:
     )
 
 
-def _load(site: Site, machine: Machine) -> Callable[[Motion], Signal]:
-    """Return the force that the actuators of a joint command."""
-    joint = machine.joints[site.name]
-    drives = [a for n in joint.actuators if (a := machine.actuators[n]).plain and a.follows]
-
-    def load(m: Motion) -> Signal:
-        q, v = m.qpos[site.name], m.qvel[site.name]
-        return np.asarray(sum(a.force(acting(a, m), q, v) for a in drives))
-
-    return load
+def _drives(site: Site, machine: Machine) -> list[ActuatorScale]:
+    """Return the actuators of a joint whose force is told by their controls."""
+    held = (machine.actuators[n] for n in machine.joints[site.name].actuators)
+    return [a for a in held if a.plain and a.follows]
 
 
-def _load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
-    """Friction of a share of the drive's torque, never more than stops the joint in a step."""
-    joint, load = machine.joints[site.name], _load(site, machine)
+def _load_friction(
+    drives: Sequence[ActuatorScale], site: Site, x: Magnitudes, machine: Machine
+) -> Callable[[Motion], Signal]:
+    """Friction of a share of the drives' torque, never more than stops the joint in a step.
+
+    Where x[1] is given it bends, as bristles do.
+    """
+    joint, bend = machine.joints[site.name], float(x[1]) if len(x) > 1 else 0.0
 
     def law(m: Motion) -> Signal:
-        v = m.qvel[site.name]
+        q, v = m.qpos[site.name], m.qvel[site.name]
+        load = np.asarray(sum(a.force(acting(a, m), q, v) for a in drives))
+        if bend > 0:
+            return bristled(load, x[0], bend, joint, m)
         stopping = 0.5 * joint.inertia * np.abs(v) / m.timestep
-        return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load(m)), stopping))
+        return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load), stopping))
 
     return law
-
-
-def _bent_load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
-    joint, load = machine.joints[site.name], _load(site, machine)
-    return lambda m: bristled(load(m), x[0], x[1], joint, m)
 
 
 @effect(
@@ -268,14 +264,15 @@ def _bent_load_friction(site: Site, x: Magnitudes, machine: Machine) -> Callable
     form="force law",
     evidence="dry friction that grows with the torque that the gear carries",
     separation="the same speed under another load",
-    force=_load_friction,
+    force=lambda site, x, machine: _load_friction(_drives(site, machine), site, x[:1], machine),
+    of_drives=True,
 )
 def load_dependent_friction(
     spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
 ) -> Part:
-    """Friction -x[0]·|τ|·sign(v), τ what the joint's actuators command.
+    """Friction -x[0]·|τ|·sign(v), τ what the joint's actuators do, as they are in the spec.
 
     Where x[1] is given it gives way by so much before it slips, as bristles do.
     """
-    bent = len(x) > 1 and x[1] > 0
-    return Force(site.name, (_bent_load_friction if bent else _load_friction)(site, x, machine))
+    drives = [as_edited(spec, a) for a in _drives(site, machine)]
+    return Force(site.name, _load_friction(drives, site, x, machine))

@@ -1,11 +1,9 @@
 """What lies between a motor and its link: play and compliance, as a second joint on the axis."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.actuators import acting
+from bo_sysid.effects.actuators import acting, as_edited
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -67,12 +65,8 @@ def _loop(spec: mujoco.MjSpec, site: Site, machine: Machine) -> tuple[float, flo
     They are those of the spec, in which other effects and parameters have changed them. What slows
     a motor that closes no loop acts at the motor.
     """
-    kp = kd = 0.0
-    for name in _servos(site, machine):
-        nominal, now = machine.actuators[name], spec.actuator(name)
-        kp -= float(now.biasprm[1]) * nominal.gear**2
-        kd -= float(now.biasprm[2]) * nominal.gear**2
-    return kp, kd
+    servos = [as_edited(spec, machine.actuators[name]) for name in _servos(site, machine)]
+    return -sum(a.bias[1] * a.gear**2 for a in servos), -sum(a.bias[2] * a.gear**2 for a in servos)
 
 
 def _closed(
@@ -105,14 +99,8 @@ def _closed(
 
 def _limited(spec: mujoco.MjSpec, site: Site, machine: Machine) -> list[ActuatorScale]:
     """Return the servos of a joint whose force is limited, as they are in the spec."""
-    found = []
-    for name in _servos(site, machine):
-        nominal, now = machine.actuators[name], spec.actuator(name)
-        low, high = (float(f) for f in now.forcerange)
-        if nominal.plain and nominal.follows and now.forcelimited and low < high:
-            gain, (b0, b1, b2) = float(now.gainprm[0]), now.biasprm[:3].tolist()
-            found.append(replace(nominal, gain=gain, bias=(b0, b1, b2), force_limits=(low, high)))
-    return found
+    servos = [as_edited(spec, machine.actuators[name]) for name in _servos(site, machine)]
+    return [a for a in servos if a.plain and a.follows and a.force_limits is not None]
 
 
 def _second_joint(

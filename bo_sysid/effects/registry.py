@@ -201,8 +201,17 @@ def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
             f"effect {effect.id!r} at {site}: its extent has {len(extent.probe)} numbers; it needs "
             f"one for each component, {', '.join(c.name for c in effect.components)}"
         )
-    if extent is not None and effect.linear and not any(extent.probe[: effect.linear]):
+    if extent is None or not effect.linear:
+        return extent
+    probes = extent.probe[: effect.acting] if effect.acting else extent.probe[: effect.linear]
+    if not any(probes):
         return None
+    if not all(probes):
+        which = effect.components[probes.index(0.0)].name
+        raise StudyError(
+            f"effect {effect.id!r} at {site}: its extent's probe of {which} is 0; each magnitude "
+            "needs one that moves the predictions"
+        )
     return extent
 
 

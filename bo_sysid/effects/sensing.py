@@ -55,8 +55,8 @@ def encoder_offset(
     for servo in machine.actuators.values():
         if servo.joint == site.name and servo.servo:
             a = with_own_bias(spec, servo.name)
-            a.biasprm[0] += a.biasprm[1] * servo.gear * float(x[0])
-    return (Reading(f"qpos.{site.name}", offset=float(x[0])),)
+            a.biasprm[0] += a.biasprm[1] * a.gear[0] * float(x[0])
+    return (Reading(f"qpos.{site.name}", offset=float(x[0]), encoder=True),)
 
 
 def _scaled_extent(site: Site, machine: Machine) -> Extent:
@@ -105,7 +105,9 @@ def encoder_scale(
                 a.biasprm[0] /= scale
             else:
                 a.biasprm[1:3] = np.asarray(a.biasprm[1:3]) * (scale, rate)
-    return tuple(Reading(f"{kind}.{site.name}", scale=float(x[0])) for kind in ("qpos", "qvel"))
+    return tuple(
+        Reading(f"{kind}.{site.name}", scale=float(x[0]), encoder=True) for kind in ("qpos", "qvel")
+    )
 
 
 def _delay_extent(site: Site, machine: Machine) -> Extent | None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from bo_sysid.effects import Effect, Part, Reading, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
+from bo_sysid.effects.readings import readings
 from bo_sysid.errors import RecordingError, UserError, nearest
 from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
@@ -58,8 +59,9 @@ def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
     """Return what stands beside the model of a study: forces, filters and readings.
 
     Files are listed in the order in which they were found. A later reading was found in recordings
-    of which the earlier was undone: the machine's encoders show R₁(R₂(p)), and `readings` takes
-    what is nearest to p first. Filters act on commands in the order of the files.
+    of which the earlier was undone: the machine's channels show R₁(R₂(p)), each of a file as a
+    whole, and `readings` takes what is nearest to p first. Filters act on commands in the order of
+    the files.
 
     Raises:
         ModelError: a file is none that a diagnosis wrote.
@@ -70,7 +72,7 @@ def load_parts(study: Study, model: Model) -> tuple[Part, ...]:
     files = (study.file(f, ("model", "beside")) for f in study.model.beside)
     found = [read_beside(f, compiled).parts(model, effects) for f in files]
     others = [p for parts in found for p in parts if not isinstance(p, Reading)]
-    shown = [p for parts in reversed(found) for p in parts if isinstance(p, Reading)]
+    shown = [r for parts in reversed(found) for r in readings(parts).values()]
     return (*others, *shown)
 
 

@@ -94,8 +94,8 @@ def findings(
     for candidate, x, quantity, label, spread, own in terms:
         before = candidate.effect.nominal(candidate.site, machine)
         begun = candidate.effect.nominal(candidate.site, fitted)
-        after = after_change(begun, quantity.value)
-        after = quantity.value if candidate.effect.absolute else after
+        value = quantity.value
+        after = value if candidate.effect.absolute else after_change(begun, value)
         details = details_of(candidate, x, fit.covariance[own, own], spread, fitted)
         found.append(
             Finding(
@@ -104,9 +104,7 @@ def findings(
                 candidate.site.name,
                 quantity,
                 before,
-                quantity.value
-                if candidate.effect.absolute
-                else after_change(begun, quantity.value),
+                after,
                 details,
                 _group_words(label, candidate, fit),
                 probability,

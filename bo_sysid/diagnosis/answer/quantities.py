@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from string import Formatter
 
 import numpy as np
 from jaxtyping import Float
@@ -89,6 +90,8 @@ def details_of(
 ) -> dict[str, Quantity]:
     """Return further components of an effect by name, and what follows from its magnitudes.
 
+    Those that its sentence asks for are among them in any case.
+
     Args:
         c: what was found.
         x: its magnitudes.
@@ -99,13 +102,14 @@ def details_of(
     out: dict[str, Quantity] = {}
     full, variances = c.full(x), np.concatenate([np.diag(covariance), spread**2])
     low, high = _searched(c, machine)
-    shown = 0 if c.effect.vector > 1 else 1
-    for i in range(shown, len(full)):
+    asked = {name for _, name, *_ in Formatter().parse(c.effect.sentence)}
+    for i, component in enumerate(c.effect.components):
+        if i == 0 and c.effect.vector == 1 and component.name not in asked:
+            continue  # it is the value
         fitted, last = i < c.size, i == len(full) - 1
         optional = not fitted and ((c.bendable and last) or not c.extent.grid)
-        if optional and full[i] == c.extent.probe[i]:
+        if optional and full[i] == c.extent.probe[i] and component.name not in asked:
             continue  # as it usually is
-        component = c.effect.components[i]
         unit = unit_at(component.unit, c.site, machine)
         relative = _RELATIVE_BENT if c.bendable and not fitted else _RELATIVE
         found = _quantity(float(full[i]), float(variances[i]), unit, relative)

@@ -84,7 +84,6 @@ def write_model(
     if share != 1:  # first, since effects ask what a step resolves
         edits.insert(0, lambda spec: _scale_step(spec, share))
     model.export(folder / MODEL, edits)
-    mujoco.MjModel.from_xml_path(str(folder / MODEL))
     beside = _beside(model, machine, hypothesis, share, written)
     own = {c.effect.id: c.effect for c in hypothesis.members}
     words = _words(beside.parts(model, own))

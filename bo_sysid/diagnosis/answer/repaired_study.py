@@ -36,6 +36,7 @@ _ADDRESSES = {
 }
 """Where the repaired model has an effect at `{site}`, and the details of it by name."""
 _SIGNED = ("rest angle", *"xyz")  # details that may be negative
+_BESIDE_MORE = ("fluid_drag", "wind")  # whose details are added to what the model has
 _ZERO = 1e-9  # what is left of friction that the machine lacks
 _SAME = 1e-3  # relative difference of what was found from what the repaired model has
 _NO_ADDRESS = {
@@ -193,7 +194,11 @@ def _carried(model: Model, finding: Finding) -> list[str]:
 def _found(model: Model, finding: Finding, detail: str) -> tuple[float, Quantity]:
     """Return the value in the repaired model of a finding, or of a detail of it."""
     if detail:
-        return finding.details[detail].value, finding.details[detail]
+        found = finding.details[detail]
+        if finding.effect in _BESIDE_MORE:
+            address = _ADDRESSES[finding.effect][detail].format(site=finding.site)
+            return Address.parse(address).read(model), found
+        return found.value, found
     if finding.effect == "actuator_lag":
         return written_lag(finding.after, model.compile().opt.timestep), finding.quantity
     return finding.after, finding.quantity

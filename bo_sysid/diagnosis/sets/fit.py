@@ -129,7 +129,7 @@ def assess(
     columns. The covariance is the sandwich of the blocks' gradients, at least the one of white
     noise of the observed size, all magnitudes being uniform within their bounds: what cannot be
     seen, such as a shift out of the plane of motion, may lie anywhere between them. The
-    unique size of a member is the rms of its columns times its magnitudes (`Candidate.whole`) after
+    unique size of a member is the rms of its columns times its magnitudes (`Candidate.total`) after
     the other columns took over what they can, parameters and the share of a finer time step within
     their bounds.
     """

@@ -10,10 +10,11 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.sets.subsets import Gram, gram
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, beside
+from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, beside, slices_of
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 
+_ADDS = 0.7  # cosine of a member's column with its slope, from which adding it adds more of it
 _NUISANCE, _SPENT = -1, -2  # owners of columns that belong to no candidate
 
 
@@ -54,6 +55,7 @@ class Screen:
         corrected = problem.correction is not None
         S = np.zeros((*frame.Q.shape[:2], len(owner) + corrected), np.float32)
         signatures(frame, held, left_out=joints if clean(fit) else (), out=S[..., : len(owner)])
+        _as_fitted(S, owner, fit, frame, candidates)
         owner[owner >= len(candidates)] = np.where(fit.hypothesis.bound, _SPENT, _NUISANCE)
         if problem.correction is not None:
             S[..., -1] = project(frame.Q, problem.correction)
@@ -94,3 +96,34 @@ class Screen:
 
     def _columns(self, candidate: Candidate) -> Int[np.ndarray, " k"]:
         return np.flatnonzero(self.owner == self.candidates.index(candidate))
+
+
+def _as_fitted(
+    S: Float[np.ndarray, "W R _"],
+    owner: Int[np.ndarray, " a"],
+    fit: Fit,
+    frame: Linear,
+    candidates: Sequence[Candidate],
+) -> None:
+    """Give members the column of what they do where adding one once more is not adding more of it.
+
+    What limits a torque or a rate is as it was beside a looser limit, and gives way to a tighter
+    one; what it does is simulated, the model without it. A joint that is added has no column: it is
+    there already.
+    """
+    for j, (c, own) in enumerate(zip(fit.members, slices_of(fit.members), strict=True)):
+        x = fit.x[j]
+        if c.effect.hidden or c.size > 1 or not x[0] or c not in candidates:
+            continue
+        (k,) = np.flatnonzero(owner == candidates.index(c))
+        slope = project(frame.Q, fit.jacobian[..., own].astype(float))[..., 0]
+        both = float((S[..., k] * slope).sum())
+        if both <= _ADDS * np.linalg.norm(S[..., k]) * np.linalg.norm(slope):
+            without = frame.problem.residual(_without(fit, j), fit.start)
+            S[..., k] = project(frame.Q, without - fit.residual) / x[0]
+
+
+def _without(fit: Fit, j: int) -> Hypothesis:
+    """Return the hypothesis of a fit without one of its members."""
+    h = fit.hypothesis
+    return replace(h, members=h.members[:j] + h.members[j + 1 :], x=h.x[:j] + h.x[j + 1 :])

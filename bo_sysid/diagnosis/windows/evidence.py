@@ -210,7 +210,10 @@ def _felt(
         return tuple(all_of)
 
     def changes(c: Candidate) -> bool:
-        parts = c.parts(model.spec(), c.point[: c.size], machine)
+        edits, parts = edits_and_parts(Hypothesis((c,), (c.point[: c.size],)), machine)
+        spec = model.spec()
+        for edit in edits:
+            edit(spec)
         return any(isinstance(p, Filter) and p.actuator in made for p in parts)
 
     return tuple(c for c in all_of if not changes(c))

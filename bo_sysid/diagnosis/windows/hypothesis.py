@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, permutations
+from itertools import accumulate, permutations, product
 
 import mujoco
 import numpy as np
@@ -32,6 +32,8 @@ class Candidate:
         secant: whether the signature is simulated there, because linearity does not reach so far.
         friction_joints: joints whose dry friction it is, where it stands for a parameter of the
             study.
+        stage: when it is written among the study's parameters, see `mjcf.parameter_edits`.
+        tied: whether it is one value for addresses that differ in the model, so that 0 is an edit.
         low: least values of the magnitudes that are fitted.
         high: their largest values.
         probe: magnitudes that move the predictions measurably.
@@ -43,6 +45,8 @@ class Candidate:
     point: Float[np.ndarray, " k"]
     secant: bool = False
     friction_joints: tuple[str, ...] = ()
+    stage: int = 0
+    tied: bool = False
     low: Float[np.ndarray, " l"] = field(init=False)
     high: Float[np.ndarray, " l"] = field(init=False)
     probe: Float[np.ndarray, " l"] = field(init=False)
@@ -224,12 +228,12 @@ def orders(members: Sequence[Candidate]) -> list[tuple[int, ...]]:
         if c.effect.in_turn:
             held.setdefault(c.site.name, []).append(k)
     found = []
-    for own in held.values():
-        for changed in list(permutations(own))[1:]:
-            order = list(range(len(members)))
-            for k, other in zip(own, changed, strict=True):
-                order[k] = other
-            found.append(tuple(order))
+    for changed in list(product(*(permutations(own) for own in held.values())))[1:]:
+        order = list(range(len(members)))
+        for own, other in zip(held.values(), changed, strict=True):
+            for k, at in zip(own, other, strict=True):
+                order[k] = at
+        found.append(tuple(order))
     return found
 
 
@@ -283,6 +287,7 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
     own, targets = nominal(model, p), [t for a in p.addresses for t in resolve(model, a)]
     dry = all((t.kind, t.name) == ("joint", "frictionloss") for t in targets)
     joints = tuple(t.element for t in targets) if dry else ()
+    tied = p.apply == "set" and len({t.nominal for t in targets}) > 1
 
     def apply(
         spec: mujoco.MjSpec, site: Site, x: Float[np.ndarray, " k"], machine: Machine
@@ -299,7 +304,10 @@ def _parameter(model: Model, p: Parameter) -> Candidate:
         nominal=lambda s, m: own,
     )  # fmt: skip
     at = Site("world", p.name)
-    return Candidate(effect, at, extent, np.array(extent.probe), friction_joints=joints)
+    stage = max((t.stage for t in targets), default=0)
+    return Candidate(
+        effect, at, extent, np.array(extent.probe), friction_joints=joints, stage=stage, tied=tied
+    )
 
 
 def _made(
@@ -342,12 +350,19 @@ def edits_and_parts(
         make = c.effect.write if c in written else c.effect.parts
 
         def edit(spec: mujoco.MjSpec) -> None:
+            if c.tied and not x.any():
+                c.effect.apply(spec, c.site, x, machine)
             made[number] = _made(make, c, spec, x, machine)  # again, where a model is edited twice
             parts[:] = [part for k in sorted(made) for part in made[k]]
 
         return edit
 
-    terms = [(c.effect.hidden, edit_of(i, c, x)) for i, (c, x) in enumerate(hypothesis.terms)]
-    # a joint that is added closes the loops of servos with the gains that others have changed;
-    # the parts keep the order of the members
-    return [edit for _, edit in sorted(terms, key=lambda term: term[0])], parts
+    h = hypothesis
+    own = sorted(zip(h.nuisances, h.nuisance_x, strict=True), key=lambda term: term[0].stage)
+    # laws of what actuators do, and joints that close their loops, with what others changed of
+    # them; the parts keep the order of the members
+    members = sorted(
+        enumerate(zip(h.members, h.x, strict=True)), key=lambda term: term[1][0].effect.turn
+    )
+    edits = [edit_of(-1, c, x) for c, x in own]
+    return edits + [edit_of(k, c, x) for k, (c, x) in members], parts

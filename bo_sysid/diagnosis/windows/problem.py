@@ -68,7 +68,7 @@ class Problem:
         model: the nominal model.
         machine: the scales of its sites.
         recordings: what was recorded, for filters over whole inputs.
-        windows: cut from them, observing position and velocity channels.
+        windows: cut from them, observing positions.
         layout: where the model keeps the channels.
         weight: `W x H x c` one over the standard deviation of each observation, 0 where there is
             none.
