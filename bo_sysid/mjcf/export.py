@@ -47,7 +47,7 @@ _COMMENT = re.compile("<!--.*?-->", re.DOTALL)
 _OTHER_MODEL = re.compile(r"""<(include|model)\s[^>]*?\bfile\s*=\s*["']([^"']+)["']""")
 
 
-def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str, attached: Sequence[Path] = ()) -> None:
+def write_mjcf(spec: mujoco.MjSpec, path: Path, source: str, attached: Sequence[Path]) -> None:
     """Write a compiled spec to `path` in one step.
 
     Meshes, textures, height fields and skins are copied into the folder `<stem>_assets` before

@@ -79,7 +79,7 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
 
     def evaluate(row: int) -> Evaluation:
         fit = sets[owner[row]]
-        hypothesis = _at(fit, candidates.points[row, 1 : 1 + _width(fit)])
+        hypothesis = _at(fit, candidates.points[row, 1 : 1 + fit.width])
         y = project(Q[keep], part.residual(hypothesis, fit.start.rows(keep)))
         return _by_block(part, y, _optimism(fit) / problem.dof)
 
@@ -121,16 +121,12 @@ def _shared(
     return np.asarray(same @ share / same.sum(axis=1))
 
 
-def _width(fit: Fit) -> int:
-    return sum(c.size for c in fit.members)
-
-
 def _candidates(sets: tuple[Fit, ...]) -> tuple[CandidateSet, np.ndarray]:
     """Return B, with the set as a category and magnitudes in deviations, and each row's set."""
-    most = max(_width(f) for f in sets)
+    most = max(f.width for f in sets)
     rows, owner = [], []
     for number, fit in enumerate(sets):
-        for z in _grid(_width(fit)):
+        for z in _grid(fit.width):
             rows.append([number, *z, *(0.0,) * (most - len(z))])
             owner.append(number)
     names = [f"magnitude {k}" for k in range(most)]

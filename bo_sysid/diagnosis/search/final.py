@@ -168,9 +168,9 @@ def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
 
 def _rivals(final: Search, leader: Fit) -> list[Fit]:
     """Return the nearest sets with other effects, each with the best of its shapes."""
-    count, found = sum(c.size for c in leader.members), dict[Names, Fit]()
+    count, found = leader.width, dict[Names, Fit]()
     for f in ranked(final.fits.values(), final.prior):
-        fewer = sum(c.size for c in f.members) < count and f.rms < _FAR * leader.rms
+        fewer = f.width < count and f.rms < _FAR * leader.rms
         shaped = f.names != leader.names and _shaped(final, f) and f.rms < _NEAR * leader.rms
         if f.size == leader.size and (fewer or shaped) and not f.names < leader.names:
             found.setdefault(_effects(f), f)

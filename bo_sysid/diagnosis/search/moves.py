@@ -88,7 +88,7 @@ def _stuck(search: Search, before: Fit) -> bool:
     return explains_little(best, search.nominal) and best.rms > _NEARER * before.rms
 
 
-def carried(search: Search, prepared: Prepared, count: int = 4) -> Search:
+def carried(search: Search, prepared: Prepared, count: int) -> Search:
     """Begin on other windows with the best sets found so far."""
     guess = search.best.hypothesis
     new = Search.on(prepared, search.candidates, search.most, guess, search.doing)

@@ -44,7 +44,7 @@ def _bent(search: Search) -> list[Fit]:
     """
     bent = [f for f in search.fits.values() if any(c.bent for c in f.members)]
     near = sorted((f for f in bent if f.rms < _PROMISING * search.least), key=lambda f: f.rms)
-    count = [sum(c.size for c in f.members) for f in near]
+    count = [f.width for f in near]
     fewer = [f for f, n in zip(near, count, strict=True) if n < count[0]]
     return [f for f in (*fewer[:1], *near[:1]) if any(map(_on_grid, f.members))]
 

@@ -226,17 +226,13 @@ def _no_likelier(
         plain = [
             i
             for i, f in enumerate(fits)
-            if f.size == fit.size and _width(f) < _width(fit) and _apart(f, fit, Q, dof) < _SAME
+            if f.size == fit.size and f.width < fit.width and _apart(f, fit, Q, dof) < _SAME
         ]
         best = max(plain, key=lambda i: out[i], default=None)
         if best is not None and out[best] <= out[k]:
             out[best] = out[k]
             out[k] -= _AFTER
     return out
-
-
-def _width(fit: Fit) -> int:
-    return sum(c.size for c in fit.members)
 
 
 def _apart(one: Fit, two: Fit, Q: Float[np.ndarray, "W R k"], dof: int) -> float:

@@ -73,6 +73,11 @@ class Fit:
         return size_of(self.members, self.groups)
 
     @property
+    def width(self) -> int:
+        """Number of magnitudes."""
+        return sum(c.size for c in self.members)
+
+    @property
     def key(self) -> frozenset[tuple[object, ...]]:
         """What is supposed, without magnitudes."""
         return set_key(self.members)

@@ -146,7 +146,7 @@ def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
     return held - {simpler} == rest - {simpler} if all_else else held <= {*rest, simpler}
 
 
-def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit] = ()) -> list[int]:
+def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> list[int]:
     """Return the members that are smaller than what stays unexplained, or a part of the nominal's.
 
     For that part the larger of the size and of what leaving out costs counts.

@@ -107,12 +107,12 @@ class Coordinates:
         """Whether the edited model has the nominal coordinates and no others."""
         return self.sizes == (len(self.qpos), len(self.qvel), len(self.act))
 
-    def expand(self, state: State, torque: Float[np.ndarray, "W nv"] | None = None) -> State:
+    def expand(self, state: State, torque: Float[np.ndarray, "W nv"] | None) -> State:
         """Return nominal states as states of the edited model.
 
         Args:
             state: as the encoders show it.
-            torque: that is transmitted at each nominal coordinate; without it nothing is.
+            torque: that is transmitted at each nominal coordinate; nothing, where it is None.
         """
         if self.same:
             return state

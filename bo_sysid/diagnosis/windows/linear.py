@@ -238,14 +238,9 @@ class Linear:
         acceleration at its start.
         """
         p, nv = self.problem, self.problem.machine.model.nv
-        turned = channel in p.layout.turns
-        position = channel in p.layout.qpos and not turned
-        column = (
-            int(p.layout.velocity[p.layout.qpos[channel]])
-            if position
-            else nv + p.layout.qvel.get(channel, 0)
-        )
-        values = self._turned(s, channel) if turned else s[:, :, column]
+        position = channel not in p.layout.turns
+        column = int(p.layout.velocity[p.layout.qpos[channel]]) if position else 0
+        values = s[:, :, column] if position else self._turned(s, channel)
         length = self.macro * p.windows.timestep
         at = (p.windows.step + p.windows.fraction) / self.macro - delay / length
         inside = np.maximum(at, 0.0)
