@@ -30,6 +30,17 @@ def test_lines_come_now_and_then_with_the_time_left(capsys: pytest.CaptureFixtur
     assert len(lines) == 20
 
 
+def test_a_line_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """The last evaluation is told again once its entropy is known."""
+    lines = Lines("search", every=0.0, clock=lambda: 0.0)
+    for entropy in ("", "", ", entropy 1.2"):
+        lines(Progress(9, 9, f"deviation 0.1{entropy}"))
+    assert capsys.readouterr().err.splitlines() == [
+        "search 9/9: deviation 0.1",
+        "search 9/9: deviation 0.1, entropy 1.2",
+    ]
+
+
 @pytest.mark.parametrize(("step", "of", "left"), [(10, 4000, "11:05:00"), (10, 20, "1:40")])
 def test_time_left_is_right_after_a_resume(
     capsys: pytest.CaptureFixture[str], step: int, of: int, left: str

@@ -331,12 +331,23 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match=r"compare.arms.1: there is another arm 'greedy'; name o"):
         arms_of(posed(arms=["greedy", "greedy"]))
     (tmp_path / "other.yaml").write_text(yaml.safe_dump(small()))
-    with pytest.raises(StudyError, match=r"compare.problems.0: no file 'oter.yaml'.*'other.yaml'"):
+    with pytest.raises(
+        StudyError, match=r"compare.problems.0: 'oter.yaml' matches no file.*'other.yaml'"
+    ):
         problems_of(posed(arms=["greedy"], problems="oter.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.problems.0: other.yaml is called 'small', as a"):
         problems_of(posed(arms=["greedy"], problems="other.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.lop: unknown key; did you mean 'loop'"):
         posed(arms=["greedy"], lop="outer")
+
+
+def test_problems_may_be_named_by_a_pattern(tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        (tmp_path / f"p_{name}.yaml").write_text(yaml.safe_dump({**small(), "name": name}))
+    study = small(compare={"arms": ["greedy"], "problems": ["p_*.yaml"]})
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(study))
+    found = problems_of(Study.load(tmp_path / "small.yaml"), trust_code=False)
+    assert [p.name for p in found] == ["small", "one", "two"]
 
 
 def test_an_unknown_acquisition_has_its_nearest_name(

@@ -20,6 +20,7 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
+from bo_sysid.diagnosis.windows.recorded_contact import meets_stops
 from bo_sysid.diagnosis.windows.timestep import coarsened, finer_step
 from bo_sysid.effects import (
     CATALOGUE,
@@ -304,6 +305,19 @@ def test_contact_counts_where_the_machine_came_to_touch(
     assert can_touch(evidence.given.compile())
     assert bool(evidence.notes) is not contact
     assert (evidence.window < 0.2) is contact
+
+
+@pytest.mark.parametrize(("reach", "met"), [(0.9, False), (1.1, True)])
+def test_a_machine_that_meets_its_stops_is_one_with_impacts(reach: float, met: bool) -> None:
+    model = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="a" axis="0 1 0" range="-30 60"/>'
+        '<geom size=".1"/></body></worldbody></mujoco>'
+    )
+    time = np.arange(0, 6, 0.01)
+    swing = np.deg2rad(15 + reach * 45 * np.sin(4 * time)) + 1e-4 * np.cos(99 * time)
+    recording = Recording.from_arrays(time, qpos={"a": swing})
+    assert meets_stops(model.compile(), [recording]) is met
+    assert (make_evidence(model, [recording], effects=(), threads=1).window < 0.2) is met
 
 
 @pytest.mark.parametrize(("hop", "window"), [(0.0, 0.3), (0.02, 0.1)])

@@ -553,6 +553,20 @@ def test_vectors_and_objects_in_json_become_columns(tmp_path):
     np.testing.assert_array_equal(columns["q.1"], [2, np.nan])
 
 
+def test_json_that_holds_no_numbers_of_a_machine_is_refused(tmp_path):
+    (tmp_path / "deep.json").write_text(100_000 * "[")
+    with pytest.raises(RecordingError, match="nested too deeply"):
+        read_table(tmp_path / "deep.json")
+    (tmp_path / "long.json").write_text(f'{{"time": [0, 1], "q": [1, -1{400 * "0"}]}}')
+    np.testing.assert_array_equal(read_table(tmp_path / "long.json").columns["q"], [1, -np.inf])
+
+
+def test_a_header_that_is_no_list_of_names_is_refused(tmp_path):
+    (tmp_path / "log.csv").write_text(f"time,{200_000 * 'q'}\n0,1\n")
+    with pytest.raises(RecordingError, match="header is no list of names"):
+        read_table(tmp_path / "log.csv")
+
+
 def test_the_index_that_pandas_writes_is_a_column(tmp_path):
     frame = pd.DataFrame({"time": [0.0, 0.1, 0.2], "qpos.a": [1.0, 2.0, 3.0]})
     frame.to_csv(tmp_path / "log.csv")

@@ -1,5 +1,6 @@
 """Matplotlib's figures: what is drawn against what was stored."""
 
+import warnings
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.report import interactive
 from bo_sysid.report.check_figures import recording_figure
 from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
-from bo_sysid.report.figures import predictions
+from bo_sysid.report.figures import predictions, save
 from bo_sysid.report.look import COLOURS, worst_channels
 from bo_sysid.report.robot import Posed, find_site
 
@@ -216,3 +217,16 @@ def test_of_many_predictions_the_worst_are_drawn_and_the_others_counted() -> Non
     drawn = predictions(table.assign(identified=0.0))
     assert "qpos.boom" in [a.get_ylabel() for a in drawn.axes]
     assert "3 channels not shown" in drawn.axes[0].get_title()
+
+
+def test_a_dollar_in_a_name_begins_no_formula(tmp_path) -> None:
+    """Names are the users'; those at ticks are drawn as they are, too."""
+    wrong, time = r"$\frac$ m_{ 质量", np.arange(0.0, 4.0, 0.01)
+    recording = Recording.from_arrays(time, qpos={wrong: np.sin(time)}, name=wrong)
+    figure = recording_figure(recording)
+    figure.axes[0].set_yticks([0.0], [wrong])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(figure, tmp_path / "drawn.png")
+    assert (tmp_path / "drawn.png").stat().st_size > 1000
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [wrong]

@@ -19,7 +19,7 @@ from chromium import ask, needs_chromium
 from bo_sysid.errors import RunError
 from bo_sysid.report import interactive, interactive_search
 from bo_sysid.report.page import page, write_page
-from bo_sysid.report.serve import make_server
+from bo_sysid.report.serve import make_server, version
 from bo_sysid.runs import Run
 
 NASTY = "<script>alert(1)</script>"
@@ -314,3 +314,12 @@ def test_it_is_drawn_without_errors_and_can_be_used(tmp_path: Path, width: int) 
     assert "&lt;script&gt;" in answer["axis"]
     assert answer["wide"] <= 0  # nothing sticks out at this width
     shutil.rmtree(path.parent)
+
+
+def test_a_page_that_is_served_follows_files_at_any_depth(tmp_path) -> None:
+    (tmp_path / "records" / "small").mkdir(parents=True)
+    (tmp_path / "run.json").write_text("{}")
+    before = version(tmp_path)
+    assert version(tmp_path) == before
+    (tmp_path / "records" / "small" / "0.json").write_text("{}")
+    assert version(tmp_path) != before

@@ -261,3 +261,17 @@ def test_words_that_all_joints_have_need_not_be_in_the_log(side: str) -> None:
 def test_an_axis_of_a_gyroscope_is_no_speed_of_a_joint(name: str) -> None:
     assert named(name, "").kind == "foreign"
     assert named("gyro_position", "").kind == "position"
+
+
+@pytest.mark.parametrize("names", [("肩", "肘"), ("Hüfte", "Hände")])
+def test_names_in_any_letters_are_compared_as_they_are(names: tuple[str, str]) -> None:
+    """Of joints whose letters no column has nothing is likely by its name."""
+    model = ARM.replace('"shoulder"', f'"{names[0]}"').replace('"elbow"', f'"{names[1]}"')
+    moved = dict(zip(names, ANGLES.values(), strict=True))
+    rules = guessed(model, **{"{}_pos": moved})
+    assert {n: r["from"] for n, r in rules.columns.items() if n.startswith("qpos.")} == {
+        f"qpos.{n}": f"{n}_pos" for n in names
+    }
+    foreign = dict(zip(("delta", "alpha"), ANGLES.values(), strict=True))
+    rules = guessed(model, **{"{}_pos": foreign})
+    assert not any("similar name" in guess.reason for guess in rules.guesses.values())

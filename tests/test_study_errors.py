@@ -260,11 +260,26 @@ class TestOverrides:
         assert parse_override(text) == (key, value)
 
     @pytest.mark.parametrize(
-        ("text", "expected"), [("budget", "must be key=value"), ("a=[1", "the value is not YAML")]
+        ("text", "expected"),
+        [
+            ("budget", "must be key=value"),
+            ("a=[1", "the value is not YAML"),
+            ("a=2024-13-45", "the value is not YAML"),
+            ("a=" + 3000 * "[", "the value is not YAML"),
+        ],
     )
     def test_that_are_none_are_refused(self, text: str, expected: str) -> None:
         with pytest.raises(StudyError, match=expected):
             parse_override(text)
+
+
+def test_a_digit_of_another_script_is_no_number(tmp_path: Path) -> None:
+    text = BASE + "parameters: [{address: 'body[a].mass', low: 1, high: 2}]\n"
+    assert "parameters" in message(tmp_path, text, **{"parameters.².low": 1})
+
+
+def test_a_study_that_is_nested_without_end_is_refused(tmp_path: Path) -> None:
+    assert "nested too deeply" in message(tmp_path, "model: " + 5000 * "[")
 
 
 def test_many_aliases_are_read_at_once(tmp_path: Path) -> None:

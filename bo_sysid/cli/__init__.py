@@ -121,6 +121,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         goes_on = args is not None and args.verb in RESUMED
         how = "; the same command goes on where it was" if goes_on else ""
         return _say(f"interrupted{how}", INTERRUPTED)
+    except MemoryError as error:
+        return _say(f"there is not enough memory for this: {error}", WRONG_INPUT)
     except Exception:
         traceback.print_exc()
         return _say("this is a defect of bo-sysid: please report the lines above", DEFECT)

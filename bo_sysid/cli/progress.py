@@ -52,7 +52,7 @@ class Lines:
         self._began = self._last = self._told = clock()
         self._first: int | None = None
         self._step = 0
-        self._at = ""
+        self._at = self._said = ""
 
     def __call__(self, progress: Progress) -> None:
         """Print where it stands, unless a line was printed a moment ago.
@@ -74,9 +74,12 @@ class Lines:
         elif progress.step < self._step:  # another count begins
             self._first, self._began = progress.step - 1, before
         self._step = progress.step
+        said = f"{progress.step}/{progress.of}: {progress.message}"
+        if said == self._said:
+            return
         if now - self._last < self._every and progress.step < progress.of:
             return
-        self._last = now
+        self._last, self._said = now, said
         done, ahead = progress.step - self._first, progress.of - progress.step
         left = f", {_duration((now - self._began) / done * ahead)} left" if done and ahead else ""
         message = f": {progress.message}" if progress.message else ""

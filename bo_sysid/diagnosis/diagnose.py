@@ -66,7 +66,7 @@ class Diagnosis:
         evidence: what it was made from.
         searched: the same choice between sets as a search of the arg-min.
         notes: what was done to the data, and what the repaired model cannot say.
-        contact: whether the machine touches something in the recordings.
+        contact: whether the machine touches something in the recordings, or meets its stops.
     """
 
     name: str
@@ -131,7 +131,10 @@ class Diagnosis:
         if whole:
             said += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
-            said.append("The machine is in contact, where names are hints and not yet findings.")
+            said.append(
+                "The machine is in contact, or meets its stops, where names are hints and not yet "
+                "findings."
+            )
         best = self.outcome.fit
         if self.answer.findings and not self.contact and leaves_much(best):
             nearest = self.located.search.nearest

@@ -150,7 +150,7 @@ class Machine:
         sampling: median sampling interval of the recordings in [s].
         duration: length of the longest recording in [s].
         scales: of every channel that all recordings have, by name.
-        impacts: whether contacts may come and go as it moves.
+        impacts: whether contacts may come and go as it moves, or stops are met.
     """
 
     model: mujoco.MjModel

@@ -22,6 +22,7 @@ from bo_sysid.study.inputs import load_model, load_parts
 from bo_sysid.study.overview import require_limits
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
+_LONGEST = 3600.0  # [s]
 _SHORTEST = 1.0  # [s], half of which fades in and half out
 _COARSEST = 0.1  # [s] between two controls; windows of half a second tell
 
@@ -155,10 +156,10 @@ def _assumed(study: Study, model: Model, trial: Trial) -> list[str]:
 
 def _require(seconds: float, interval: float, budget: int) -> None:
     """Refuse arguments from which nothing can be planned."""
-    if not _SHORTEST <= seconds < np.inf:
+    if not _SHORTEST <= seconds <= _LONGEST:
         raise UserError(
-            f"excite: seconds is {seconds:g}; it must be at least {_SHORTEST:g}: controls fade in "
-            "during half a second and out during another"
+            f"excite: seconds is {seconds:g}; it must be at least {_SHORTEST:g}, since controls "
+            f"fade in during half a second and out during another, and at most {_LONGEST:g}"
         )
     if not 0 < interval <= _COARSEST:
         raise UserError(

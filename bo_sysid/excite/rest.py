@@ -10,12 +10,11 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from bo_sysid.checks.balance import Dynamics
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.mjcf.commands import LAGS, controlled
 from bo_sysid.simulation import ForceLaw, State
 from bo_sysid.simulation.lockstep import LockStep
 
 _CORNERS = 5  # parameters up to which all corners of their bounds are taken
-_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 
 
 class Hold(NamedTuple):
@@ -75,7 +74,7 @@ def held(model: mujoco.MjModel, ctrl: Float[np.ndarray, " nu"]) -> State:
     """Return a machine that stands at its reference, where controls have long been held."""
     act = np.zeros((1, model.na))
     for k, a in enumerate(controlled(model)):
-        if int(model.actuator_dyntype[a]) in _FILTERS:
+        if int(model.actuator_dyntype[a]) in LAGS:
             last = int(model.actuator_actadr[a] + model.actuator_actnum[a]) - 1
             act[0, last] = ctrl[k]
     return State(model.qpos0[None].copy(), np.zeros((1, model.nv)), act)

@@ -74,7 +74,8 @@ def _connected(ray: Any, address: str | None) -> Iterator[None]:
         yield
         return
     try:
-        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        own = "local"  # None joins whatever cluster was started here last
+        ray.init(address=address or own, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise StudyError(
             f"execution.address: no Ray cluster at {address!r} ({error}); ray start --head starts "

@@ -230,9 +230,9 @@ def _require_known_commands(scene: Scene) -> None:
             ranges.append(scene.compiled(point).actuator_ctrlrange.copy())
         if not np.array_equal(*ranges):
             raise scene.study.error(
-                ("parameters", p.name),
-                "a policy's actions are commands within the ctrlrange, which must be known; "
-                "where a machine saturates is the forcerange",
+                ("parameters",),
+                f"{p.name}: a policy's actions are commands within the ctrlrange, which must be "
+                "known; where a machine saturates is the forcerange",
             )
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter
 
 from bo_sysid.report.look import (
     GREY,
@@ -124,10 +126,29 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure; the ending says as what (png, pdf, svg)."""
+    """Write a figure; the ending says as what (png, pdf, svg).
+
+    Names may hold any letter: a dollar begins no formula, and one that no font has is a box.
+    """
+    _as_written(figure)
     with warnings.catch_warnings():  # a panel too small for its labels is drawn all the same
         warnings.filterwarnings("ignore", "constrained_layout not applied")
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure.savefig(path, dpi=140)
+
+
+def _as_written(figure: Figure) -> None:
+    """Let texts of a figure be drawn as they are; numbers at ticks are formulas of matplotlib's."""
+    named = [
+        label
+        for axes in figure.axes
+        for axis in (axes.xaxis, axes.yaxis)
+        if isinstance(axis.get_major_formatter(), FixedFormatter)
+        for label in axis.get_ticklabels()
+    ]
+    for text in (*figure.findobj(Text), *named):
+        if "$" in text.get_text():
+            text.set_parse_math(False)
 
 
 def _label(name: str, unit: str) -> str:

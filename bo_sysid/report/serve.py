@@ -10,6 +10,7 @@ from bo_sysid.errors import RunError, UserError
 from bo_sysid.report.page import NAME, page
 
 HOST = "127.0.0.1"
+_OF_A_RUN = (".json", ".parquet", ".npz")
 _LARGEST = 65535  # number of a port
 
 
@@ -82,7 +83,15 @@ def _answering(folder: Path) -> type[BaseHTTPRequestHandler]:
 
 
 def version(folder: Path) -> str:
-    """Return a hash that changes when a file of the run does."""
-    files = sorted(p for p in folder.iterdir() if p.suffix in (".json", ".parquet"))
-    state = [(p.name, p.stat().st_mtime_ns, p.stat().st_size) for p in files]
+    """Return a hash that changes when a file of the run does, at whatever depth.
+
+    One that goes while it is looked at, as what is kept for a run that is killed does, has changed.
+    """
+    state = []
+    for path in sorted(p for p in folder.rglob("*") if p.suffix in _OF_A_RUN):
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            continue
+        state.append((str(path.relative_to(folder)), found.st_mtime_ns, found.st_size))
     return hashlib.sha256(repr(state).encode()).hexdigest()[:16]

@@ -222,6 +222,8 @@ def _shared(own: Sequence[str], column: Column, of_all: Collection[str]) -> floa
     """Return how much of the words of a name a column carries, 0 to 1."""
     bare = [w for w in own if w not in _PARTS]
     special = [w for w in bare if w not in _GENERIC] or bare or list(own)
+    if not special:  # a name of marks alone is like no other
+        return 0.0
     shared = [w for w in special if w in column.words]
     if shared and len(shared) == len(special):
         letters = [w for w in shared if not w.isdigit()]

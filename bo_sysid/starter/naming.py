@@ -104,8 +104,8 @@ class Column:
 
 def words(name: str) -> tuple[str, ...]:
     """Return the parts of a name, split at marks, before capitals and before digits."""
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
-    return tuple(w.lower() for w in re.findall(r"[A-Za-z]+|\d+", spaced))
+    spaced = re.sub(r"([^\W\d_A-Z])([A-Z])", r"\1 \2", name)
+    return tuple(w.lower() for w in re.findall(r"[^\W\d_]+|\d+", spaced))
 
 
 def named_unit(name: str) -> tuple[str, str]:

@@ -19,6 +19,8 @@ from bo_sysid.study.base import (
 )
 from bo_sysid.study.sections import DmControl
 
+_DAY = 86_400.0  # [s]
+
 
 def _address(value: str) -> str:
     if not re.fullmatch(r"\w+(\[.+\])?\.\w+(\[\d+\])?", value.strip()):
@@ -226,7 +228,7 @@ class Record(Section):
     """Number of training recordings."""
     holdout: Count = 1
     """Number of recordings that are set aside."""
-    seconds: Positive = 5.0
+    seconds: Annotated[Positive, Field(le=_DAY)] = 5.0
     """Length of each, in s."""
     excitation: Literal["random", "multisine"] = "random"
     """Controls that move the plant: random with a correlation time, or sums of sines."""

@@ -11,6 +11,7 @@ from bo_sysid.errors import StudyError, nearest
 
 KeyPath = tuple[str | int, ...]
 
+_SHOWN = 60  # letters of an argument in a message
 _SHORT: Mapping[tuple[str, ...], str] = {
     ("model",): "file",
     ("recordings", "columns", "*"): "from",
@@ -74,6 +75,8 @@ def read(path: Path, overrides: Mapping[str, Any]) -> Source:
         raise StudyError(f"{path}{line}: not YAML: {error.problem}") from None
     except (yaml.YAMLError, ValueError) as error:
         raise StudyError(f"{path}: not YAML: {error}") from None
+    except RecursionError:
+        raise StudyError(f"{path}: nested too deeply for a study") from None
     if not isinstance(data, dict):
         raise StudyError(
             f"{path}: a study is a mapping with the keys model and recordings, not "
@@ -130,8 +133,8 @@ def parse_override(text: str) -> tuple[str, Any]:
         raise StudyError(f"--set {text}: must be key=value, as in --set search.budget=20")
     try:
         return key.strip(), yaml.safe_load(value)
-    except yaml.YAMLError:
-        raise StudyError(f"--set {text}: the value is not YAML") from None
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise StudyError(f"--set {text[:_SHOWN]}: the value is not YAML") from None
 
 
 def _text(path: Path) -> str:
@@ -192,11 +195,15 @@ def _line(node: yaml.Node, path: KeyPath) -> int:
     return line + 1
 
 
+def _is_number(part: str) -> bool:
+    return part.isascii() and part.isdecimal()
+
+
 def _resolve(data: Any, key: str) -> KeyPath:
     parts = key.split(".")
     path: list[str | int] = []
     while parts:
-        if isinstance(data, Sequence) and not isinstance(data, str) and parts[0].isdigit():
+        if isinstance(data, Sequence) and not isinstance(data, str) and _is_number(parts[0]):
             item = int(parts.pop(0))
             path.append(item)
             data = data[item] if item < len(data) else None

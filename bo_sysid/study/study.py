@@ -1,7 +1,7 @@
 """The study: one declarative YAML file, from which everything runs."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -173,6 +173,14 @@ class Study(Section):
             raise self.error(key, f"no file {path!r} in {self._folder}; {_near(full)}")
         return full
 
+    def files(self, pattern: str, key: KeyPath) -> list[Path]:
+        """Return the files that a name or glob of the study matches.
+
+        Raises:
+            StudyError: there is none; the message names the nearest.
+        """
+        return self._matching(pattern, key, Path.is_file)
+
     def parameter_set(self, model: "Model") -> "tuple[Parameter, ...]":
         """Return the parameters, with wildcards matched to what `model` has.
 
@@ -301,20 +309,26 @@ class Study(Section):
                 )
             self.file(file, key)
 
+    def _matching(
+        self, pattern: str, key: KeyPath, wanted: Callable[[Path], bool], hint: str = ""
+    ) -> list[Path]:
+        """Return what a pattern matches and is wanted; there must be something."""
+        try:
+            files = [p for p in matching(self._folder, pattern) if wanted(p)]
+        except StudyError as error:
+            raise self.error(key, str(error)) from None
+        if not files:
+            raise self.error(
+                key, f"{pattern!r} matches no file; {_near(self._folder / pattern)}{hint}"
+            )
+        return files
+
     def _files(self, part: Literal["train", "holdout"]) -> tuple[Path, ...]:
         found: dict[Path, Path] = {}
         for i, pattern in enumerate(getattr(self.recordings, part) or ()):
+            made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
             key = ("recordings", part, i)
-            try:
-                files = [p for p in matching(self._folder, pattern) if _is_log(p)]
-            except StudyError as error:
-                raise self.error(key, str(error)) from None
-            if not files:
-                made = "; bo-sysid record makes recordings of its plant" if self.plant else ""
-                raise self.error(
-                    key, f"{pattern!r} matches no file; {_near(self._folder / pattern)}{made}"
-                )
-            for file in files:
+            for file in self._matching(pattern, key, _is_log, made):
                 found.setdefault(file.resolve(), file)  # one file, however it is spelled
         return tuple(found.values())
 

@@ -15,10 +15,10 @@ from bo_sysid.diagnosis.windows.estimated_starts import caught_up, first_starts
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.recorded_contact import meets_stops
 from bo_sysid.diagnosis.windows.settling import better_of, settle
 from bo_sysid.diagnosis.windows.timestep import FINER
 from bo_sysid.errors import ModelError
-from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import touching
 from bo_sysid.simulation import State
 
@@ -71,15 +71,13 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
     at = at or nothing(problem)
     _require_finite(problem, at, problem.windows.start)
     linear, contact = _begun(problem, at, known), problem.machine.impacts
-    decided = np.full(len(problem.windows), contact) | at_stops(problem)
     if contact:
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
-    if decided.any():
-        linear = linear.observing(noise_with_chaos(linear, decided))
+        linear = linear.observing(noise_with_chaos(linear))
     change = _by_a_finer_step(linear)
-    if decided.any():
-        linear, change = _weighted_by_step(linear, change, decided)
+    if contact:
+        linear, change = _weighted_by_step(linear, change)
     correction = project(linear.Q, change)
     keep = _undecided(linear, correction)
     linear, correction = linear.rows(keep), correction[keep]
@@ -148,8 +146,9 @@ def nothing(problem: Problem) -> Hypothesis:
 
 
 def in_contact(problem: Problem) -> bool:
-    """Whether geoms touch at the beginning of more than a few windows."""
-    return touching(problem.machine.model, problem.windows.start.qpos) > _TOUCHING
+    """Whether geoms touch at the beginning of more than a few windows, or stops are met."""
+    model, poses = problem.machine.model, problem.windows.start.qpos
+    return touching(model, poses) > _TOUCHING or meets_stops(model, problem.recordings)
 
 
 def meets_impacts(problem: Problem) -> bool:
@@ -157,34 +156,12 @@ def meets_impacts(problem: Problem) -> bool:
     return problem.machine.impacts and in_contact(problem)
 
 
-def at_stops(problem: Problem) -> Bool[np.ndarray, " W"]:
-    """Return the windows in which a joint was recorded at or beyond a stop of the model's.
-
-    A stop is met at an instant, as a contact is, and how it yields is no part of the catalogue.
-    """
-    model, columns = problem.machine.model, problem.layout.qpos
-    met, seen = np.zeros(len(problem.windows), bool), problem.weight > 0
-    limited = [j for j in np.flatnonzero(model.jnt_limited) if model.jnt_type[j] in SCALAR]
-    at = {int(model.jnt_qposadr[j]): j for j in limited}
-    for k, channel in enumerate(problem.windows.channels):
-        if (j := at.get(columns.get(channel, -1))) is not None:
-            (low, high), margin = model.jnt_range[j], model.jnt_margin[j]
-            q = problem.windows.observed[..., k]
-            beyond = (q < low + margin) | (q > high - margin)
-            met |= (beyond & seen[..., k]).any(axis=1)
-    return met
-
-
-def noise_with_chaos(linear: Linear, decided: Bool[np.ndarray, " W"]) -> Problem:
-    """Return the problem with less weight where contact, or a stop, decides.
+def noise_with_chaos(linear: Linear) -> Problem:
+    """Return the problem with less weight where contact decides.
 
     The start is moved within its own uncertainty; what of the change of the predictions is not
     linear is a variance of every sample, added to the sensor's. Windows in which a contact is made
     or not by chance lose their weight by themselves.
-
-    Args:
-        linear: of the windows.
-        decided: those in which it may.
     """
     problem, at, start = linear.problem, linear.hypothesis, linear.start
     nv, r = problem.machine.model.nv, problem.residual(at, start)
@@ -199,12 +176,11 @@ def noise_with_chaos(linear: Linear, decided: Bool[np.ndarray, " W"]) -> Problem
         moved = problem.residual(at, problem.moved(start, move))
         squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
     variance = (squares / _DRAWS).reshape(problem.weight.shape)
-    variance *= decided[:, None, None]
     return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
 
 
 def _weighted_by_step(
-    linear: Linear, change: Float[np.ndarray, "W R"], decided: Bool[np.ndarray, " W"]
+    linear: Linear, change: Float[np.ndarray, "W R"]
 ) -> tuple[Linear, Float[np.ndarray, "W R"]]:
     """Return the linear model, and what a finer step changes, with less weight where that decides.
 
@@ -212,7 +188,6 @@ def _weighted_by_step(
     finer step changes there is a standard deviation of every sample, added to the sensor's.
     """
     light = 1.0 / np.sqrt(1.0 + (_NOT_SHARED * project(linear.Q, change)) ** 2)
-    light = np.where(decided[:, None], light, 1.0)
     weight = linear.problem.weight * light.reshape(linear.problem.weight.shape)
     return linear.observing(replace(linear.problem, weight=weight)), change * light
 

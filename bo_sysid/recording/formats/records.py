@@ -26,6 +26,8 @@ def read_json(path: Path) -> RawTable:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: not JSON as its ending says: {error}") from None
+    except RecursionError:
+        raise RecordingError(f"{path}: nested too deeply for a recording") from None
     whole: dict[str, Any] = data if isinstance(data, dict) else {"": data}
     lists = {k: v for k, v in whole.items() if isinstance(v, list) and v}
     records = [k for k, v in lists.items() if isinstance(_first(v), dict)]
@@ -77,5 +79,13 @@ def _columns(name: str, cells: list[Any]) -> dict[str, np.ndarray]:
 def _column(cells: list[Any]) -> np.ndarray:
     """Return numbers where all cells are numbers (or missing), else the cells as they are."""
     if all(c is None or isinstance(c, bool | int | float) for c in cells):
-        return np.array([np.nan if c is None else float(c) for c in cells])
+        return np.array([np.nan if c is None else _number(c) for c in cells])
     return np.array(cells, dtype=object)
+
+
+def _number(cell: bool | int | float) -> float:
+    """Return a number; an integer that no float holds is infinite, which nothing recorded is."""
+    try:
+        return float(cell)
+    except OverflowError:
+        return float(np.copysign(np.inf, 1 if cell > 0 else -1))

@@ -19,6 +19,7 @@ from bo_sysid.recording.units import is_unit
 _COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
 _SEPARATOR = re.compile(r'"?sep=.?"?')  # a first line that Excel writes and reads
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")  # the first bytes of what Excel calls Unicode text
+_MOST = 2**31 - 1  # bytes that are parsed at once
 _TRAILING = ""  # name of the empty column after a separator at the end of each line
 _INDEX = "index"  # name of a first column that has none
 
@@ -35,13 +36,18 @@ def read_csv(path: Path) -> RawTable:
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names, separator, body = _header_and_body(path, _text(path))
-    units, body = _units(names, separator, body)
+    try:
+        names, separator, body = _header_and_body(path, _text(path))
+        units, body = _units(names, separator, body)
+    except csv.Error as error:
+        raise RecordingError(f"{path}: the header is no list of names: {error}") from None
     if not body.strip():
         raise RecordingError(f"{path}: the file names its columns but holds no samples")
     if separator == " ":  # any run of blanks
         body = "\n".join(" ".join(line.split()) for line in body.split("\n"))
     data = body.encode()
+    if len(data) >= _MOST:
+        raise RecordingError(f"{path}: more than 2 GiB of text; write it as Parquet")
     try:
         table = arrow_csv.read_csv(
             pa.BufferReader(data),
