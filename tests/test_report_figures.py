@@ -221,7 +221,7 @@ def test_of_many_predictions_the_worst_are_drawn_and_the_others_counted() -> Non
 
 def test_a_dollar_in_a_name_begins_no_formula(tmp_path) -> None:
     """Names are the users'; those at ticks are drawn as they are, too."""
-    wrong, time = r"$\frac$ m_{ 质量", np.arange(0.0, 4.0, 0.01)
+    wrong, time = r"$\frac$m_{质量", np.arange(0.0, 4.0, 0.01)
     recording = Recording.from_arrays(time, qpos={wrong: np.sin(time)}, name=wrong)
     figure = recording_figure(recording)
     figure.axes[0].set_yticks([0.0], [wrong])
