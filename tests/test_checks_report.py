@@ -68,6 +68,21 @@ def test_how_a_joint_moved() -> None:
     assert "mm: nothing can be said about it" in flag.sentence
 
 
+def test_absurd_values_are_flagged_and_warn_of_nothing(tmp_path: Path) -> None:
+    """As a decimal point that was lost, squares of which no float holds."""
+    model = Model.from_xml(SLIDE).compile()
+    log = Recording.from_arrays(TIME, qpos={"x": 1e200 * np.sin(2 * pi * TIME)})
+    table = excitation([log], model)
+    assert table["range"].iloc[0] == pytest.approx(2e200, rel=1e-3)
+    assert table["fastest"].iloc[0] == pytest.approx(2 * pi * 1e200, rel=1e-2)
+    (tmp_path / "slide.xml").write_text(SLIDE)
+    pd.DataFrame(
+        {"time": TIME, "qpos.x": log.channels["qpos.x"].values, "ctrl.m": np.sin(TIME)}
+    ).to_csv(tmp_path / "log.csv", index=False)
+    data = {"model": "slide.xml", "recordings": {"train": "log.csv"}}
+    assert ("x",) in [f.channels for f in check(Study.from_dict(data, tmp_path)).flags]
+
+
 def test_a_joint_may_turn_back_in_another_recording() -> None:
     model = Model.from_xml(SLIDE).compile()
     noise = 1e-4 * np.random.default_rng(0).standard_normal(len(TIME))
@@ -332,6 +347,18 @@ def test_weak_combinations_are_put_into_words() -> None:
     assert sigma == pytest.approx(12**-0.5)
     assert in_words(names) in ("a rising while b falls", "b rising while a falls")
     assert found.table()["determined"].tolist() == ["weakly", "weakly", "yes"]
+
+
+@pytest.mark.parametrize("count", [2, 16, 20])
+def test_a_combination_of_many_parameters_names_them_all(count: int) -> None:
+    """As mass, stiffness, damping and drive that scale alike: each has 1/√count of it."""
+    names = [f"p{k}" for k in range(count)]
+    parameters = tuple(Parameter(n, ("joint[x].damping",), 0.0, 1.0) for n in names)
+    fisher = 1e6 * (np.eye(count) - np.ones((count, count)) / count)
+    ((sigma, shares),) = Information(parameters, fisher).weakest()
+    assert sigma == pytest.approx(12**-0.5)
+    assert shares == pytest.approx(dict.fromkeys(names, count**-0.5))
+    assert in_words(shares) == f"{', '.join(names[:-1])} and {names[-1]} rising together"
 
 
 @pytest.mark.parametrize(("told", "verdict"), [(0.0, "not"), (1e-3, "not"), (10.0, "weakly")])

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from itertools import takewhile
 from math import pi
 
 import mujoco
@@ -9,11 +10,11 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
-from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence
-from bo_sysid.checks.motion import channel_flags, turned_inside
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.motion import channel_flags, range_flags, turned_inside
 from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns
-from bo_sysid.checks.search import SUSPICIOUS
+from bo_sysid.checks.search import SUSPICIOUS, moves, search
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.mjcf import Model
@@ -561,3 +562,157 @@ def test_a_motion_that_needs_no_force_has_no_constant() -> None:
     none, phase = np.zeros((50, 1)), np.linspace(0.0, 6.0, 50)
     terms = Terms(none, none, none, none, none, none + 1.0, none[..., None] + 1.0)
     assert free_gain(terms, 0, np.sin(phase)[None], none.T)[0] == 0.0
+
+
+ON_LAGS = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="shoulder" axis="0 1 0" damping=".5"/>
+      <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/>
+      <body pos=".3 0 0"><joint name="elbow" axis="0 1 0" damping=".5"/>
+        <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body></body>
+  </worldbody>
+  <actuator><position name="a" joint="shoulder" kp="60" kv="4" timeconst=".12"/>
+    <position name="b" joint="elbow" kp="60" kv="4" timeconst=".12"/></actuator>
+</mujoco>
+"""
+
+
+@functools.cache
+def lagging() -> Recording:
+    """Return a log of an arm on servos whose commands act through a lag of 120 ms."""
+    time = np.arange(0.0, 6.0, 0.01)
+    ctrl = 0.7 * np.stack([tones(time, 7), tones(time, 8)], axis=1)
+    start = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)))
+    run = Engine(1).rollout(
+        Model.from_xml(ON_LAGS).compile(), start, np.repeat(ctrl, 5, axis=0)[None]
+    )
+    qpos = run.qpos[0, ::5][:-1] + 1e-4 * np.random.default_rng(0).standard_normal((len(time), 2))
+    return Recording.from_arrays(
+        time,
+        qpos={"shoulder": qpos[:, 0], "elbow": qpos[:, 1]},
+        ctrl={"a": ctrl[:, 0], "b": ctrl[:, 1]},
+    )
+
+
+def picked(log: Recording, rows: np.ndarray, factor: float = 1.0) -> Recording:
+    """Return some samples of a log, times a factor."""
+    channels = {
+        n: Channel(c.time[rows], factor * c.values[rows], c.unit, n, c.hold)
+        for n, c in log.channels.items()
+    }
+    return Recording("log", channels)
+
+
+def without(log: Recording, first: float, last: float) -> Recording:
+    """Return a log without its samples between two times in [s]."""
+    time = next(iter(log.channels.values())).time
+    return picked(log, (time <= first) | (time >= last))
+
+
+@pytest.mark.parametrize(("first", "last"), [(2.0, 2.6), (-1.0, 1.0), (9.0, 9.0)])
+def test_a_lag_that_follows_what_no_log_has_is_no_fault(first: float, last: float) -> None:
+    """Commands are lost in a gap, and before a log began; at 9 s the whole log is there."""
+    found = find_wiring(Model.from_xml(ON_LAGS).compile(), [without(lagging(), first, last)])
+    assert found.balance["before"].max() < 5e-3
+    assert found.wires == {}
+    assert found.flags == ()
+
+
+BEARING = Model.from_xml(
+    SERVO.format(kind='position kp="60" kv="4" timeconst=".12"').replace("0 0 -.3", ".3 0 0")
+)
+
+
+def bearing(zero: float = 0.0) -> Recording:
+    """Return a log of a servo that holds a link out against gravity, its encoder `zero` off."""
+    time = np.arange(0.0, 6.0, 0.01)
+    goal = 0.7 * tones(time, 3)
+    start = State(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
+    run = Engine(1).rollout(BEARING.compile(), start, np.repeat(goal, 10)[None, :, None])
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
+    hinge = run.qpos[0, ::10, 0][:-1] + noise + zero
+    return Recording.from_arrays(time, qpos={"hinge": hinge}, ctrl={"m": goal})
+
+
+def test_a_load_that_a_new_zero_bears_is_no_reason_for_a_smaller_unit() -> None:
+    """In mrad the link would hardly move: what bears its weight explains its forces at any time."""
+    log = without(bearing(), 2.0, 2.6)
+    evidence = WiringEvidence(BEARING.compile(), Traces([log], ["qpos.hinge"]))  # at the gap too
+    weight = 0.5 * 9.81 * 0.15
+    wires = {
+        "qpos.hinge": Wire("qpos.hinge", 1, 1e-3, 0.0, "mrad"),
+        "ctrl.m": Wire("ctrl.m", 1, 1e-3, -weight / 60.0, "mrad"),
+    }
+    asis = evidence.identity()
+    still = asis.with_wires(wires, "unit")
+    assert evidence.shares(asis, [0.0]).max() > SUSPICIOUS
+    assert evidence.shares(still, [0.0]).max() < 1e-5
+    assert evidence.scores(still, [0.0])[0] > evidence.scores(asis, [0.0])[0]
+    found, twins = search(evidence, asis)
+    assert {w.unit for h in (found, *twins) for w in h.wires.values()} == {""}
+
+
+def test_a_smaller_unit_beside_a_new_zero_is_told_where_the_motion_says_so() -> None:
+    """The same servo, written in mrad by an encoder that is 0.2 rad off."""
+    log = picked(bearing(zero=0.2), np.arange(100, 600), 1e3)
+    found = find_wiring(BEARING.compile(), [log])
+    assert {(w.unit, w.scale) for w in found.wires.values()} == {("mrad", 1e-3)}
+    assert set(found.wires) == {"qpos.hinge", "ctrl.m"}
+    zero = found.wires["qpos.hinge"].offset - found.wires["ctrl.m"].offset
+    assert zero == pytest.approx(-0.2, abs=0.01)  # which of the two is off, so stiff a servo hides
+    assert found.balance["after"].max() < SUSPICIOUS
+
+
+FOUR = "".join(
+    f'<body pos="{k} 0 0"><joint name="q{k}" axis="0 0 1" damping=".1"/>'
+    '<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".5"/></body>'
+    for k in range(4)
+)
+FOUR = (
+    f'<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>{FOUR}</worldbody>'
+    + "<actuator>"
+    + "".join(f'<position name="u{k}" joint="q{k}" kp="20" kv="2"/>' for k in range(4))
+    + "</actuator></mujoco>"
+)
+
+
+@pytest.mark.parametrize("constant", ["ctrl.u3", "qpos.q3"])
+def test_an_order_is_proposed_beside_what_is_constant(constant: str) -> None:
+    """Three columns are written one place further; what never changes follows nothing."""
+    time = np.arange(0.0, 6.0, 0.01)
+    goal = np.stack([tones(time, 10 + k) for k in range(4)], axis=1)
+    goal[:, 3] *= constant != "ctrl.u3"
+    start = State(np.zeros((1, 4)), np.zeros((1, 4)), np.zeros((1, 0)))
+    model = Model.from_xml(FOUR).compile()
+    qpos = Engine(1).rollout(model, start, np.repeat(goal, 5, axis=0)[None]).qpos[0, ::5][:-1]
+    qpos[:, 3] *= constant != "qpos.q3"
+    log = Recording.from_arrays(
+        time,
+        qpos={f"q{k}": qpos[:, c] for k, c in enumerate([2, 0, 1, 3])},
+        ctrl={f"u{k}": goal[:, k] for k in range(4)},
+    )
+    evidence = WiringEvidence(model, Traces([log], [f"qpos.q{k}" for k in range(4)]))
+    first = evidence.identity()
+    true = {"qpos.q0": "qpos.q1", "qpos.q1": "qpos.q2", "qpos.q2": "qpos.q0"}
+    wires = {**first.wires, **{n: Wire(source) for n, source in true.items()}}
+    assert any(h.wires == wires for h in takewhile(_no_zero, moves(evidence, first)))
+
+
+def _no_zero(h: WiringHypothesis) -> bool:
+    return not any(w.offset for w in h.wires.values())
+
+
+@pytest.mark.parametrize(("reach", "told"), [(1.4, False), (1.5, True)])
+def test_a_range_in_radians_is_told_by_motion_many_times_as_wide(reach: float, told: bool) -> None:
+    """A range of ±.5 rad, or of ±.9 degrees that was written in radians."""
+    degrees = 0.9 if told else np.rad2deg(0.5)
+    model = Model.from_xml(
+        f'<mujoco><worldbody><body><joint name="a" axis="0 1 0" range="-{degrees} {degrees}" '
+        'limited="true"/><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    time = np.arange(0.0, 4.0, 0.01)
+    log = Recording.from_arrays(time, qpos={"a": 0.5 * reach * np.sin(3 * time)})
+    (flag,) = range_flags(model.compile(), [log])
+    assert ("written in radians" in flag.sentence) is told

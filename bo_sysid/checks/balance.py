@@ -177,15 +177,24 @@ class Dynamics:
         gain[:] = force[controlled] - bias
 
 
-def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np.ndarray, "D nv"]:
+def unexplained(
+    terms: Terms, actuated: Float[np.ndarray, "D n nv"], *, varying: bool = False
+) -> Float[np.ndarray, "D nv"]:
     """Return J of each degree of freedom, for D hypotheses about the controls.
 
     Args:
         terms: of the hypothesis about the measured channels.
         actuated: `D x n x nv` forces of the actuators.
+        varying: whether every term is taken about its mean, so that what is constant, such as a
+            load, counts for nothing.
     """
-    needed = terms.needed
     friction = -np.stack([terms.velocity, terms.dry])
+    inertial, rest = terms.inertial, terms.rest
+    if varying:
+        inertial, rest, friction, actuated = (
+            x - x.mean(axis=-2, keepdims=True) for x in (inertial, rest, friction, actuated)
+        )
+    needed = inertial + rest
     gram = np.empty((*actuated.shape[::2], 3, 3))
     gram[..., 0, 0] = np.einsum("dnj,dnj->dj", actuated, actuated)
     gram[..., 0, 1:] = gram[..., 1:, 0] = np.einsum("dnj,bnj->djb", actuated, friction)
@@ -195,7 +204,7 @@ def unexplained(terms: Terms, actuated: Float[np.ndarray, "D n nv"]) -> Float[np
     right[..., 1:] = np.einsum("bnj,nj->jb", friction, needed)
     square = (needed**2).sum(axis=0)
     left = _left(square, gram, right, _bounded(gram, right))
-    total = (terms.inertial**2 + terms.rest**2).sum(axis=0) + gram[..., 0, 0]
+    total = (inertial**2 + rest**2).sum(axis=0) + gram[..., 0, 0]
     return np.asarray(np.maximum(left, 0.0) / np.maximum(total, 1e-300))
 
 

@@ -75,6 +75,7 @@ class Checked:
         return as_yaml(self.columns, self.clocks)
 
 
+@np.errstate(over="ignore")  # squares of absurd values, which flags are about
 def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) -> Checked:
     """Check a study: wiring, clocks, excitation, identifiability, noise; nothing is fitted.
 

@@ -1,7 +1,7 @@
 """What of a log can be compared with a model: hinges and slides that were recorded for a while."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bo_sysid.checks.motion import beyond_range
-from bo_sysid.checks.traces import Traces
-from bo_sysid.mjcf.commands import controlled
+from bo_sysid.checks.traces import Traces, gap_ends
+from bo_sysid.mjcf.commands import LAGS, controlled
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Recording
@@ -21,6 +21,7 @@ _ABOUT = 4.0  # standard deviations of the filter, within which a stop or a cont
 _ENOUGH = 0.2  # of the instants, that must be left
 _MOSTLY = 0.8  # of the samples, from which commands beyond their range are in another unit
 _RARELY = 0.01  # of the instants, in which a tendon may be at its limit
+_SETTLED = (6.0, 3.0)  # time constants after which a lag has forgotten; the less, the more is left
 
 
 def comparable(
@@ -42,7 +43,7 @@ def comparable(
     traces = Traces(recordings, measured, most)
     if traces.count < _LEAST:
         return _too_short(traces)
-    traces = _off_contact(model, _off_stops(model, traces))
+    traces = _off_contact(model, _off_stops(model, _settled(model, traces)))
     if tight := _tight(model, traces):
         return f"the tendon {tight} is at its limit in the recordings, and pulls as nothing tells"
     free = copy.copy(model)
@@ -88,6 +89,39 @@ def _too_short(traces: Traces) -> str:
         return "gaps in the recordings leave too few stretches to look at"
     told = f", since the noise of {traces.noisiest} needs a wide filter" if traces.noisiest else ""
     return f"the recordings are too short; they have {has:.2g} s, and need {needed:.2g} s{told}"
+
+
+def _settled(model: mujoco.MjModel, traces: Traces) -> Traces:
+    """Return traces without instants at which a lag remembers what no log has, if enough are left.
+
+    A lag follows the commands of a gap, and those before the log began, for some time constants.
+    """
+    lags = {
+        f"ctrl.{model.actuator(a).name}": float(model.actuator_dynprm[a, 0])
+        for a in controlled(model)
+        if int(model.actuator_dyntype[a]) in LAGS
+    }
+    for count in _SETTLED if lags else ():
+        kept = []
+        for recording, instants in zip(traces.recordings, traces.instants, strict=True):
+            lagged = lags.keys() & recording.channels.keys()
+            clear = count * max((lags[n] for n in lagged), default=0.0) + _ABOUT * traces.width
+            good = np.ones(len(instants), bool)
+            for first, last in _unknown(recording, lagged, traces) if lagged else ():
+                good &= np.searchsorted(first, instants) == np.searchsorted(last + clear, instants)
+            kept.append(instants[good])
+        if (settled := _enough(traces, kept)) is not traces:
+            return settled
+    return traces
+
+
+def _unknown(
+    recording: Recording, controls: Iterable[str], traces: Traces
+) -> list[tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"]]]:
+    """Return when stretches without commands begin and end: what precedes them, and gaps."""
+    begin = max(recording.channels[n].time[0] for n in controls)
+    gaps = [gap_ends(recording.channels[n].time, traces.width) for n in traces.measured]
+    return [(np.array([-np.inf]), np.array([begin])), *gaps]
 
 
 def _off_stops(model: mujoco.MjModel, traces: Traces) -> Traces:

@@ -151,15 +151,38 @@ class WiringEvidence:
         self, hypothesis: WiringHypothesis, delays: Sequence[float]
     ) -> Float[np.ndarray, " D"]:
         """Return the score of a hypothesis with each of some delays instead of its own."""
-        return np.asarray(np.log(self.shares(hypothesis, delays) + FLOOR) @ self.weights)
+        scores = np.log(self.shares(hypothesis, delays) + FLOOR) @ self.weights
+        best = delays[int(np.argmin(scores))]
+        return np.asarray(scores + self._by_load(hypothesis, best))
+
+    def _by_load(self, hypothesis: WiringHypothesis, delay: float) -> float:
+        """Return how much of a score is due to a constant load, which counts for nothing.
+
+        Motion in a unit of a thousandth leaves little of a balance but the load, and new zeros
+        balance that whatever the channels are. Such joints count by what varies, if that is worse.
+        """
+        small = np.array([self._small(hypothesis, joint) for joint in self.joints])
+        if not small.any():
+            return 0.0
+        all_of_it, varying = (self.shares(hypothesis, [delay], varying=v)[0] for v in (False, True))
+        worse = np.log((np.maximum(all_of_it, varying) + FLOOR) / (all_of_it + FLOOR))
+        return float(worse @ (self.weights * small))
+
+    def _small(self, hypothesis: WiringHypothesis, joint: str) -> bool:
+        """Whether a hypothesis has a joint in a smaller unit, and a new zero there as well."""
+        wire = hypothesis.wires.get(f"qpos.{joint}")
+        if wire is None or wire.scale >= 1.0:
+            return False
+        commands = [w for n, w in hypothesis.wires.items() if self._driven.get(n) == joint]
+        return any(w.offset for w in (wire, *commands))
 
     def shares(
-        self, hypothesis: WiringHypothesis, delays: Sequence[float]
+        self, hypothesis: WiringHypothesis, delays: Sequence[float], *, varying: bool = False
     ) -> Float[np.ndarray, "D nv"]:
-        """Return J of each degree of freedom with each of some delays."""
+        """Return J of each degree of freedom with each of some delays; see `unexplained`."""
         terms = self.terms(hypothesis)
         forces = [terms.actuated(self.controls(hypothesis, d)) for d in delays]
-        return unexplained(terms, np.stack(forces))
+        return unexplained(terms, np.stack(forces), varying=varying)
 
     def noise(self, hypothesis: WiringHypothesis) -> Float[np.ndarray, " nv"]:
         """Return how much of J is noise in the motion, as two halves of the samples differ.

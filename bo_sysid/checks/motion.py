@@ -25,6 +25,7 @@ _THAW = 3.0  # times the usual step, that a frozen channel jumps at least
 _JITTER = 0.2  # of the interval
 _SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 _BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
+_MANY = 3.0  # times a range, from which a motion tells that it is read in degrees
 _MOTION = [
     "recording", "joint", "range", "net", "speed", "fastest", "reversals", "low_hz", "high_hz",
     "noise", "unit",
@@ -54,6 +55,7 @@ def excitation(recordings: Sequence[Recording], model: mujoco.MjModel) -> pd.Dat
     return pd.DataFrame(rows, columns=_MOTION)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # squares of absurd values
 def _moved(channel: Channel, recording: str, joint: str) -> dict[str, object]:
     dt = float(np.median(np.diff(channel.time)))
     ends = [(channel.time[s.start], channel.time[s.stop - 1]) for s in stretches(channel.time)]
@@ -170,6 +172,12 @@ def turned_inside(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
     return found
 
 
+def _in_degrees(low: float, high: float, least: float, most: float) -> bool:
+    """Whether a motion many times as wide as a range in [rad] is within it, read in [deg]."""
+    inside = np.rad2deg(low) <= least and most <= np.rad2deg(high)
+    return bool(inside and most - least > _MANY * (high - low))
+
+
 def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
     """Return the joints that moved farther than the model lets them."""
     flags, turned = [], turned_inside(model, recordings)
@@ -182,7 +190,7 @@ def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[
         )
         if name in turned:
             sentence += " With its sign turned it would stay inside."
-        elif hinge and low * 180 / np.pi <= least and most <= high * 180 / np.pi:
+        elif hinge and _in_degrees(low, high, least, most):
             sentence += (
                 ' A range that is written in radians needs <compiler angle="radian"/> in the MJCF.'
             )

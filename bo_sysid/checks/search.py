@@ -181,8 +181,8 @@ def _other_units(
     turning = [f"qpos.{j}" for j in evidence.joints if j in evidence.hinges]
     turning = [n for n in turning if n in h.wires]
     sliding = [n for n in h.wires if n.startswith("qpos.") and n not in turning]
-    servos = [n for n in evidence.inputs if evidence.servo(n)]
-    motors = [n for n in evidence.inputs if n not in servos]
+    servos = [n for n in sorted(evidence.inputs) if evidence.servo(n)]
+    motors = [n for n in sorted(evidence.inputs) if n not in servos]
     goals = [n for n in servos if evidence.driven(n) in evidence.hinges]
     groups: list[tuple[Sequence[str], Units]] = [
         (turning, ANGLES), (goals, ANGLES), ([*turning, *goals], ANGLES),
@@ -232,8 +232,9 @@ def _joint_order(evidence: WiringEvidence, h: WiringHypothesis) -> Mapping[str, 
     for delay in _DELAYS:
         u = [evidence.traces.column(h.wires[n].source, held=True, delay=delay) for n in goals]
         q = [evidence.traces.column(h.wires[n].source, held=False) for n in joints]
-        correlation = np.corrcoef(np.array(u), np.array(q))[: len(u), len(u) :]
-        cost = np.minimum(cost, -np.abs(correlation))
+        with np.errstate(divide="ignore", invalid="ignore"):  # a constant follows nothing
+            correlation = np.corrcoef(np.array(u), np.array(q))[: len(u), len(u) :]
+        cost = np.minimum(cost, -np.abs(np.nan_to_num(correlation)))
     return _assigned(h, joints, joints, cost)
 
 

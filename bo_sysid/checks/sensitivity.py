@@ -23,6 +23,7 @@ _MOVE = (1e-6, 1e-4)  # of positions in [rad] or [m], of velocities
 _PRIOR = 1 / np.sqrt(12)  # of the range: standard deviation of what is uniform within it
 _WEAK = 0.1  # of the range: a standard deviation that is weak
 _SAYS_NOTHING = 0.9  # of the prior: so little do the recordings narrow it
+_PART = 0.25  # of a combination of length 1, that a parameter has in it; less where all have little
 _DEAD = 1e-9
 _SHOWN = 4  # parameters that a sentence lists
 
@@ -77,10 +78,11 @@ class Information:
             if sigma < _WEAK:
                 break
             vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+            least = min(_PART, 0.5 * float(vector.max()))
             names = {
                 p.name: float(x)
                 for p, x in zip(self.parameters, vector, strict=True)
-                if abs(x) > 0.25
+                if abs(x) > least
             }
             out.append((sigma, names))
         return out

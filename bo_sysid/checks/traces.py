@@ -226,6 +226,7 @@ def _usable(recordings: Sequence[Recording], measured: Sequence[str]) -> Sequenc
     return [w for w in WIDTHS if w >= least] or [least]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd values tell nothing of their noise
 def _noise_shares(
     recording: Recording, measured: Sequence[str], width: float
 ) -> Mapping[str, float]:
@@ -281,8 +282,15 @@ def _away_from_gaps(
     t: Float[np.ndarray, " n"], stamps: Float[np.ndarray, " m"], width: float, clear: float
 ) -> Bool[np.ndarray, " n"]:
     """Return which instants are neither in a gap between stamps nor within `clear` of one."""
+    first, last = gap_ends(stamps, width)
+    inside = np.searchsorted(first - clear, t) > np.searchsorted(last + clear, t)
+    return np.asarray(~inside)
+
+
+def gap_ends(
+    stamps: Float[np.ndarray, " m"], width: float
+) -> tuple[Float[np.ndarray, " g"], Float[np.ndarray, " g"]]:
+    """Return the stamps before and after each gap that a filter of `width` in [s] feels."""
     apart = np.diff(stamps)
     gaps = np.flatnonzero(apart > 2 * width + 1.75 * float(np.median(apart)))
-    first, last = stamps[gaps] - clear, stamps[gaps + 1] + clear
-    inside = np.searchsorted(first, t) > np.searchsorted(last, t)
-    return np.asarray(~inside)
+    return stamps[gaps], stamps[gaps + 1]

@@ -7,7 +7,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.answer.quantities import Quantity, amount, quantities
 from bo_sysid.diagnosis.answer.sentences import set_words
-from bo_sysid.diagnosis.answer.wording import spoken
+from bo_sysid.diagnosis.answer.wording import definite, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing
@@ -221,11 +221,12 @@ def perhaps_nothing(best: Fit, machine: Machine) -> tuple[tuple[Candidate, float
 
 def _nothing_sentence(c: Candidate, x: float, quantity: Quantity) -> str:
     """Return in words that an effect may as well not be there."""
-    bound = x >= c.high[0] - _AT_BOUND * (c.high[0] - c.low[0])
-    end = ", the most that was looked for," if bound else ""
+    near = _AT_BOUND * (c.high[0] - c.low[0])
+    most, least = x >= c.high[0] - near, x <= c.low[0] + near
+    end = f", the {'most' if most else 'least'} that was looked for," if most or least else ""
     return (
-        f"The {c.effect.noun} at {spoken(c.site)} ({amount(quantity)}){end} may as well be none: "
-        "its interval holds 0, beside all that is left unexplained."
+        f"{definite(c.effect.noun)} at {spoken(c.site)} ({amount(quantity)}){end} may as well be "
+        "none: its interval holds 0, beside all that is left unexplained."
     )
 
 

@@ -38,8 +38,8 @@ def sentence(
     low, high = quantity.interval
     if bend and begun and low < 0 < high:
         return (
-            f"The {effect.noun} at {site}, {begun:.4g} {quantity.unit} in the model, gives way by "
-            f"{amount(bend)} before it slips, which the model lacks."
+            f"{definite(effect.noun)} at {site}, {begun:.4g} {quantity.unit} in the model, gives "
+            f"way by {amount(bend)} before it slips, which the model lacks."
         )
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
         whole = Quantity(
@@ -67,6 +67,11 @@ def sentence(
         at = ", ".join(f"{d:.3g}" for d in candidate.shapes)
         text += f" It is taken to lie at ({at}) m in the frame of {site}."
     return text[0].upper() + text[1:]
+
+
+def definite(noun: str) -> str:
+    """Return a noun as a sentence begins with it: a payload becomes The payload."""
+    return f"The {re.sub(r'^(an?|the) ', '', noun)}"
 
 
 def _place_sentence(c: Candidate, details: Mapping[str, Quantity]) -> str:
