@@ -8,7 +8,7 @@ import numpy as np
 from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
-from bo_sysid.mjcf import inertial, make_explicit, scale_mass
+from bo_sysid.mjcf import make_explicit, scale_mass
 from bo_sysid.mjcf.joints import SLIDE
 
 _SMALL = 0.02  # [m] size of a body that its frame sits in
@@ -158,7 +158,7 @@ def _link_mass_extent(site: Site, machine: Machine) -> Extent:
 )
 def link_mass(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """A change of a body's mass; its inertia scales along, its centre stays."""
-    scale_mass(spec, site.name, 1.0 + float(x[0]) / inertial(spec, site.name).mass)
+    scale_mass(spec, site.name, 1.0 + float(x[0]) / machine.bodies[site.name].mass)
 
 
 def _turns(body: str, model: mujoco.MjModel) -> bool:
