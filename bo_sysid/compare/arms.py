@@ -122,16 +122,17 @@ def problems_of(study: Study, *, trust_code: bool) -> tuple[ComparedProblem, ...
         StudyError: a study is missing or wrong, or two have one name.
     """
     problems = [ComparedProblem(slug(study.name), study)]
-    asked = enumerate(study.compare.problems or ())
-    keys = [(("compare", "problems", i), pattern) for i, pattern in asked]
-    for key, file in [(at, file) for at, pattern in keys for file in study.files(pattern, at)]:
-        other = Study.load(file, trust_code=trust_code)
-        if slug(other.name) in {p.name for p in problems}:
-            raise study.error(
-                key,
-                f"{file.name} is called {other.name!r}, as another problem; give it another name",
-            )
-        problems.append(ComparedProblem(slug(other.name), other))
+    for i, pattern in enumerate(study.compare.problems or ()):
+        key = ("compare", "problems", i)
+        for file in study.files(pattern, key):
+            other = Study.load(file, trust_code=trust_code)
+            if slug(other.name) in {p.name for p in problems}:
+                raise study.error(
+                    key,
+                    f"{file.name} is called {other.name!r}, as another problem; give it another "
+                    "name",
+                )
+            problems.append(ComparedProblem(slug(other.name), other))
     for problem in problems:
         _require_uncertain(problem)
     return tuple(problems)
