@@ -178,6 +178,33 @@ def test_what_no_motion_separates_is_said_in_words(rotor) -> None:
     assert {e["effect"] for s in found.separates for e in s} == {"armature", "link_inertia"}
 
 
+def test_postures_are_not_asked_of_a_body_that_only_slides() -> None:
+    """A load on a cart and its mass are one thing, whatever is recorded."""
+    text = (
+        '<mujoco><worldbody><body name="cart"><joint name="x" type="slide" axis="1 0 0" '
+        'damping="1"/><geom size=".1" mass="{}"/></body></worldbody>'
+        '<actuator><motor name="x" joint="x"/></actuator></mujoco>'
+    )
+    plant = mujoco.MjModel.from_xml_string(text.format(1.3))
+    time = plant.opt.timestep * np.arange(3000)
+    data, ctrl, q = mujoco.MjData(plant), np.sin(4 * time), []
+    for u in ctrl:
+        q.append(data.qpos[0])
+        data.ctrl[:] = u
+        mujoco.mj_step(plant, data)
+    noisy = np.array(q) + 1e-4 * np.random.default_rng(0).standard_normal(3000)
+    log = Recording.from_arrays(time, qpos={"x": noisy}, ctrl={"x": ctrl})
+    cart = Model.from_xml(text.format(1))
+    effects = [CATALOGUE["payload"], CATALOGUE["link_mass"]]
+    answer = locate(make_evidence(cart, [log], effects=effects, noise={"qpos": 1e-4}, threads=1))
+    (found,) = answer.decision.best.hypothesis.x
+    assert found[0] == pytest.approx(0.3, abs=0.01)
+    assert answer.decision.equivalents
+    said = next_experiment(answer, explain(answer), {}).sentence
+    assert "tells a payload at the cart from mass at the cart" in said
+    assert "posture" not in said
+
+
 def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> None:
     tilt = [("gravity_tilt", "world", "world", [0.0, 0.0685])]
     made = located(record(tilt, duration=6.0), effects=("gravity_tilt", "encoder_offset"))

@@ -9,7 +9,6 @@ from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf import make_explicit, scale_mass
-from bo_sysid.mjcf.joints import SLIDE
 
 _SMALL = 0.02  # [m] size of a body that its frame sits in
 _POINT = 1e-9  # [m²] inertia of a point load, per kg
@@ -161,19 +160,8 @@ def link_mass(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) 
     scale_mass(spec, site.name, 1.0 + float(x[0]) / machine.bodies[site.name].mass)
 
 
-def _turns(body: str, model: mujoco.MjModel) -> bool:
-    """Whether a joint turns a body: of one that only slides no more than the mass is felt."""
-    i = model.body(body).id
-    while i:
-        first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
-        if (model.jnt_type[first : first + count] != SLIDE).any():
-            return True
-        i = int(model.body_parentid[i])
-    return False
-
-
 def _shift_extent(site: Site, machine: Machine) -> Extent | None:
-    if not _turns(site.name, machine.model):
+    if not machine.bodies[site.name].turns:
         return None
     size = max(float(np.linalg.norm(machine.bodies[site.name].tip)), _SMALL)
     return Extent((0.02 * size,) * 3, (-size,) * 3, (size,) * 3)
@@ -203,7 +191,7 @@ def com_shift(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) 
 
 
 def _inertia_extent(site: Site, machine: Machine) -> Extent | None:
-    return Extent((0.05,), (-0.95,), (5.0,)) if _turns(site.name, machine.model) else None
+    return Extent((0.05,), (-0.95,), (5.0,)) if machine.bodies[site.name].turns else None
 
 
 @effect(

@@ -110,11 +110,19 @@ class ActuatorScale:
 
 @dataclass(frozen=True)
 class BodyScale:
-    """A moving body: mass in [kg] and the point farthest from its frame, where loads are held."""
+    """A moving body.
+
+    Attributes:
+        name: of the body.
+        mass: in [kg].
+        tip: the point farthest from its frame, where loads are held.
+        turns: whether a joint turns it: of one that only slides no more than the mass is felt.
+    """
 
     name: str
     mass: float
     tip: tuple[float, float, float]
+    turns: bool
 
 
 @dataclass(frozen=True)

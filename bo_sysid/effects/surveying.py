@@ -11,7 +11,7 @@ from bo_sysid.effects.actuator_scales import actuator_scale
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.effects.recorded_motion import Motion, motion_of
 from bo_sysid.mjcf.compiling import coordinates
-from bo_sysid.mjcf.joints import HINGE, SCALAR
+from bo_sysid.mjcf.joints import HINGE, SCALAR, SLIDE
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
 
@@ -150,7 +150,18 @@ def _body(model: mujoco.MjModel, i: int) -> BodyScale:
         points += [end for g in geoms for end in _ends(model, g)]
         points.append(model.body_ipos[i])
     x, y, z = max(points, key=lambda p: float(np.linalg.norm(p)))
-    return BodyScale(model.body(i).name, float(model.body_mass[i]), (float(x), float(y), float(z)))
+    tip = (float(x), float(y), float(z))
+    return BodyScale(model.body(i).name, float(model.body_mass[i]), tip, _turned(model, i))
+
+
+def _turned(model: mujoco.MjModel, i: int) -> bool:
+    """Whether a joint of a body, or of one that carries it, is no slide."""
+    while i:
+        first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
+        if (model.jnt_type[first : first + count] != SLIDE).any():
+            return True
+        i = int(model.body_parentid[i])
+    return False
 
 
 def _ends(model: mujoco.MjModel, geom: int) -> tuple[Float[np.ndarray, "3"], ...]:

@@ -27,7 +27,7 @@ from bo_sysid.diagnosis.sets.refit import Effort, refit
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
 from bo_sysid.diagnosis.windows.windowing import prepare
-from bo_sysid.effects import Site
+from bo_sysid.effects import Machine, Site
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.excite.limits import Limits
 from bo_sysid.mjcf import Model
@@ -105,7 +105,8 @@ def next_experiment(
     separation, name, controls = _most_telling(problem, best, rivals, bounds)
     if controls is None or separation < _TELLS:
         tried = bounds is not None and next(_motions(problem), None) is not None
-        return Experiment(_in_words(best, rivals, tried), separates, separation, None)
+        words = _in_words(best, rivals, machine, tried)
+        return Experiment(words, separates, separation, None)
     one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
     return Experiment(
         f"Record {name}: {one} and {other}, which these recordings do not tell apart, then differ "
@@ -179,10 +180,12 @@ def _about_unknown(unexplained: Unexplained) -> Experiment:
     return Experiment(text, (), 0.0, None)
 
 
-def _in_words(best: Fit, rivals: Sequence[Fit], tried: bool) -> str:
+def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, tried: bool) -> str:
     members = (*best.members, *(c for r in rivals for c in r.members))
     told = (c.effect.separation.split("; ") for c in members if c.effect.separation)
     ways = dict.fromkeys(chain.from_iterable(told))
+    if not any(c.site.kind != "body" or machine.bodies[c.site.name].turns for c in members):
+        ways = {}  # bodies that only slide have one posture
     one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
     said = f"{one[:1].upper()}{one[1:]} and {other} are not told apart by what was recorded here."
     if tried:
@@ -190,7 +193,7 @@ def _in_words(best: Fit, rivals: Sequence[Fit], tried: bool) -> str:
             f"None of the motions that were tried within the limits tells {one} from {other} by "
             "what was recorded here."
         )
-    return f"{said} What tells them apart: {'; '.join(ways)}."
+    return f"{said} What tells them apart: {'; '.join(ways)}." if ways else said
 
 
 def _said(fit: Fit, beside: Fit) -> str:
