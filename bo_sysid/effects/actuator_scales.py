@@ -10,6 +10,7 @@ from jaxtyping import Float
 from bo_sysid.effects.actuators import within_joint
 from bo_sysid.effects.machine import ActuatorScale
 from bo_sysid.effects.memory import activation, remembers
+from bo_sysid.effects.recorded_forces import forces_along, unseen
 from bo_sysid.effects.recorded_motion import Motion
 from bo_sysid.mjcf.commands import ALONG_JOINT, driven_joint, follows, joint_force_limits
 from bo_sysid.mjcf.joints import BALL, SCALAR, SLIDE
@@ -17,6 +18,7 @@ from bo_sysid.recording import Recording
 
 _LEVELS = (99.7, 98.0, 95.0, 90.0, 82.0, 70.0, 50.0)  # percentiles of torque tried as saturation
 _LEAST = 0.03  # of the largest torque: less is no saturation
+_INSTANTS = 2000  # at which what a servo at a tendon did is looked at
 _FLOOR = 1e-6
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
@@ -84,6 +86,8 @@ def _as_used(
         acted = np.concatenate([activation(model, r, a, t) for r, t in at])
     if motion is not None and known:
         force = acting.force(acted, motion.q, motion.v)
+    elif any(bare.bias) and told and _seen_whole(model, recordings):
+        force = _along_motion(model, model.actuator(bare.name).id, told)
     else:
         unbiased = replace(acting, bias=(0.0, 0.0, 0.0))  # where it is, is not known
         force = unbiased.force(acted, np.zeros(1), np.zeros(1))
@@ -98,6 +102,21 @@ def _as_used(
         force_std=float(force.std()),
         levels=tuple(dict.fromkeys(x for x in levels if x > _LEAST)),
     )
+
+
+def _seen_whole(model: mujoco.MjModel, recordings: Sequence[Recording]) -> bool:
+    """Whether recordings tell where the whole machine was."""
+    scalar = all(int(kind) in SCALAR for kind in model.jnt_type)
+    return scalar and not unseen(model, recordings)
+
+
+def _along_motion(
+    model: mujoco.MjModel, a: int, recordings: Sequence[Recording]
+) -> Float[np.ndarray, " n"]:
+    """Return the force of an actuator that drives no joint of its own, as a servo at a tendon."""
+    count = max(_INSTANTS // len(recordings), 1)
+    found = [forces_along(model, r, np.linspace(*r.span, count), [a])[0][:, a] for r in recordings]
+    return np.concatenate(found)
 
 
 def _limits(limited: bool, ends: Float[np.ndarray, "2"]) -> tuple[float, float] | None:

@@ -44,7 +44,7 @@ def _frictionloss(site: Site, machine: Machine) -> float:
 def _dry_extent(site: Site, machine: Machine) -> Extent:
     joint = machine.joints[site.name]
     low = -_frictionloss(site, machine) - 1e-12
-    held = _HELD * sum(machine.actuators[a].force_max for a in joint.actuators)
+    held = _HELD * joint.driven
     loaded = _LOADED if can_touch(machine.model) else 1.0
     most = max(3 * joint.force, loaded * held)
     return Extent(

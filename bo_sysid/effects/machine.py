@@ -29,6 +29,7 @@ class JointScale:
         span: range of its position.
         inertia: mean effective inertia in [kg m²] or [kg].
         actuators: names of the actuators that drive it.
+        driven: largest force along it that they made, with others through tendons and chains.
         middle: the middle of that range.
     """
 
@@ -42,6 +43,7 @@ class JointScale:
     span: float
     inertia: float
     actuators: tuple[str, ...]
+    driven: float
     middle: float
 
 

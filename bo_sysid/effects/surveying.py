@@ -10,6 +10,7 @@ from jaxtyping import Float
 from bo_sysid.effects.actuator_scales import actuator_scale
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
 from bo_sysid.effects.recorded_motion import Motion, motion_of
+from bo_sysid.effects.transmitted import transmitted
 from bo_sysid.mjcf.compiling import coordinates
 from bo_sysid.mjcf.joints import HINGE, SCALAR, SLIDE
 from bo_sysid.mjcf.touching import can_touch
@@ -25,7 +26,8 @@ _ROUND = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER
 def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     """Measure the scales of a machine.
 
-    Forces are scaled by effective inertia times acceleration, and by what the actuators did.
+    Forces are scaled by effective inertia times acceleration, and by what the actuators did, also
+    through tendons and closed chains.
     Velocities and accelerations come from a Savitzky-Golay filter; they set bounds and probe
     sizes and enter no answer.
 
@@ -46,7 +48,8 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         if model.actuator_ctrlnum[a] == 1
     }
     inertia, loads = _inertia(model, recordings), _loads(model, motion)
-    joints = {n: _joint(model, n, motion[n], inertia, loads, actuators) for n in scalar}
+    felt = transmitted(model, recordings)
+    joints = {n: _joint(model, n, motion[n], inertia, loads, felt, actuators) for n in scalar}
     bodies = {
         b.name: b
         for b in (_body(model, i) for i in range(1, model.nbody))
@@ -75,13 +78,15 @@ def _joint(
     motion: Motion,
     inertia: Float[np.ndarray, " nv"],
     loads: Float[np.ndarray, " nv"],
+    felt: Float[np.ndarray, "T nv"],
     actuators: Mapping[str, ActuatorScale],
 ) -> JointScale:
     dof = int(model.joint(name).dofadr[0])
     drives = [a for a in actuators.values() if a.joint == name]
     acceleration = max(float(np.sqrt(np.mean(motion.a**2))), _FLOOR)
     moved = inertia[dof] * acceleration
-    force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * a.force_std for a in drives)])
+    spreads = (float(felt[:, dof].std()), *(a.force_std for a in drives))
+    force = max([moved, float(loads[dof]), _FLOOR, *(0.3 * s for s in spreads)])
     return JointScale(
         name=name,
         dof=dof,
@@ -93,6 +98,7 @@ def _joint(
         span=max(float(np.ptp(motion.q)), _FLOOR),
         inertia=float(inertia[dof]),
         actuators=tuple(a.name for a in drives),
+        driven=sum(a.force_max for a in drives) + float(np.abs(felt[:, dof]).max()),
         middle=0.5 * float(motion.q.min() + motion.q.max()),
     )
 
