@@ -1,5 +1,6 @@
 """The command line: exit codes, one message for wrong input, nothing heavy before it is needed."""
 
+import importlib
 import json
 import re
 import signal
@@ -491,8 +492,8 @@ def test_figures_are_drawn_before_a_run_counts_as_finished(
         raise UserError("no figure")
 
     for verb, figures in (("learn", "learning"), ("compare", "comparison")):
-        module = "learn.learn.learn" if verb == "learn" else "compare.compare.compare"
-        monkeypatch.setattr(f"bo_sysid.{module}", lambda study, run, **_: run.write_text("a", "b"))
+        module = importlib.import_module(f"bo_sysid.{verb}.{verb}")  # not the function of its name
+        monkeypatch.setattr(module, verb, lambda study, run, **_: run.write_text("a", "b"))
         monkeypatch.setattr(f"bo_sysid.report.{figures}.write_{figures}_figures", fail)
         assert say(verb, "arm.yaml", "--out", verb)[0] == 2
         assert json.loads((folder / verb / "run.json").read_text())["status"] == "failed"
@@ -504,7 +505,8 @@ def test_a_run_tells_the_command_that_made_it(
     from bo_sysid.report.parts import Found
     from bo_sysid.report.provenance import again
 
-    monkeypatch.setattr("bo_sysid.learn.learn.learn", lambda study, run, **_: None)
+    module = importlib.import_module("bo_sysid.learn.learn")
+    monkeypatch.setattr(module, "learn", lambda study, run, **_: None)
     monkeypatch.setattr("bo_sysid.report.learning.write_learning_figures", lambda run: None)
     monkeypatch.setattr("bo_sysid.report.text.run_text", lambda folder: "")
     (folder / "my arm.yaml").write_text(STUDY)

@@ -15,7 +15,8 @@ TIME = 0.005 * np.arange(2401)
 SWING = 0.1 * np.sin(1.2 * TIME)
 RATE = 0.12 * np.cos(1.2 * TIME)
 COMMAND = 2.4 * np.sin(1.2 * TIME + 0.3)
-BELT = """<mujoco><option timestep=".002" integrator="implicitfast"/><worldbody><body name="carriage">
+BELT = """<mujoco><option timestep=".002" integrator="implicitfast"/><worldbody>
+  <body name="carriage">
     <joint name="x" type="slide" axis="1 0 0" damping="4"/>
     <geom size=".05" mass="1" contype="0" conaffinity="0"/></body></worldbody>
   <tendon><fixed name="belt"><joint joint="x" coef="20"/></fixed></tendon>

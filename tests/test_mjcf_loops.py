@@ -11,6 +11,7 @@ import pytest
 from bo_sysid import Study, diagnose
 from bo_sysid.checks.balance import Dynamics, unexplained
 from bo_sysid.errors import ModelError, RecordingError
+from bo_sysid.identify.problem import make_problem
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.loops import Loops
 from bo_sysid.report.robot import Posed
@@ -164,9 +165,10 @@ def test_what_a_closed_chain_lacks_is_found_from_its_motor_alone(tmp_path: Path)
     assert ahead["repaired"] <= 1.15 * ahead["noise_floor"]
 
 
-def test_a_log_without_passive_joints_says_that_they_follow(tmp_path: Path) -> None:
+@pytest.mark.parametrize("verb", [overview, make_problem, diagnose])
+def test_a_log_without_passive_joints_says_that_they_follow(tmp_path: Path, verb) -> None:
     with pytest.raises(RecordingError, match=r"unrecorded: \{pin: null, follower: null\}"):
-        overview(_study(tmp_path, "bar.xml"))
+        verb(_study(tmp_path, "bar.xml"))
 
 
 def test_a_joint_that_is_tied_is_not_held(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ from bo_sysid.study.inputs import (
     require_holdout,
     study_effects,
 )
-from bo_sysid.study.overview import require_known, require_limits, require_scales
+from bo_sysid.study.overview import require_known, require_limits, require_recorded, require_scales
 
 _STAGES = 6
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
@@ -255,6 +255,7 @@ def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_
     require_limits(study, model)
     for recording in recordings:
         require_known(model, recording)
+    require_recorded(study, model, recordings)
     return make_evidence(
         model,
         recordings,

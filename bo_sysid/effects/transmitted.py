@@ -57,7 +57,7 @@ def _through(
     joint that follows it takes (Zᵀ F)ᵢ / Z_di to hold the free one that moves it most.
     """
     Z = loops.response(loops.closed(qpos, np.zeros((len(qpos), forces.shape[1])))[0])
-    out = np.einsum("nji,nj->ni", Z, forces)
+    out = np.asarray(np.einsum("nji,nj->ni", Z, forces))
     for d in loops.dofs:
         i = int(np.abs(Z[:, d]).mean(axis=0).argmax())
         ratio = Z[:, d, i]

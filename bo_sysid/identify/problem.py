@@ -18,7 +18,7 @@ from bo_sysid.simulation import Windows, cut
 from bo_sysid.simulation.of_study import make_simulator, study_signals
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
-from bo_sysid.study.overview import candidate_set, require_known, require_scales
+from bo_sysid.study.overview import candidate_set, require_known, require_recorded, require_scales
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 
@@ -138,6 +138,7 @@ def make_problem(
     recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
     for recording in recordings:
         require_known(model, recording)
+    require_recorded(study, model, recordings)
     require_scales(study, model)
     parameters = study.parameter_set(model)
     if not parameters:

@@ -96,18 +96,26 @@ class Run:
             record = _existing(folder, study, text, command)
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
-            run._record["status"] = "running"
-            session: dict[str, Any] = {"started": _now(), "versions": versions()}
-            if arguments:
-                session["arguments"] = list(arguments)
-            run._record["sessions"].append(session)
-            run.write_text(_STUDY, text)
-            run.write_json(_RECORD, run._record)
-            run._untouched = bool(run.ended)
+            run._begin(text, arguments)
         except BaseException:
             lock.close()
             raise
         return run
+
+    def _begin(self, study: str, arguments: Sequence[str]) -> None:
+        """Write that the command runs."""
+        session: dict[str, Any] = {"started": _now(), "versions": versions()}
+        if arguments:
+            session["arguments"] = list(arguments)
+        self._record["status"] = "running"
+        self._record["sessions"].append(session)
+        try:
+            self.write_text(_STUDY, study)
+            self.write_json(_RECORD, self._record)
+        except KeyboardInterrupt:
+            self.close("interrupted")
+            raise
+        self._untouched = bool(self.ended)
 
     @property
     def record(self) -> Mapping[str, Any]:

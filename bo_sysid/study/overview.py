@@ -70,10 +70,8 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
     require_limits(study, model)
     parameters = study.parameter_set(model)
     _require_numbers(study, model)
-    unrecorded = dict.fromkeys(_deaf(model), "without effect")
-    unrecorded |= {f"ctrl.{n}": f"computed by {a.law}" for n, a in study.actuators.items()}
-    for recording in recordings:
-        _require_all(model, recording, unrecorded)
+    unrecorded = _unneeded(study, model)
+    require_recorded(study, model, recordings)
     return Overview(
         study.name,
         model.source,
@@ -252,6 +250,19 @@ def _known(model: Model) -> dict[str, tuple[str, ...]]:
 def _deaf(model: Model) -> list[str]:
     """Return the channels of the controls that do nothing."""
     return list(compress(model.ctrl_channels, controls_without_gain(model.compile())))
+
+
+def _unneeded(study: Study, model: Model) -> dict[str, str]:
+    """Return the controls that need not be recorded, with the reason."""
+    without = dict.fromkeys(_deaf(model), "without effect")
+    return without | {f"ctrl.{n}": f"computed by {a.law}" for n, a in study.actuators.items()}
+
+
+def require_recorded(study: Study, model: Model, recordings: Sequence[Recording]) -> None:
+    """Refuse recordings without a position or control that the model needs, and say what helps."""
+    unneeded = _unneeded(study, model)
+    for recording in recordings:
+        _require_all(model, recording, unneeded)
 
 
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
