@@ -22,11 +22,11 @@ from functools import partial
 
 import numpy as np
 from common import Cases, benchmark
+from multisine import multisines
 from wrong_logs import MODELS
 
 from bo_sysid.excite.design import design
 from bo_sysid.excite.limits import Limits
-from bo_sysid.excite.multisine import multisines
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter

@@ -5,6 +5,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from multisine import multisines
 
 from bo_sysid.cli import main
 from bo_sysid.effects import Site, survey
@@ -15,7 +16,6 @@ from bo_sysid.excite.evolution import minimise
 from bo_sysid.excite.excite import catalogue_parameters, excite
 from bo_sysid.excite.fourier import Series
 from bo_sysid.excite.limits import Limits
-from bo_sysid.excite.multisine import multisines
 from bo_sysid.excite.trial import Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
