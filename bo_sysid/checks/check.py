@@ -28,8 +28,8 @@ from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import MOST_CANDIDATES, Parameter
 from bo_sysid.recording import Recording, sensor_noise, stated_for
 from bo_sysid.recording.alignment import instants_in
-from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows, cut
-from bo_sysid.simulation.of_study import make_simulator, study_law, study_signals
+from bo_sysid.simulation import ForceLaw, MujocoSimulator, Windows
+from bo_sysid.simulation.of_study import make_simulator, study_law, study_windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.overview import Overview, overview, too_many
@@ -164,18 +164,10 @@ def _windows(
     study: Study, model: Model, recordings: Sequence[Recording], timestep: float | None
 ) -> Windows:
     """Return windows of 0.3 s, spread over the recordings."""
-    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    shown = model.shown_channels
     shortest = min(instants_in(r.span[1] - r.span[0], [r], shown) for r in recordings)
     horizon = min(instants_in(_WINDOW, recordings, shown), max(shortest // 3, 1))
-    windows = cut(
-        model,
-        recordings,
-        horizon=horizon,
-        timestep=timestep,
-        signals=study_signals(study, recordings),
-        controlled=tuple(study.actuators),
-        parameters=study.parameter_set(model),
-    )
+    windows = study_windows(study, model, recordings, horizon, timestep)
     return windows.rows(windows.evenly(_WINDOWS))
 
 

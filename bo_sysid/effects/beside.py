@@ -163,7 +163,7 @@ def _names(model: Model, kind: str) -> tuple[str, ...]:
         "actuator": model.actuators,
         "body": model.bodies,
         "geom": model.geoms,
-        "channel": (*model.qpos_channels, *model.qvel_channels, *model.sensor_channels),
+        "channel": model.shown_channels,
         "world": ("world",),
     }[kind]
 

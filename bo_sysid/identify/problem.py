@@ -14,8 +14,8 @@ from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Windows, cut
-from bo_sysid.simulation.of_study import make_simulator, study_signals
+from bo_sysid.simulation import Windows
+from bo_sysid.simulation.of_study import make_simulator, study_windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.overview import candidate_set, require_known, require_recorded, require_scales
@@ -83,7 +83,7 @@ class Problem:
         Channels that have no scale here are not compared, see `unscaled`.
         """
         whitening = self.deviation.whitening
-        windows = _cut(self.study, self.model, recordings, horizon or self.horizon)
+        windows = study_windows(self.study, self.model, recordings, horizon or self.horizon)
         windows = windows.among(whitening.channels)
         return Deviation(
             self.deviation.simulator,
@@ -98,7 +98,7 @@ class Problem:
         simulator = make_simulator(self.study, self.model, self.parameters, threads=cores())
         return Deviation(
             replace(simulator, timestep=timestep),
-            _cut(self.study, self.model, self.recordings, self.horizon, timestep),
+            study_windows(self.study, self.model, self.recordings, self.horizon, timestep),
             own.whitening,
             fitted_starts=own.fitted_starts,
         )
@@ -106,8 +106,7 @@ class Problem:
     def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Return in words which channels of other recordings are not compared."""
         model = self.model
-        shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
-        shown -= {*self.deviation.whitening.channels}
+        shown = {*model.shown_channels} - {*self.deviation.whitening.channels}
         return tuple(
             f"{r.name}: {name} is not compared: no training recording has it"
             for r in recordings
@@ -147,7 +146,7 @@ def make_problem(
         )
     simulator = make_simulator(study, model, parameters, threads=threads)
     fitted, horizon, notes = _framing(study, model, recordings)
-    windows = _cut(study, model, recordings, horizon)
+    windows = study_windows(study, model, recordings, horizon)
     _require_two(study, model, recordings, windows)
     if fitted:
         _require_more_than_starts(study, model, windows)
@@ -247,24 +246,6 @@ def instants_of(model: Model, recording: Recording) -> int:
 
 def _stamps(model: Model, recording: Recording) -> Float[np.ndarray, " T"]:
     """Return the instants at which something was recorded that the model shows, in [s]."""
-    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
+    shown = model.shown_channels
     times = [c.time for name, c in recording.channels.items() if name in shown]
     return np.unique(np.concatenate([np.zeros(0), *times]))
-
-
-def _cut(
-    study: Study,
-    model: Model,
-    recordings: Sequence[Recording],
-    horizon: int,
-    timestep: float | None = None,
-) -> Windows:
-    return cut(
-        model,
-        recordings,
-        horizon=horizon,
-        timestep=timestep,
-        signals=study_signals(study, recordings),
-        controlled=tuple(study.actuators),
-        parameters=study.parameter_set(model),
-    )

@@ -309,6 +309,11 @@ class Model:
         """Channel of each entry of `sensordata`: "sensor.touch", "sensor.gyro.2"."""
         return self._channels("sensor")
 
+    @property
+    def shown_channels(self) -> tuple[str, ...]:
+        """Channels that a simulation shows: of `qpos`, of `qvel` and of the sensors."""
+        return (*self.qpos_channels, *self.qvel_channels, *self.sensor_channels)
+
     def _names(self, kind: str, number: int) -> tuple[str, ...]:
         return tuple(getattr(self._forms.model, kind)(i).name for i in range(number))
 

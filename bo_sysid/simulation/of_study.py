@@ -14,6 +14,7 @@ from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
+from bo_sysid.simulation.cutting import cut
 from bo_sysid.simulation.lockstep import (
     Controller,
     ForceLaw,
@@ -25,6 +26,7 @@ from bo_sysid.simulation.lockstep import (
 )
 from bo_sysid.simulation.rollout import Engine
 from bo_sysid.simulation.simulator import MujocoSimulator
+from bo_sysid.simulation.windows import Windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_function, load_parts
 from bo_sysid.study.overview import require_actuators
@@ -86,7 +88,26 @@ def study_law(study: Study, actuator: str) -> Law:
     return law
 
 
-def study_signals(study: Study, recordings: Sequence[Recording]) -> tuple[str, ...]:
+def study_windows(
+    study: Study,
+    model: Model,
+    recordings: Sequence[Recording],
+    horizon: int,
+    timestep: float | None = None,
+) -> Windows:
+    """Return windows of recordings, with the inputs that a study's laws may read; see `cut`."""
+    return cut(
+        model,
+        recordings,
+        horizon=horizon,
+        timestep=timestep,
+        signals=_signals(study, recordings),
+        controlled=tuple(study.actuators),
+        parameters=study.parameter_set(model),
+    )
+
+
+def _signals(study: Study, recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Return the recorded inputs that what is stepped with a study's model may read, by channel."""
     signals = {channel for a in study.actuators.values() for channel in a.uses}
     if study.model.beside:

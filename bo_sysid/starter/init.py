@@ -262,8 +262,8 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
                 "speed": float(fastest[name]),
             }
         )
-    shown = {*model.qpos_channels, *model.qvel_channels, *model.sensor_channels}
-    return pd.DataFrame(rows).assign(horizon=instants_in(_WINDOW, recordings, shown))
+    horizon = instants_in(_WINDOW, recordings, model.shown_channels)
+    return pd.DataFrame(rows).assign(horizon=horizon)
 
 
 def _bound(tried: float, own: np.ndarray) -> float:
