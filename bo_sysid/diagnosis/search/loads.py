@@ -10,7 +10,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.refit import Effort
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
@@ -36,7 +36,7 @@ def _loads(search: Search, base: Fit) -> Iterator[tuple[list[int], Candidate]]:
         own = [k for k, c in enumerate(base.members) if c.site == body and c.effect.id in _INERTIAL]
         load = next((c for c in search.candidates if c.site == body and c.extent.place), None)
         if load is not None and not any(base.members[k].moved for k in own):
-            yield [k for k in range(len(base.members)) if k not in own], load
+            yield all_but(base, own), load
 
 
 def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:

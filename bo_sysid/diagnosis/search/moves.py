@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.search.rounds import extend, round_at
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import simplify
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.sets.rules import (
     LOOSE,
@@ -115,8 +115,7 @@ def without_weakest(search: Search) -> None:
             if f.unique[weakest] < max(2 * MARGIN, 0.5, 0.03 * max(f.unique)):
                 trifles = tuple(k for k, size in enumerate(f.unique) if size < MARGIN)
                 for out in dict.fromkeys(((weakest,), trifles or (weakest,))):
-                    rest = [k for k in range(len(f.members)) if k not in out]
-                    search.refit(*subset(f, rest), start=f.start)
+                    search.refit(*subset(f, all_but(f, out)), start=f.start)
         if len(search.fits) == before:
             return
 
@@ -174,7 +173,7 @@ def _fitted_without(
     """Fit a set without each of some members from where it is; whether that came nearer."""
     nearer, smooth = False, search.prepared.problem.windows.start
     for k in out:
-        members, x = subset(f, _all_but(f, k))
+        members, x = subset(f, all_but(f, (k,)))
         key = set_key(members)
         if (f.key, key) in done:
             continue
@@ -192,11 +191,7 @@ def _fit_parts(search: Search, f: Fit) -> None:
     """Fit a set without each of its members that is in no group, where that was not done yet."""
     for k, group in enumerate(f.groups):
         if group is None:
-            fit_some(search, f, _all_but(f, k))
-
-
-def _all_but(f: Fit, k: int) -> list[int]:
-    return [i for i in range(len(f.members)) if i != k]
+            fit_some(search, f, all_but(f, (k,)))
 
 
 def fit_some(search: Search, f: Fit, keep: Sequence[int]) -> None:
@@ -223,4 +218,4 @@ def _without_weak(search: Search, f: Fit, small: Sequence[int]) -> list[int]:
     for k in small:
         units.setdefault(f.groups[k] or k, []).append(k)
     out = min(units.values(), key=lambda unit: float(size[unit].sum()))
-    return [k for k in range(len(f.members)) if k not in out]
+    return all_but(f, out)

@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import reshape, simplify
 from bo_sysid.diagnosis.sets import subsets
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import alone, subset, units_of, with_group
+from bo_sysid.diagnosis.sets.groups import all_but, alone, subset, units_of, with_group
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort
 from bo_sysid.diagnosis.sets.rules import CLEAN, MARGIN, SHARE, clean
 from bo_sysid.diagnosis.sets.screen import Screen
@@ -94,7 +94,7 @@ def _add(search: Search, screen: Screen, base: Fit) -> None:
 
 def _exchange(search: Search, screen: Screen, base: Fit, unit: tuple[int, ...]) -> None:
     """Try others in the place of one unit of a fit."""
-    rest = [k for k in range(len(base.members)) if k not in unit]
+    rest = all_but(base, unit)
     members, x = subset(base, rest)
     fixed = [search.candidates.index(c) for c in members]
     now = dict(zip(fixed, x, strict=True))
@@ -121,7 +121,7 @@ def substitute(search: Search, base: Fit) -> None:
     effort = replace(FINAL, rival=base.rms)
     parts = [p for u in units_of(base) for p in ([u] if len(u) > _PAIR else [(k,) for k in u])]
     for part in parts:
-        rest = [k for k in range(len(base.members)) if k not in part]
+        rest = all_but(base, part)
         top = _SUBSTITUTES if len(part) == 1 else _GROUP_SUBSTITUTES
         for sets in _as_good(search, screen, base, part):
             kinds = [(sets, top)]
@@ -139,7 +139,7 @@ def _as_good(
     That is as much but for a little, or with fewer magnitudes nearly as much.
     """
     out = [base.members[k] for k in part]
-    members, x = subset(base, [k for k in range(len(base.members)) if k not in part])
+    members, x = subset(base, all_but(base, part))
     fixed = [search.candidates.index(c) for c in members]
     without = screen.without(out, [base.x[k] for k in part])
     grouped = subsets.groups(search.candidates)
@@ -169,8 +169,7 @@ def _as_good(
 def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:
     sets = [unit] if len(unit) == 1 else [unit, *((k,) for k in unit)]
     for out in sets:
-        rest = [k for k in range(len(base.members)) if k not in out]
-        search.refit(*subset(base, rest), start=base.start)
+        search.refit(*subset(base, all_but(base, out)), start=base.start)
 
 
 def _run(

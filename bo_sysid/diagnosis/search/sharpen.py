@@ -7,7 +7,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.variants import enrich, vary
 from bo_sysid.diagnosis.sets import subsets
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.shapes import UNIFORM, Place, profile, ranges, reshaped_members
 from bo_sysid.diagnosis.windows.hypothesis import Candidate
@@ -55,7 +55,7 @@ def _repeated_anew(search: Search, leader: Fit, c: Candidate) -> None:
     problem, k = search.prepared.problem, leader.members.index(c)
     joint = problem.machine.joint_of(c.site.kind, c.site.name)
     assert joint is not None  # noqa: S101 - what repeats with position is at a joint
-    rest = subset(leader, [i for i in range(len(leader.members)) if i != k])
+    rest = subset(leader, all_but(leader, (k,)))
     base = search.fit(*rest, start=leader.start, guess=leader.hypothesis)
     apart = _APART * 2 * np.pi / joint.span
     first, most = min(grid[-1] for grid in c.extent.grid), float(c.extent.high[-1])

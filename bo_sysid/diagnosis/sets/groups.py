@@ -1,6 +1,6 @@
 """Sets of effects as units: one effect, or a group of them at several sites."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -36,6 +36,11 @@ def grouped_labels(
 def subset(fit: Fit, keep: Sequence[int]) -> tuple[tuple[Candidate, ...], tuple[np.ndarray, ...]]:
     """Return some members of a fit and their magnitudes."""
     return tuple(fit.members[k] for k in keep), tuple(fit.x[k] for k in keep)
+
+
+def all_but(fit: Fit, out: Collection[int]) -> list[int]:
+    """Return the places of all members of a fit but for some."""
+    return [k for k in range(len(fit.members)) if k not in out]
 
 
 def alone(scored: Sequence[Scored]) -> list[Scored]:
