@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
-from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -297,11 +297,7 @@ def _separation(problem: Problem, rival: Fit, recording: Recording) -> float:
     """Return the rms in sigma that a rival leaves of a motion, at its best magnitudes there."""
     horizon = int(problem.windows.observed.shape[1])
     prepared = prepare(_posed(problem, recording, horizon), rival.hypothesis)
-    made = refit(
-        prepared.linear, rival.members, rival.x, guess=rival.hypothesis, effort=_EFFORT,
-        start=prepared.start,
-    )  # fmt: skip
-    return made.rms
+    return refit_at(prepared.linear, rival, start=prepared.start, effort=_EFFORT).rms
 
 
 def _frame(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> pd.DataFrame:

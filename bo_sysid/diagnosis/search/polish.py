@@ -6,7 +6,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.refit import FINAL, refit
+from bo_sysid.diagnosis.sets.refit import FINAL, refit_at
 from bo_sysid.diagnosis.sets.shapes import reshaped
 from bo_sysid.diagnosis.windows.estimated_starts import first_starts
 from bo_sysid.diagnosis.windows.evidence import Evidence
@@ -118,11 +118,7 @@ def _times(fit: Fit, problem: Problem) -> int:
 
 def _refitted(linear: Linear, fit: Fit) -> Fit:
     """Return a fit with magnitudes and shapes fitted to the end in a linear model's space."""
-    made = refit(
-        linear, fit.members, fit.x, groups=fit.groups, start=linear.start, guess=fit.hypothesis,
-        effort=FINAL,
-    )  # fmt: skip
-    return reshaped(linear, made)
+    return reshaped(linear, refit_at(linear, fit, start=linear.start, effort=FINAL))
 
 
 def _distance(before: Fit, after: Fit) -> float:

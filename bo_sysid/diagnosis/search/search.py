@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import grouped_labels
-from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.sets.refit import Effort, refit, refit_at
 from bo_sysid.diagnosis.sets.rules import SetPrior, clean, ranked
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.subsets import groups
@@ -154,13 +154,12 @@ class Search:
         across: bool,
         columns: np.ndarray | None = None,
     ) -> Fit:
-        labels = grouped_labels(members, self.candidates)
         made = refit(
-            self.frame, members, x, groups=labels, start=start or self.prepared.start,
-            guess=guess, columns=columns, effort=effort,
+            self.frame, members, x, groups=grouped_labels(members, self.candidates),
+            start=start or self.prepared.start, guess=guess, columns=columns, effort=effort,
         )  # fmt: skip
-        made = self._afresh(made, labels, effort)
-        return self._in_gaps(made, labels, effort) if across else made
+        made = self._afresh(made, effort)
+        return self._in_gaps(made, effort) if across else made
 
     def _kept(self, fit: Fit, effort: Effort) -> Fit:
         """Keep a fit, bettered by other orders of its filters and by what is known of its parts."""
@@ -195,7 +194,7 @@ class Search:
             self._inside = fit, frame
         return self._inside[1]
 
-    def _afresh(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+    def _afresh(self, fit: Fit, effort: Effort) -> Fit:
         """Fit on with the model linearised at the fit itself, where it is far from the data.
 
         The response to the starts changes with the set there, and a set that is not fitted to its
@@ -213,7 +212,7 @@ class Search:
             unfinished = springy and fit.rms > self.nominal.rms  # it leaves more than none
             if not (far and (hopeful or unfinished) and fit.hypothesis.free):
                 break
-            made = self._at_itself(fit, fit.start, labels, effort)
+            made = self._at_itself(fit, fit.start, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
             if not better:
                 break
@@ -233,7 +232,7 @@ class Search:
             best = made if made.rss < best.rss else best
         return best
 
-    def _in_gaps(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+    def _in_gaps(self, fit: Fit, effort: Effort) -> Fit:
         """Fit on from starts that are fitted to each window, where a joint moves in a gap.
 
         On which side of it a window begins is no small change of a start. Magnitudes that follow
@@ -246,21 +245,16 @@ class Search:
             if not (hopeful and problem.loose(fit.hypothesis)):
                 break
             start = on_the_right_side(problem, fit.hypothesis, fit.start)
-            made = self._at_itself(fit, start, labels, effort)
+            made = self._at_itself(fit, start, effort)
             better, fit = made.rms < _BETTER * fit.rms, made if made.rss < fit.rss else fit
             if not better:
                 break
         return fit
 
-    def _at_itself(
-        self, fit: Fit, start: State, labels: tuple[str | None, ...], effort: Effort
-    ) -> Fit:
+    def _at_itself(self, fit: Fit, start: State, effort: Effort) -> Fit:
         """Fit on with the model linearised at the fit, from given starts."""
         frame = linearise(self.prepared.problem, fit.hypothesis, start)
-        return refit(
-            frame, fit.members, fit.x, groups=labels, start=start, guess=fit.hypothesis,
-            effort=effort,
-        )  # fmt: skip
+        return refit_at(frame, fit, start=start, effort=effort)
 
     def known(self, candidate: Candidate) -> Candidate:
         """Return a candidate as it is listed; one that is new is added to the list."""

@@ -6,7 +6,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.stand_ins import stand_in
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset, units_of
-from bo_sysid.diagnosis.sets.refit import Effort, refit
+from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.shapes import reshaped
 from bo_sysid.diagnosis.sets.subsets import clashes
@@ -30,10 +30,7 @@ def reshape(search: Search, base: Fit) -> None:
             return
         effort = Effort(rival=search.least)
         there = linearise(search.prepared.problem, f.hypothesis, f.start)
-        begun = refit(
-            there, f.members, f.x, groups=f.groups, start=f.start, guess=f.hypothesis,
-            effort=effort,
-        )  # fmt: skip
+        begun = refit_at(there, f, effort=effort)
         search.listed(reshaped(there, begun, effort, friction_alone=True))
 
 

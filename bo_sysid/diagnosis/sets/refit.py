@@ -133,6 +133,23 @@ def refit(
     return assess(problem, frame.Q, hypothesis, labels, start, found["residual"], found["jacobian"])
 
 
+def refit_at(
+    frame: Linear, fit: Fit, *, start: State | None = None, effort: Effort | None = None
+) -> Fit:
+    """Fit a set on from where it is, with another linear model.
+
+    Args:
+        frame: as in `refit`.
+        fit: the set.
+        start: first starts, by default the fit's.
+        effort: how hard to fit.
+    """
+    return refit(
+        frame, fit.members, fit.x, groups=fit.groups, start=start or fit.start,
+        guess=fit.hypothesis, effort=effort,
+    )  # fmt: skip
+
+
 def _fitted(
     frame: Linear,
     space: _Space,
