@@ -165,7 +165,7 @@ def _windows(
 ) -> Windows:
     """Return windows of 0.3 s, spread over the recordings."""
     shown = model.shown_channels
-    shortest = min(instants_in(r.span[1] - r.span[0], [r], shown) for r in recordings)
+    shortest = min(instants_in(r.duration, [r], shown) for r in recordings)
     horizon = min(instants_in(_WINDOW, recordings, shown), max(shortest // 3, 1))
     windows = study_windows(study, model, recordings, horizon, timestep)
     return windows.rows(windows.evenly(_WINDOWS))
@@ -202,7 +202,7 @@ def _identifiability(
     """Return what the recordings say about each parameter at best, and what they do not say."""
     if not parameters:
         return pd.DataFrame({"name": [], "unit": [], "sigma": [], "of_range": []}), []
-    seconds = sum(r.span[1] - r.span[0] for r in recordings)
+    seconds = sum(r.duration for r in recordings)
     length = float((windows.step[:, -1] + windows.fraction[:, -1]).mean() * windows.timestep)
     share = max(seconds / (length * len(windows)), 1.0)  # all windows say so much more
     found = information(simulator, point, windows, noise)

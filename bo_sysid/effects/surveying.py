@@ -66,7 +66,7 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
         MappingProxyType(bodies),
         tuple(n for n in scales if n in known),
         float(np.median(np.concatenate([np.diff(t) for t in times]))) if times else 0.0,
-        float(max((r.span[1] - r.span[0] for r in recordings), default=0.0)),
+        float(max((r.duration for r in recordings), default=0.0)),
         MappingProxyType(scales),
         can_touch(model),
     )

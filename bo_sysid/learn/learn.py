@@ -152,7 +152,7 @@ def _told(
         last.figures["chosen"],
         _table(done),
         source.trajectories,
-        tuple(r.span[1] - r.span[0] for r in source.given),
+        tuple(r.duration for r in source.given),
         "" if waiting else last.verdict.sentence,
         waiting,
         _notes(scene, done, source.trajectories),

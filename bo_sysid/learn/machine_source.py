@@ -131,8 +131,8 @@ class MachineSource:
             {
                 "number": k + 1,
                 "name": r.name,
-                "steps": round((r.span[1] - r.span[0]) / step),
-                "seconds": r.span[1] - r.span[0],
+                "steps": round(r.duration / step),
+                "seconds": r.duration,
                 "reward": np.nan,
                 "fault": self._silence(r),
             }
@@ -141,7 +141,7 @@ class MachineSource:
         return pd.DataFrame(rows, columns=["number", "name", "steps", "seconds", "reward", "fault"])
 
     def _silence(self, recording: Recording) -> str:
-        seconds, whole = recording.span[1] - recording.span[0], self._scene.task.time_limit
+        seconds, whole = recording.duration, self._scene.task.time_limit
         if not np.isfinite(whole) or seconds > _WHOLE * whole:
             return ""
         return f"{recording.name} ends after {seconds:.3g} of {whole:g} s"

@@ -81,10 +81,10 @@ def record_into(
 def _broken_off(run: Run, names: Sequence[str], least: float) -> Iterator[str]:
     """Say which recordings are shorter than at least asked, in [s]."""
     for name in names:
-        began, ended = read_recording(run.path(f"{name}.parquet")).span
-        if ended - began < least - _ROUNDING:
+        lasted = read_recording(run.path(f"{name}.parquet")).duration
+        if lasted < least - _ROUNDING:
             yield (
-                f"{name} breaks off after {ended - began:.3g} s: the task ended, or the machine "
+                f"{name} breaks off after {lasted:.3g} s: the task ended, or the machine "
                 "left its limits"
             )
 

@@ -246,6 +246,12 @@ class Recording:
         return _span(measured or self.channels.values())
 
     @property
+    def duration(self) -> float:
+        """Length of the `span` in [s]."""
+        first, last = self.span
+        return last - first
+
+    @property
     def origin(self) -> float:
         """Time in [s] at which the log began, of which this may be a part."""
         return _span(self.channels.values())[0] if self.begin is None else self.begin

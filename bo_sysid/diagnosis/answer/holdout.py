@@ -170,7 +170,7 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
     rows: list[dict[str, Any]] = []
     free_runs: Mapping[str, Mapping[str, float]] = {}
     traced = pd.DataFrame()
-    length = max((r.span[1] - r.span[0] for r in recordings), default=0.0)
+    length = max((r.duration for r in recordings), default=0.0)
     free = float(np.clip(_FREE_SHARE * length, *_FREE))
     all_but_law = {name: h for name, h in models.items() if name != "learned_residual"}
     measured = (
@@ -203,7 +203,7 @@ def _lasting(recordings: Sequence[Recording], seconds: float) -> Sequence[Record
 
 
 def _lasts(recording: Recording, seconds: float) -> bool:
-    return recording.span[1] - recording.span[0] > _SPARE * seconds
+    return recording.duration > _SPARE * seconds
 
 
 def beyond(

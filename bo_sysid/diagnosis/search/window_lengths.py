@@ -34,7 +34,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         step: of the simulation in [s].
         everything: for the final fits, which take many more than the search.
     """
-    whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / evidence.machine.sampling
+    whole = sum(r.duration for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
     stride = max(round(count / _WINDOWS), 1)
     if everything:

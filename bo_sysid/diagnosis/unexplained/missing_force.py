@@ -51,7 +51,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
     if not machine.joints:
         return pd.DataFrame(columns=list(_FORCE_COLUMNS))
     horizon = max(round(_PIECE / machine.sampling), _LEAST)
-    whole = sum(r.span[1] - r.span[0] for r in evidence.recordings) / machine.sampling
+    whole = sum(r.duration for r in evidence.recordings) / machine.sampling
     problem = cut_problem(
         evidence.model,
         machine,
