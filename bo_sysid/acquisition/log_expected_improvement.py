@@ -31,8 +31,7 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
         models: Sequence[Model],
         weights: Tensor,
         best_f: Tensor | float,
-        X_pending: Tensor | None = None,
-        seed: int = 0,
+        seed: int,
     ) -> None:
         """Keep the ensemble.
 
@@ -40,7 +39,6 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
             models: the M members, each of the function that is to be minimised.
             weights: `M` weights of the members, which add up to 1.
             best_f: the least value so far.
-            X_pending: points `m x d` that are being evaluated.
             seed: of the samples where points are pending.
         """
         super().__init__(model=models[0])
@@ -48,7 +46,7 @@ class EnsembleLogExpectedImprovement(AcquisitionFunction):
         self.register_buffer("_best", torch.as_tensor(best_f).to(weights))
         self._seed = seed
         self.register_buffer("_log_weights", weights.log())
-        self.set_X_pending(X_pending)
+        self.set_X_pending(None)
 
     def set_X_pending(self, X_pending: Tensor | None = None) -> None:  # noqa: N802 - BoTorch's name
         """Take note of points `m x d` that are being evaluated; None for none."""

@@ -80,7 +80,7 @@ def evaluated_rows(
 
 
 def argmin_posteriors(
-    surrogate: Surrogate, candidates: Points, seed: int = 0
+    surrogate: Surrogate, candidates: Points, seed: int
 ) -> Iterator[ArgminPosterior]:
     """Yield the joint posterior of each member over the candidates that may be the arg-min."""
     x = surrogate.unit(candidates)

@@ -67,7 +67,7 @@ class Checked:
     parameters: pd.DataFrame
     step: pd.DataFrame
     recordings: tuple[Recording, ...]
-    dataset: str | None = None
+    dataset: str | None
 
     @property
     def proposal(self) -> str:

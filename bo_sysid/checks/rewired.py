@@ -7,7 +7,7 @@ from bo_sysid.recording import Channel, Recording
 
 
 def rewired(
-    recordings: Sequence[Recording], wires: Mapping[str, Wire], delay: float, kind: str = "ctrl"
+    recordings: Sequence[Recording], wires: Mapping[str, Wire], delay: float, kind: str
 ) -> tuple[Recording, ...]:
     """Return recordings whose channels are what they are called.
 

@@ -83,7 +83,7 @@ class Judge:
         steps: int,
         window: int,
         start: State,
-        laws: Sequence[ForceLaw] = (),
+        laws: Sequence[ForceLaw],
     ) -> None:
         self._hold = steps
         self._window, self._limits, self._laws = window, limits, tuple(laws)

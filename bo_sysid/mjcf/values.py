@@ -37,7 +37,7 @@ class Target:
     attribute: Attribute
     index: int
     nominal: float
-    made_of: tuple[tuple[object, ...], ...] = ((),)
+    made_of: tuple[tuple[object, ...], ...]
 
     @property
     def moves_mass(self) -> bool:

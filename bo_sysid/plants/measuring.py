@@ -32,9 +32,9 @@ class Measuring:
 
     model: Model
     plant: mujoco.MjModel
-    kinds: Sequence[str] = KINDS
-    noise: Mapping[str, float] | None = None
-    seed: int = 0
+    kinds: Sequence[str]
+    noise: Mapping[str, float] | None
+    seed: int
 
     def __post_init__(self) -> None:
         for kind in self.kinds:
@@ -48,7 +48,7 @@ class Measuring:
                 raise UserError(f"plant: noise of {key!r} is {sigma}; it must be at least 0")
 
     def recording(
-        self, name: str, number: int, rows: Mapping[str, np.ndarray], *, warmstart: bool = False
+        self, name: str, number: int, rows: Mapping[str, np.ndarray], *, warmstart: bool
     ) -> Recording:
         """Return a recording of `T` rows.
 

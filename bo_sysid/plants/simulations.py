@@ -33,7 +33,7 @@ class Simulations:
             the physics, such as the position of a target.
     """
 
-    def __init__(self, model: mujoco.MjModel, n: int, goal_size: int = 0, threads: int = 1) -> None:
+    def __init__(self, model: mujoco.MjModel, n: int, goal_size: int, threads: int) -> None:
         self.model = model
         self._batch = batch.Batch(model, n, threads, persistent=True)
         self.qpos = self._batch.bind("qpos")

@@ -48,7 +48,7 @@ class AnswerJob:
 
     folder: Path
     name: str
-    limit: float = LIMIT
+    limit: float
 
 
 def answer(
@@ -198,7 +198,7 @@ def answer_files(folder: Path, name: str) -> dict[str, str]:
     return {f.relative_to(place).as_posix(): file_digest(f) for f in files}
 
 
-def frozen_digest(folder: Path, first: int | None = None) -> str:
+def frozen_digest(folder: Path, first: int | None) -> str:
     """Return the hash of all frozen answers, to be published before anything is opened."""
     names = judged(folder, first)
     return digest({name: file_digest(folder / record_of(name)) for name in names})

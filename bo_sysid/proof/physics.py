@@ -38,7 +38,7 @@ class Concealed:
     kind: str
     site: str
     value: float
-    unit: str = ""
+    unit: str
     details: Mapping[str, float] = field(default_factory=dict)
     depends_on: tuple[str, ...] = ()
 
@@ -110,7 +110,7 @@ class Drive:
     dof: int
     gear: float
     gain: float
-    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bias: tuple[float, float, float]
     limit: float = float("inf")
     deadzone: float = 0.0
     lag: float = 0.0

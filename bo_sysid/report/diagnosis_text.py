@@ -54,8 +54,8 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
 
 def diagnosis_text(
     diagnosis: Mapping[str, Any],
-    summary: Mapping[str, Any] | None = None,
-    sessions: pd.DataFrame | None = None,
+    summary: Mapping[str, Any] | None,
+    sessions: pd.DataFrame | None,
 ) -> str:
     """Return a diagnosis in words and tables.
 

@@ -150,7 +150,7 @@ def set_colour(row: object) -> str:
     return NOMINAL if getattr(row, "effects", 1) == 0 else GREY
 
 
-def left_words(rms: float, probability: float, p_boot: float = np.nan) -> str:
+def left_words(rms: float, probability: float, p_boot: float) -> str:
     """Return what a set leaves, where that is known, with its probability and P_boot."""
     chance = "below 0.001" if probability < 0.001 else f"{probability:.3g}"
     words = f"probability {'above 0.999' if probability > 0.999 else chance}"

@@ -60,8 +60,8 @@ class Outcome:
     unexplained: Unexplained
     timestep: float
     sessions: Sessions
-    law_alone: Hypothesis | None = None
-    disputed: tuple[Candidate, ...] = ()
+    law_alone: Hypothesis | None
+    disputed: tuple[Candidate, ...]
 
 
 def explain(located: Located) -> Outcome:

@@ -58,8 +58,8 @@ class Evidence:
     most: int
     window: float
     engine: Engine
-    laws: tuple[Controller | ForceLaw, ...] = ()
-    kept: FitCache = NO_CACHE
+    laws: tuple[Controller | ForceLaw, ...]
+    kept: FitCache
 
     @property
     def notes(self) -> tuple[str, ...]:

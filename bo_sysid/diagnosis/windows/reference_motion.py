@@ -21,7 +21,7 @@ class Along:
     signals: Mapping[str, Float[np.ndarray, "W M"]]
     time: Float[np.ndarray, "W M"]
     timestep: float
-    act: Mapping[str, Float[np.ndarray, "W M"]] = field(default_factory=dict)
+    act: Mapping[str, Float[np.ndarray, "W M"]]
     memory: dict[str, Any] = field(default_factory=dict)
 
     @property
