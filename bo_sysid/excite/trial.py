@@ -1,8 +1,8 @@
 """What a machine does under controls, and what a recording of that would say of its parameters."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -271,22 +271,17 @@ class Trial:
         Raises:
             StudyError: even a thousandth of them exceeds a limit.
         """
-        return self._kept(partial(self._shrunk, unit))
-
-    def _shrunk(self, unit: Float[np.ndarray, "R nu"], size: float) -> Float[np.ndarray, "R nu"]:
-        return self.series.scaled(size * unit)
-
-    def _kept(self, scaled: Callable[[float], np.ndarray]) -> Float[np.ndarray, "R nu"]:
         size, worst = 1.0, 0
         while size > _SMALLEST:
-            if self.violation(scaled(size), self.machines[[worst]], 1.0) == 0:
-                over = self.violations(scaled(size), self.machines, 1.0)
+            controls = self.series.scaled(size * unit)
+            if self.violation(controls, self.machines[[worst]], 1.0) == 0:
+                over = self.violations(controls, self.machines, 1.0)
                 if over.max() == 0:
-                    return scaled(size)
+                    return controls
                 worst = int(over.argmax())
             size *= _SHRINK
-        exceeded = first_exceeded(self.limits, *self.run(scaled(size), self.machines))
-        raise StudyError(why_not_moved(exceeded))
+        run = self.run(self.series.scaled(size * unit), self.machines)
+        raise StudyError(why_not_moved(first_exceeded(self.limits, *run)))
 
 
 def _growth(trajectory: Trajectory) -> float:
