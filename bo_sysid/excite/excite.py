@@ -37,7 +37,6 @@ class Excitation:
         predicted: what the nominal model does under them.
         limits: least and largest value of each of its channels; infinite where there is none.
         used: largest share of a limit that is used, over the drawn parameter vectors.
-        energy: mean square of the controls about rest in units of their half ranges.
         notes: what was assumed.
     """
 
@@ -46,7 +45,6 @@ class Excitation:
     predicted: Recording
     limits: Mapping[str, tuple[float, float]]
     used: float
-    energy: float
     notes: tuple[str, ...]
 
 
@@ -103,7 +101,6 @@ def excite(
         predicted,
         limits.of_channels(model.ctrl_channels, *trial.commands),
         trial.violation(controls, trial.machines, 0.0),
-        float(trial.energy(controls)),
         tuple(notes),
     )
 

@@ -50,14 +50,12 @@ class DrawJob:
     Attributes:
         suite: file of the suite.
         overrides: values that replace what it says.
-        folder: of the run.
         seals: folder of the seals.
         name: of the case.
     """
 
     suite: Path
     overrides: Mapping[str, Any]
-    folder: Path
     seals: Path
     name: str
 
@@ -122,13 +120,12 @@ def conceal(
     load_suite(path, overrides)
     if run.has(COMMITMENTS):
         return dict(run.read_json(COMMITMENTS))
-    folder = run.folder.resolve()
-    sealed = Path(seals).resolve() if seals else seals_of(folder)
+    sealed = Path(seals).resolve() if seals else seals_of(run.folder.resolve())
     engine = LocalEngine(threads())
-    everything = DrawJob(path, overrides, folder, sealed, "")
+    everything = DrawJob(path, overrides, sealed, "")
     names = _only(map_jobs(_draw_plan, {"plan": everything}, engine=LocalEngine(1)))
     done = {n for n in names if (sealed / _PART.format(n)).is_file()}
-    jobs = {n: DrawJob(path, overrides, folder, sealed, n) for n in names}
+    jobs = {n: DrawJob(path, overrides, sealed, n) for n in names}
     step = len(done)
     for outcome in map_jobs(_draw_one, jobs, engine=engine, done=done):
         if outcome.error is not None:

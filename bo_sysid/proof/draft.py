@@ -166,7 +166,6 @@ class Realised:
 
     Attributes:
         id: in the catalogue, or a name of its own.
-        kind: kind of site.
         sites: names of the sites of a machine where it can be.
         draw: from a generator and a place to a first magnitude with random details; its size is
             set afterwards.
@@ -178,7 +177,6 @@ class Realised:
     """
 
     id: str
-    kind: str
     sites: Callable[[ProofMachine], tuple[str, ...]]
     draw: Callable[[np.random.Generator, Place], Concealed]
     compose: Callable[[Draft, Concealed], None]

@@ -112,9 +112,7 @@ def _plain(
         dof = draft.machine.dof(c.site)
         draft.laws.append(Law(dof, law(dof, c)))
 
-    realised(
-        Realised(id, "joint", joints, draw, compose, lambda place: _MOST / _SHARE * start(place))
-    )
+    realised(Realised(id, joints, draw, compose, lambda place: _MOST / _SHARE * start(place)))
 
 
 def _periods(rng: np.random.Generator, place: Place) -> dict[str, float]:
@@ -188,24 +186,18 @@ def _compose_rotor(draft: Draft, c: Concealed) -> None:
 
 realised(
     Realised(
-        "dry_friction", "joint", joints, _dry,
+        "dry_friction", joints, _dry,
         lambda draft, c: bristle(draft, c, lambda t, q, v, load: c.value), most_force,
     )
 )  # fmt: skip
 realised(
     Realised(
-        "stribeck_friction",
-        "joint",
-        joints,
-        _stribeck,
-        _compose_stribeck,
-        most_force,
-        along=("coulomb",),
+        "stribeck_friction", joints, _stribeck, _compose_stribeck, most_force, along=("coulomb",)
     )
 )
 realised(
     Realised(
-        "load_dependent_friction", "joint", driven, _loaded, _compose_loaded,
+        "load_dependent_friction", driven, _loaded, _compose_loaded,
         most=lambda place: 0.8,
     )
 )  # fmt: skip
@@ -229,20 +221,20 @@ _plain(
 _plain("cogging", "N m", _force, _cogging, details=_periods)
 realised(
     Realised(
-        "armature", "joint", joints, _armature,
+        "armature", joints, _armature,
         lambda draft, c: add_armature(draft.model, draft.machine.dof(c.site), c.value),
         lambda place: _MOST * float(place.scales.inertia[place.dof]),
     )
 )  # fmt: skip
 realised(
     Realised(
-        "backlash", "joint", geared, _backlash, _compose_rotor,
+        "backlash", geared, _backlash, _compose_rotor,
         lambda place: 0.2 * float(place.scales.travel[place.dof]), tiers=(3,),
     )
 )  # fmt: skip
 realised(
     Realised(
-        "joint_compliance", "joint", geared, _compliance, _compose_rotor,
+        "joint_compliance", geared, _compliance, _compose_rotor,
         lambda place: 1.0 / (_rotor(place.machine, place.site) * _SOFTEST**2), tiers=(3,),
     )
 )  # fmt: skip

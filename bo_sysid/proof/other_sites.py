@@ -241,43 +241,43 @@ def _compose_grip(draft: Draft, c: Concealed) -> None:
 
 
 for _item in (
-    Realised("actuator_gain", "actuator", _actuators, _gain, _compose_gain, lambda place: 0.6),
-    Realised("servo_kp", "actuator", _servos, _kp, _compose_kp, _kp_most),
-    Realised("servo_kd", "actuator", _servos, _kd, _compose_kd, _kd_most),
+    Realised("actuator_gain", _actuators, _gain, _compose_gain, lambda place: 0.6),
+    Realised("servo_kp", _servos, _kp, _compose_kp, _kp_most),
+    Realised("servo_kd", _servos, _kd, _compose_kd, _kd_most),
     Realised(
-        "actuator_saturation", "actuator", _actuators, _saturation, _compose_saturation,
+        "actuator_saturation", _actuators, _saturation, _compose_saturation,
         lambda place: 0.9 * float(place.scales.effort[place.actuator]),
     ),
     Realised(
-        "actuator_deadzone", "actuator", _motors, _deadzone,
+        "actuator_deadzone", _motors, _deadzone,
         lambda draft, c: draft.change_drive(_at(draft, c), deadzone=c.value),
         lambda place: 0.8 * float(place.scales.command[place.actuator]),
     ),
     Realised(
-        "actuator_lag", "actuator", _actuators, _lag,
+        "actuator_lag", _actuators, _lag,
         lambda draft, c: draft.change_drive(_at(draft, c), lag=c.value), _slowest,
     ),
     Realised(
-        "actuator_delay", "actuator", _actuators, _delay,
+        "actuator_delay", _actuators, _delay,
         lambda draft, c: draft.change_drive(_at(draft, c), delay=c.value), _slowest,
     ),
     Realised(
-        "sensor_delay", "channel", _channels, _sensor_delay, _compose_sensor_delay,
+        "sensor_delay", _channels, _sensor_delay, _compose_sensor_delay,
         lambda place: 0.05,
     ),
     Realised(
-        "encoder_offset", "joint", joints, _offset, _compose_encoder,
+        "encoder_offset", joints, _offset, _compose_encoder,
         _most_offset,
     ),
-    Realised("encoder_scale", "joint", joints, _scale, _compose_encoder, lambda place: 0.4),
-    Realised("payload", "body", _loaded, _payload, _compose_payload, lambda p: 3 * _mass(p)),
-    Realised("link_mass", "body", _bodies, _link_mass, _compose_link_mass, _most_mass),
+    Realised("encoder_scale", joints, _scale, _compose_encoder, lambda place: 0.4),
+    Realised("payload", _loaded, _payload, _compose_payload, lambda p: 3 * _mass(p)),
+    Realised("link_mass", _bodies, _link_mass, _compose_link_mass, _most_mass),
     Realised(
-        "gravity_tilt", "world", lambda machine: ("world",), _tilt,
+        "gravity_tilt", lambda machine: ("world",), _tilt,
         lambda draft, c: tilt(draft.model, c.details["about x"], c.details["about y"]),
         lambda place: 0.5, along=("about x", "about y"),
     ),
-    Realised("contact_friction", "geom", _ground, _grip, _compose_grip,
+    Realised("contact_friction", _ground, _grip, _compose_grip,
         lambda p: 0.9 * float(p.machine.compiled.geom(p.site).friction[0]), tiers=(2,)),
 ):  # fmt: skip
     realised(_item)

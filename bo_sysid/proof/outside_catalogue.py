@@ -113,40 +113,11 @@ def _several(machine: ProofMachine) -> tuple[str, ...]:
     return found if len(found) > 1 else ()
 
 
+realised(Realised("magnet", joints, _magnet, _compose_magnet, most_force, tiers=(4,), known=False))
+realised(Realised("worn_spot", joints, _worn, _compose_worn, most_force, tiers=(4,), known=False))
 realised(
     Realised(
-        "magnet",
-        "joint",
-        joints,
-        _magnet,
-        _compose_magnet,
-        most_force,
-        tiers=(4,),
-        known=False,
+        "warming_friction", joints, _warming, _compose_warming, most_force, tiers=(4,), known=False
     )
 )
-realised(
-    Realised(
-        "worn_spot",
-        "joint",
-        joints,
-        _worn,
-        _compose_worn,
-        most_force,
-        tiers=(4,),
-        known=False,
-    )
-)
-realised(
-    Realised(
-        "warming_friction",
-        "joint",
-        joints,
-        _warming,
-        _compose_warming,
-        most_force,
-        tiers=(4,),
-        known=False,
-    )
-)
-realised(Realised("cable", "joint", _several, _cable, _compose_cable, tiers=(4,), known=False))
+realised(Realised("cable", _several, _cable, _compose_cable, tiers=(4,), known=False))

@@ -86,12 +86,10 @@ class LoadedSuite:
     Attributes:
         suite: what the file says.
         machines: by name.
-        folder: of the file.
     """
 
     suite: Suite
     machines: Mapping[str, ProofMachine]
-    folder: Path
 
     def ids(self, tier: int) -> tuple[str, ...]:
         """Return what can be concealed in a tier on at least one machine."""
@@ -124,7 +122,7 @@ def load_suite(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     if suite.effects != "all":
         for id in suite.effects:
             find_realised(id)
-    return LoadedSuite(suite, MappingProxyType(_machines(suite, path.parent, source)), path.parent)
+    return LoadedSuite(suite, MappingProxyType(_machines(suite, path.parent, source)))
 
 
 def _machines(suite: Suite, folder: Path, source: Source) -> dict[str, ProofMachine]:
