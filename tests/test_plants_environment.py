@@ -84,22 +84,6 @@ def test_several_models_can_be_under_the_same_starts(reacher):
     assert (np.abs(moved[:3, 4:] - moved[3:, 4:]) > 1e-6).all()
 
 
-def test_other_models_act_from_the_next_step_on(cheetah):
-    heavy = Model.from_dm_control("cheetah", "run").compile()
-    heavy.body_mass[:] *= 1.5
-    environment = BatchEnvironment(find_task("cheetah", "run"), cheetah, 2, seed=1)
-    environment.reset()
-    roll(environment, 20)
-    data = mujoco.MjData(heavy)
-    state = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-    mujoco.mj_setState(heavy, data, environment.sims.state[0], state)
-    environment.set_models(heavy)
-    step = environment.step(np.full((2, 6), 0.3))
-    data.ctrl[:] = 0.3
-    mujoco.mj_step(heavy, data)
-    np.testing.assert_array_equal(step.final[0], np.concatenate([data.qpos[1:], data.qvel]))
-
-
 def test_an_interrupted_environment_goes_on_exactly():
     task = find_task("hopper", "hop")
     hopper = Model.from_dm_control("hopper", "hop").compile()

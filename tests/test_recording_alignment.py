@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.errors import RecordingError
-from bo_sysid.recording import Channel, Recording, Sampling, control_steps, sampling
+from bo_sysid.recording import Channel, Sampling, control_steps
 
 
 def held(time, values):
@@ -85,7 +85,7 @@ def test_control_steps_refuse_steps_that_do_not_advance(n_steps, dt):
 def test_sampling_counts_gaps_and_missing_samples():
     time = np.delete(np.arange(100) * 0.01, [20, 50, 51, 52])
     s = Sampling.of(time)
-    assert (s.samples, s.gaps, s.missing) == (96, 2, 4)
+    assert (s.gaps, s.missing) == (2, 4)
     assert s.median_dt == pytest.approx(0.01)
     assert s.longest == pytest.approx(0.04)
     assert s.jitter == pytest.approx(0.0, abs=1e-12)
@@ -95,17 +95,3 @@ def test_sampling_jitter_is_the_spread_of_the_intervals():
     rng = np.random.default_rng(3)
     time = np.cumsum(0.01 + 0.0005 * rng.normal(size=20_000))
     assert Sampling.of(time).jitter == pytest.approx(0.0005, rel=0.03)
-
-
-def test_sampling_has_one_row_a_channel():
-    recording = Recording(
-        "r",
-        {
-            "qpos.a": Channel(np.arange(10) * 0.1, np.arange(10.0)),
-            "ctrl.m": held(np.arange(3) * 0.5, np.arange(3.0)),
-        },
-    )
-    frame = sampling(recording)
-    assert list(frame.index) == ["qpos.a", "ctrl.m"]
-    assert frame.loc["ctrl.m", "median_dt"] == pytest.approx(0.5)
-    assert frame.loc["qpos.a", "samples"] == 10

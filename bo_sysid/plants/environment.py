@@ -139,12 +139,6 @@ class BatchEnvironment:
     def _generator(self, i: int, episode: int, purpose: int = 0) -> np.random.Generator:
         return np.random.default_rng((self._seed, int(self._stream[i]), episode, purpose))
 
-    def set_models(self, models: mujoco.MjModel | Sequence[mujoco.MjModel]) -> None:
-        """Run on other models, of the same layout, from the next step on."""
-        self._draw = None
-        self._models = self._first_models(models)
-        self.sims.set_models(self._models)
-
     def reset(self) -> np.ndarray:
         """Begin new episodes in all simulations; return the `n x o` observations."""
         self.sims.begin_laws()

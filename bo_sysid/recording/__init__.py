@@ -1,6 +1,6 @@
 """Recordings: the value, readers and writers, clocks, noise, and public datasets by name."""
 
-from bo_sysid.recording.alignment import Sampling, control_steps, sampling
+from bo_sysid.recording.alignment import Sampling, control_steps
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.datasets import DATASETS, Dataset, load_dataset
 from bo_sysid.recording.formats import READERS, reader
@@ -41,7 +41,6 @@ __all__ = [
     "read_table",
     "read_tables",
     "reader",
-    "sampling",
     "sensor_noise",
     "stated_for",
     "write_recording",

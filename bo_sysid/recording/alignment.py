@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.arrays import Times
@@ -115,7 +114,6 @@ class Sampling:
     """How a clock ticks.
 
     Attributes:
-        samples: number of stamps.
         median_dt: median interval in [s].
         jitter: spread of the intervals about the median, 1.4826·MAD of those that are not gaps,
             in [s].
@@ -124,7 +122,6 @@ class Sampling:
         longest: longest interval in [s].
     """
 
-    samples: int
     median_dt: float
     jitter: float
     gaps: int
@@ -139,22 +136,12 @@ class Sampling:
         gap = intervals > GAP * median
         missing = np.rint(intervals[gap] / median) - 1
         return cls(
-            samples=len(time),
             median_dt=median,
             jitter=float(1.4826 * np.median(np.abs(intervals[~gap] - median))),
             gaps=int(gap.sum()),
             missing=int(missing.sum()),
             longest=float(intervals.max()),
         )
-
-
-def sampling(recording: Recording) -> pd.DataFrame:
-    """Return how each channel is sampled: one row a channel, the columns of `Sampling`.
-
-    Duplicate stamps do not appear: they are removed, and noted, when a recording is read.
-    """
-    rows = {name: vars(Sampling.of(c.time)) for name, c in recording.channels.items()}
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
 
 
 def instants_in(length: float, recordings: Sequence[Recording], channels: Collection[str]) -> int:
