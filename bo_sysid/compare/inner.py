@@ -12,7 +12,7 @@ import numpy as np
 from bo_sysid.acquisition.registry import acquisition
 from bo_sysid.arrays import Points
 from bo_sysid.belief.argmin import ArgminBelief
-from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
+from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.joint import TIED
 from bo_sysid.belief.stopping import StopRule, entropy_settled
 from bo_sysid.belief.surrogate import Surrogate
@@ -266,17 +266,9 @@ def _first(history: History, count: int) -> History:
 def _intervals(scene: _Scene, outcome: SearchOutcome, study: Study, seed: int) -> dict[str, Any]:
     """Return the plant's parameters, and the 95 % intervals that P_boot gives for them."""
     candidates, blocks = scene.candidates, scene.blocks
-    bootstrap = bootstrap_argmin(
-        outcome.surrogate,
-        candidates.points,
-        outcome.history.rows,
-        outcome.history.evaluation.contributions,
-        blocks.weight,
-        groups=blocks.session,
-        seed=seed,
-    )
+    bootstrap = outcome.bootstrap(candidates.points, blocks.weight, blocks.session, seed)
     cell = candidates.cell / 2
-    low, high = credible_interval(candidates.points, bootstrap.probabilities, 0.95)
+    low, high = credible_interval(candidates.points, bootstrap, 0.95)
     plant = study.plant.parameters if study.plant else {}
     return {
         "parameters": [p.name for p in candidates.parameters],

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.arrays import Point, Points, Probabilities
-from bo_sysid.belief.bootstrap import bootstrap_argmin, credible_interval
+from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.execution import OnProgress, Progress, silent, threads
 from bo_sysid.identify.discretisation import step_notes
@@ -166,7 +166,9 @@ def _together(problem: Problem, levels: list[Level], last: SearchOutcome) -> _Se
         candidates, history = whole.candidates, whole.history
         surrogate, belief = believe(candidates, history, _rules(problem.study, 0, 0))
         outcome = SearchOutcome(history, surrogate, belief, last.reason)
-    return _Searched(candidates, cells, outcome, _bootstrap(problem, candidates, outcome))
+    blocks, seed = problem.deviation.blocks, problem.study.search.seed
+    bootstrap = outcome.bootstrap(candidates.points, blocks.weight, blocks.session, seed)
+    return _Searched(candidates, cells, outcome, bootstrap)
 
 
 def _rules(study: Study, level: int, spent: int) -> Rules:
@@ -199,19 +201,6 @@ class _Teller:
         lowest = history.evaluation.deviation.min()
         done = self.spent + len(history)
         self.progress(Progress(done, self.most, f"lowest deviation {lowest:.4g}"))
-
-
-def _bootstrap(problem: Problem, candidates: CandidateSet, outcome: SearchOutcome) -> Probabilities:
-    blocks, history = problem.deviation.blocks, outcome.history
-    return bootstrap_argmin(
-        outcome.surrogate,
-        candidates.points,
-        history.rows,
-        history.evaluation.contributions,
-        blocks.weight,
-        groups=blocks.session,
-        seed=problem.study.search.seed,
-    ).probabilities
 
 
 _ALIKE = (

@@ -14,7 +14,9 @@ from scipy.stats import qmc
 
 from bo_sysid.acquisition import SelectionContext, build_acquisition
 from bo_sysid.acquisition.rows import pick
+from bo_sysid.arrays import Points, Probabilities
 from bo_sysid.belief.argmin import ArgminBelief, argmin_probability
+from bo_sysid.belief.bootstrap import bootstrap_argmin
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.belief.surrogate import Surrogate, fit_surrogate
 from bo_sysid.deviation import Evaluation
@@ -95,6 +97,27 @@ class SearchOutcome:
     surrogate: Surrogate
     belief: ArgminBelief
     reason: StopReason
+
+    def bootstrap(
+        self,
+        points: Points,
+        weights: Float[np.ndarray, " blocks"],
+        groups: Int[np.ndarray, " blocks"] | None,
+        seed: int,
+    ) -> Probabilities:
+        """Return P_boot of each candidate, see `bootstrap_argmin`.
+
+        Args:
+            points: `N x d`, the set B.
+            weights: of each block of the recordings in Δ.
+            groups: session of each block; None where all are of one session.
+            seed: of bootstraps and samples.
+        """
+        found = self.history
+        told = found.evaluation.contributions
+        return bootstrap_argmin(
+            self.surrogate, points, found.rows, told, weights, groups=groups, seed=seed
+        ).probabilities
 
 
 def search(

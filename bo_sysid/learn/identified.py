@@ -9,7 +9,6 @@ from jaxtyping import Float, Int
 from scipy.special import entr
 
 from bo_sysid.arrays import Points, Probabilities
-from bo_sysid.belief.bootstrap import bootstrap_argmin
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Deviation
 from bo_sysid.execution import threads
@@ -142,21 +141,12 @@ def identified(
     rows, found = outcome.history.rows, outcome.history.evaluation
     best = int(found.deviation.argmin())
     blocks = deviation.blocks
-    bootstrap = bootstrap_argmin(
-        outcome.surrogate,
-        points,
-        rows,
-        found.contributions,
-        blocks.weight,
-        groups=blocks.session,
-        seed=scene.seed,
-    )
     return Identified(
         rows,
         found.deviation,
         outcome.history.entropy,
         outcome.belief.probabilities,
-        bootstrap.probabilities,
+        outcome.bootstrap(points, blocks.weight, blocks.session, scene.seed),
         outcome.surrogate.moments(points)[0],
         len(rows) - len(known),
         outcome.reason,

@@ -12,7 +12,6 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, Int
 
-from bo_sysid.belief.bootstrap import bootstrap_argmin
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.measure import SESSIONS
@@ -88,16 +87,9 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
     )
     blocks = int(part.block.max()) + 1
     outcome = search(candidates, evaluate, rules, History.empty(blocks))
-    history = outcome.history
-    belief = bootstrap_argmin(
-        outcome.surrogate,
-        candidates.points,
-        history.rows,
-        history.evaluation.contributions,
-        np.bincount(part.block).astype(float),
-        groups=_recordings(part),
-    )
-    share = np.bincount(owner, weights=belief.probabilities, minlength=len(sets))
+    weights = np.bincount(part.block).astype(float)
+    bootstrap = outcome.bootstrap(candidates.points, weights, _recordings(part), rules.seed)
+    share = np.bincount(owner, weights=bootstrap, minlength=len(sets))
     return ArgminSets(sets, _shared(sets, Q, problem.dof, share))
 
 
