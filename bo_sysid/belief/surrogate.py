@@ -151,8 +151,8 @@ def fit_surrogate(
         deviations: their Δ, `n` values that are not negative.
         bounds: lower and upper bounds of B.
         members: size of the ensemble.
-        categories: values of each column of `points` that has no order, by column.
         powers: of Δ, of which the one with the largest evidence is taken; 0 is the logarithm.
+        categories: values of each column of `points` that has no order, by column.
         seed: of the sample of hyperparameters.
 
     Raises:

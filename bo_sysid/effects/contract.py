@@ -162,9 +162,9 @@ class Extent:
         grid: points at which the signature is taken where one linearisation does not serve
             (shapes such as a period or a speed, thresholds, delays); () means at the probe.
         starts: further magnitudes from which a fit is begun, where the probe lies on a saddle.
+        refine: factors by which shapes are varied once the effect is in the leading set.
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
-        refine: factors by which shapes are varied once the effect is in the leading set.
         variants: other shapes of friction that are tried then, where the set leaves something
             unexplained, NaN for one that stays as it is. The last is by how much it bends before
             it slips, 0 for not at all; `refine` is of that, too, where it is positive.
@@ -223,9 +223,9 @@ class Effect:
             directions, counts as two.
         prior: relative prior probability; below 1 for an effect that recordings can hardly tell
             from a more common one, so that the common name is answered and this one beside it.
-        discrete: whether it is there or not, 1 or 0, and nothing between.
         threshold: whether it acts beyond a threshold only, so that a fit must begin at a point of
             the grid and not at the linear estimate.
+        discrete: whether it is there or not, 1 or 0, and nothing between.
         nested: id of the simpler effect that remains where the first component is 0, if any.
         force: for an effect that is nothing but a force on its joint, that force as a law; its
             signature is then taken from the law, without stepping an edited model.

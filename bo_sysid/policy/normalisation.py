@@ -83,8 +83,8 @@ class ReturnScale:
 
     Attributes:
         discount: of the running return of each episode.
-        clip: largest absolute scaled reward.
         running: `n` discounted sums of rewards of the running episodes.
+        clip: largest absolute scaled reward.
         moments: of these sums, over all steps.
     """
 

@@ -66,9 +66,9 @@ class MujocoSimulator:
     Attributes:
         model: the model.
         parameters: what is uncertain in it.
+        engine: runs the simulations.
         laws: controllers and force laws stepped with the simulation.
         timestep: of the simulation in [s]; None for the model's.
-        engine: runs the simulations.
         memory: bytes that the trajectories of one call may take; longer work is cut in pieces.
     """
 

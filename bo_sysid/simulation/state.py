@@ -153,9 +153,9 @@ class Trajectory:
         qvel: `W x (S+1) x nv`.
         act: `W x (S+1) x na`.
         sensordata: `W x (S+1) x nsensordata` where sensors were asked for, else None.
-        ctrl: `W x S x nu` controls as controllers wrote them, None where none did.
         diverged: `W` flags: MuJoCo warned (bad position, velocity or acceleration, a full
             buffer) or raised; from there on the rows repeat one state, and mean nothing.
+        ctrl: `W x S x nu` controls as controllers wrote them, None where none did.
     """
 
     qpos: Float[np.ndarray, "W S1 nq"]

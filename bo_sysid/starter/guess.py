@@ -32,11 +32,11 @@ class Rules:
         clocks: by kind, the clock as it stands in a study.
         guesses: by channel (or ``time``), the reason and the confidence of its rule.
         held: joints that were not recorded, ball joints as well, of a model of which others were.
-        following: joints that were not recorded and are tied to others, as in a closed chain.
-        of_held: channels of the held joints, which a column may be after all.
         missing: all joints, where a column was found for none.
         unmatched: actuators without a column.
         unused: columns that nothing was matched with.
+        following: joints that were not recorded and are tied to others, as in a closed chain.
+        of_held: channels of the held joints, which a column may be after all.
     """
 
     columns: Mapping[str, Rule]
