@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from mujoco.batch import Batch, SimulationError
 
 from bo_sysid.arrays import Ctrl
@@ -88,7 +88,7 @@ class Engine:
             The trajectory; a simulation that diverges is flagged, never raised.
         """
         batch = self._prepare(models, start, ctrl[:, :1])
-        before = batch.warning[:, :, 1].sum(axis=1)
+        before = _warnings(batch)
         with quietly():
             written = np.array(ctrl) if any(isinstance(w, Controller) for w in laws) else None
             if not laws:
@@ -106,7 +106,7 @@ class Engine:
                 else:
                     recorded = self._lockstep(batch, ctrl, lockstep, sensors, written)
         states, sensordata, failed = recorded
-        diverged = failed | (batch.warning[:, :, 1].sum(axis=1) > before)
+        diverged = failed | (_warnings(batch) > before)
         return replace(_trajectory(batch.model, start, states, sensordata, diverged), ctrl=written)
 
     def final(
@@ -125,7 +125,7 @@ class Engine:
             those that diverged.
         """
         batch = self._prepare(models, start, ctrl[:, None])
-        before = batch.warning[:, :, 1].sum(axis=1)
+        before = _warnings(batch)
         if batch.model.nu:
             batch.bind("ctrl")[:] = ctrl
         failed = np.zeros(len(start), bool)
@@ -137,7 +137,7 @@ class Engine:
         first = _offset(batch)
         size = batch.model.nq + batch.model.nv + batch.model.na
         states = batch.state[:, first : first + size]
-        return states, failed | (batch.warning[:, :, 1].sum(axis=1) > before)
+        return states, failed | (_warnings(batch) > before)
 
     def _prepare(
         self, models: mujoco.MjModel | Sequence[mujoco.MjModel], start: State, held: Ctrl
@@ -226,7 +226,7 @@ class Engine:
         driven = batch.bind("ctrl")
         states = np.zeros((batch.nsim, steps, model.nq + model.nv + model.na))
         alive = np.ones(batch.nsim, bool)
-        before = batch.warning[:, :, 1].sum(axis=1)
+        before = _warnings(batch)
         for k in range(0, steps, every):
             if model.nu:
                 driven[:] = ctrl[:, k]
@@ -241,7 +241,7 @@ class Engine:
             except SimulationError as error:
                 alive[error.ids] = False
             states[rows, part] = out[spec]
-            alive &= batch.warning[:, :, 1].sum(axis=1) == before
+            alive &= _warnings(batch) == before
         return states, None, ~alive
 
     def _lockstep(
@@ -259,7 +259,7 @@ class Engine:
         states = np.zeros((batch.nsim, steps, size))
         sensed = np.zeros((batch.nsim, steps + 1, model.nsensordata)) if sensors else None
         alive = np.ones(batch.nsim, bool)
-        before = batch.warning[:, :, 1].sum(axis=1)
+        before = _warnings(batch)
         for k in range(steps + sensors):
             k_input = min(k, steps - 1)
             if model.nu:
@@ -271,7 +271,7 @@ class Engine:
                 batch.step(ids=None if alive.all() else np.flatnonzero(alive))
             except SimulationError as error:
                 alive[error.ids] = False
-            alive &= batch.warning[:, :, 1].sum(axis=1) == before
+            alive &= _warnings(batch) == before
             if sensed is not None:
                 sensed[:, k] = sensordata
             if k < steps:
@@ -282,6 +282,11 @@ class Engine:
 
 def _first(models: mujoco.MjModel | Sequence[mujoco.MjModel]) -> mujoco.MjModel:
     return models if isinstance(models, mujoco.MjModel) else models[0]
+
+
+def _warnings(batch: Batch) -> Int[np.ndarray, " W"]:
+    """Return how often MuJoCo has warned in each simulation."""
+    return np.asarray(batch.warning[:, :, 1].sum(axis=1))
 
 
 def _offset(batch: Batch) -> int:
