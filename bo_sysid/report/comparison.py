@@ -1,7 +1,6 @@
 """What a run of `compare` found, as figures and as text."""
 
 import itertools
-from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,7 +152,7 @@ def comparison(found: "Found") -> "Section | None":
         "costs": f"{_unit(told).capitalize()} until a regret is reached: means and intervals.",
     }
     images = [
-        (_data_uri(found.folder / f"figures/{name}.png"), words)
+        (found.picture(f"figures/{name}.png"), words)
         for name, words in pictures.items()
         if found.has(f"figures/{name}.png")
     ]
@@ -164,10 +163,6 @@ def comparison(found: "Found") -> "Section | None":
         tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(told, found.folder)],
         items=[f"{name} was left out: {why}" for name, why in told["skipped"].items()],
     )
-
-
-def _data_uri(path: Path) -> str:
-    return f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}"
 
 
 def regret_curves(paths: pd.DataFrame, unit: str) -> "Figure":

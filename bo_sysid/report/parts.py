@@ -1,6 +1,7 @@
 """What the page is made of: sections with text, figures, tables; and what a run folder holds."""
 
 import json
+from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,6 +103,12 @@ class Found:
     def has(self, name: str) -> bool:
         """Return whether a file is there."""
         return (self.folder / name).is_file()
+
+    def picture(self, name: str) -> str:
+        """Return a PNG or GIF of the run as a data URI."""
+        path = self.folder / name
+        content = b64encode(path.read_bytes()).decode()
+        return f"data:image/{path.suffix[1:]};base64,{content}"
 
     @property
     def summary(self) -> Mapping[str, Any]:

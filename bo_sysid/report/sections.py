@@ -1,7 +1,6 @@
 """The sections of the page, each made from what a run folder holds; None where it has nothing."""
 
 import itertools
-from base64 import b64encode
 from typing import Any
 
 import pandas as pd
@@ -88,14 +87,14 @@ def robot(found: Found) -> Section | None:
 
 def _moving(found: Found) -> list[tuple[str, str]]:
     """Return the animation of before and after, where the run has it."""
-    path = found.folder / "figures" / "before_after.gif"
-    if not path.is_file() or path.stat().st_size > _LARGEST:
+    name = "figures/before_after.gif"
+    if not found.has(name) or (found.folder / name).stat().st_size > _LARGEST:
         return []
     words = (
         "What was recorded (grey) and what the nominal model (left) and the repaired model (right) "
         "forecast for it, in real time, where the nominal model is worst."
     )
-    return [(f"data:image/gif;base64,{b64encode(path.read_bytes()).decode()}", words)]
+    return [(found.picture(name), words)]
 
 
 def proof(found: Found) -> Section | None:
