@@ -15,6 +15,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.limits import LimitedTask
 from bo_sysid.plants.load import compiled
+from bo_sysid.plants.machine import command_ends
 from bo_sysid.plants.python_environment import PythonMachine
 from bo_sysid.plants.python_task import PythonTask, suite_task
 from bo_sysid.policy.store import LearnedPolicy
@@ -28,9 +29,7 @@ def command_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Return the lowest and the highest command of every actuator, limits included."""
     model = scene.compiled(scene.candidates.points[0])
     if isinstance(scene.task, PythonTask):
-        machine = PythonMachine(scene.task, model, 0)
-        ones = np.ones((1, machine.action_size))
-        return machine.controls(-ones)[0], machine.controls(ones)[0]
+        return command_ends(PythonMachine(scene.task, model, 0))
     return control_range(model)
 
 

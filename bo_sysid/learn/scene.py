@@ -15,6 +15,7 @@ from bo_sysid.plants.build import study_task
 from bo_sysid.plants.environment import BatchEnvironment, Environment, control_range
 from bo_sysid.plants.limits import limit_edits
 from bo_sysid.plants.load import Task, compiled, make_environment
+from bo_sysid.plants.machine import command_ends
 from bo_sysid.plants.python_environment import PythonMachine
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.settings import TrpoSettings, TrustRegion
@@ -246,8 +247,7 @@ def _require_commands(study: Study, task: PythonTask, model: mujoco.MjModel) -> 
     """
     machine, ends = PythonMachine(task, model, 0), control_range(model)
     machine.begin()
-    for side, most in zip((-1.0, 1.0), ends, strict=True):
-        (actions,) = machine.controls(np.full((1, machine.action_size), side))
+    for actions, most in zip(command_ends(machine), ends, strict=True):
         given = machine.apply(actions).rows["ctrl"][-1]
         if actions.shape != most.shape or not np.allclose([actions, given], most):
             raise study.error(

@@ -66,6 +66,12 @@ class SteppedMachine(Protocol):
         ...
 
 
+def command_ends(machine: SteppedMachine) -> tuple[np.ndarray, np.ndarray]:
+    """Return the controls of actions that are all -1, and of those that are all 1."""
+    ones = np.ones((1, machine.action_size))
+    return machine.controls(-ones)[0], machine.controls(ones)[0]
+
+
 class VectorMachine:
     """A vectorised task with one simulation.
 

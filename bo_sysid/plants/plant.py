@@ -11,7 +11,7 @@ from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import clamped
 from bo_sysid.plants.environment import episode_returns, physics_steps
 from bo_sysid.plants.load import Task, compiled, make_environment
-from bo_sysid.plants.machine import SteppedMachine, VectorMachine
+from bo_sysid.plants.machine import SteppedMachine, VectorMachine, command_ends
 from bo_sysid.plants.measuring import KINDS, Measuring
 from bo_sysid.plants.python_environment import PythonMachine
 from bo_sysid.plants.python_task import PythonTask
@@ -140,8 +140,7 @@ class Plant:
     @property
     def command_range(self) -> tuple[np.ndarray, np.ndarray]:
         """The lowest and the highest command of every actuator, or action of a task in Python."""
-        ones = np.ones((1, self._machine.action_size))
-        return self._machine.controls(-ones)[0], self._machine.controls(ones)[0]
+        return command_ends(self._machine)
 
     def record(
         self,
