@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from bo_sysid.arrays import Points, Probabilities, Rows
 from bo_sysid.belief.argmin import ArgminBelief, allot
 from bo_sysid.belief.gp import Conditional
-from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor
+from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor, kept_by
 from bo_sysid.belief.surrogate import Surrogate
 
 SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
@@ -189,11 +189,8 @@ def _open_rows(
     bound = np.empty(0)
     for mean, std in map(moments, blocks):
         bound = np.append(bound, ndtr((level - mean) / std).mean(axis=1))
-    order = np.argsort(bound, kind="stable")
-    mass = np.cumsum(bound[order])
-    first = int(np.searchsorted(mass, MASS, side="right"))
-    kept = np.sort(order[first:])
-    return uncertain[kept], bound[kept], float(mass[first - 1]) if first else 0.0
+    kept, lost = kept_by(bound, MASS)
+    return uncertain[kept], bound[kept], lost
 
 
 def _check(

@@ -100,11 +100,16 @@ def contenders(
     with np.errstate(over="ignore"):
         bound = np.where(difference > 0, ndtr(gap / sigma), gap >= -TIED)
     bound[reference] = 1.0
+    rows, lost = kept_by(bound, mass)
+    return rows, bound[rows], lost
+
+
+def kept_by(bound: Float[np.ndarray, " m"], mass: float) -> tuple[Int[np.ndarray, " s"], float]:
+    """Drop the least bounds that add up to at most `mass`; return the other rows, and that sum."""
     order = np.argsort(bound, kind="stable")
     lost = np.cumsum(bound[order])
     first = int(np.searchsorted(lost, mass, side="right"))
-    rows = np.sort(order[first:])
-    return rows, bound[rows], float(lost[first - 1]) if first else 0.0
+    return np.sort(order[first:]), float(lost[first - 1]) if first else 0.0
 
 
 @dataclass(frozen=True)
