@@ -14,7 +14,7 @@ from diagnosis_helpers import ARM, NAMES, arm, record
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bo_sysid.diagnosis import Diagnosis, diagnose
-from bo_sysid.diagnosis.answer.holdout import judge
+from bo_sysid.diagnosis.answer.judge import judge
 from bo_sysid.diagnosis.answer.notes import (
     effects_without_site,
     not_compared,

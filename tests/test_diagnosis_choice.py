@@ -26,7 +26,8 @@ from bo_sysid.diagnosis.answer.hints import (
     perhaps_nothing,
     unrepeated,
 )
-from bo_sysid.diagnosis.answer.holdout import Holdout, beyond
+from bo_sysid.diagnosis.answer.holdout import Holdout
+from bo_sysid.diagnosis.answer.judge import beyond
 from bo_sysid.diagnosis.answer.sentences import disputed_sentence, doubts, rivals
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.search.locate import Located, locate

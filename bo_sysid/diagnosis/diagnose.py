@@ -12,7 +12,8 @@ from bo_sysid.diagnosis.answer.argmin import ArgminSets, argmin_sets
 from bo_sysid.diagnosis.answer.experiment import EXPERIMENT, next_experiment
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.hints import doubtful, hints, leaves_much, left_sentence
-from bo_sysid.diagnosis.answer.holdout import Holdout, judge
+from bo_sysid.diagnosis.answer.holdout import Holdout
+from bo_sysid.diagnosis.answer.judge import judge
 from bo_sysid.diagnosis.answer.notes import of_study, of_training, of_unseen
 from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.answer.repaired_study import study_text
