@@ -11,16 +11,10 @@ import pandas as pd
 import pytest
 import yaml
 
+from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
 from bo_sysid.checks.check import check
 from bo_sysid.checks.hypothesis import Wire
-from bo_sysid.checks.motion import (
-    channel_flags,
-    excitation,
-    excitation_flags,
-    range_flags,
-    sampling_flags,
-    slow_flags,
-)
+from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
 from bo_sysid.checks.numerics import contact_flags, far_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS

@@ -1,4 +1,4 @@
-"""What the channels did: how joints moved, noise, resolution, saturation, clocks that stumble."""
+"""How the joints moved: how far, how fast, in which band, and whether within their ranges."""
 
 from collections.abc import Sequence
 
@@ -9,21 +9,13 @@ from scipy.signal import welch
 
 from bo_sysid.checks.flags import Flag
 from bo_sysid.errors import RecordingError
-from bo_sysid.mjcf.commands import controlled
 from bo_sysid.mjcf.joints import HINGE, SLIDE
-from bo_sysid.recording import Channel, Recording, Sampling, kind_of, noise_sigma
-from bo_sysid.recording.alignment import GAP, stretches
+from bo_sysid.recording import Channel, Recording, noise_sigma
+from bo_sysid.recording.alignment import stretches
 from bo_sysid.recording.noise import MOVES
 
 _FEWEST = 5  # samples on an even grid that tell how a joint moved
 _BAND = (0.05, 0.95)  # shares of the power of the speed that bound the band
-_SEVERAL = 5  # samples at an extreme: every command has one
-_HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
-_STUCK = 0.25  # [s] of one and the same value while the channel otherwise changes, and
-_RUNS = 15.0  # so many times its typical run
-_THAW = 3.0  # times the usual step, that a frozen channel jumps at least
-_JITTER = 0.2  # of the interval
-_SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 _BEYOND = 0.1  # of a joint's range, by which a position may lie outside it
 _MANY = 3.0  # times a range, from which a motion tells that it is read in degrees
 _MOTION = [
@@ -196,138 +188,4 @@ def range_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[
             )
         evidence = {"low": low, "high": high, "least": least, "most": most}
         flags.append(Flag("wrong", "range", (f"qpos.{name}",), sentence, evidence))
-    return flags
-
-
-def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
-    """Return saturated, frozen and coarse channels."""
-    limits = {
-        f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
-        for k, a in enumerate(controlled(model))
-        if model.actuator_ctrllimited[k]
-    }
-    flags: list[Flag] = []
-    for r in recordings:
-        for name, channel in r.channels.items():
-            kind = kind_of(name)
-            if kind == "ctrl":
-                flags += _saturated(r.name, name, channel, limits.get(name))
-            elif channel.hold == "none":
-                flags += _frozen(r.name, name, channel)
-    return flags
-
-
-def _saturated(
-    recording: str, name: str, channel: Channel, limits: tuple[float, float] | None
-) -> list[Flag]:
-    values, spent = channel.values[:-1], np.diff(channel.time)
-    flags = []
-    if len(np.unique(values)) > 20:  # a command of few levels is meant to stay at them
-        for side, extreme in (("largest", values.max()), ("smallest", values.min())):
-            held = values == extreme
-            share = float(spent[held].sum() / spent.sum())
-            if share > _HELD_AT_LIMIT and held.sum() >= _SEVERAL:
-                flags.append(
-                    Flag(
-                        "note",
-                        "saturation",
-                        (name,),
-                        f"{recording}: {name} stays at its {side} value {extreme:.4g} for "
-                        f"{100 * share:.0f} % of the time: the drive saturates there.",
-                        {"value": float(extreme), "share": share},
-                    )
-                )
-    if limits and (values.min() < limits[0] - 1e-9 or values.max() > limits[1] + 1e-9):
-        beyond = float(spent[(values < limits[0]) | (values > limits[1])].sum() / spent.sum())
-        flags.append(
-            Flag(
-                "look",
-                "saturation",
-                (name,),
-                f"{recording}: {name} leaves the model's control range [{limits[0]:g}, "
-                f"{limits[1]:g}] for {100 * beyond:.0f} % of the time; the model will clip it.",
-                {"share": beyond},
-            )
-        )
-    return flags
-
-
-def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:
-    """Return a stretch in which a channel repeats one value while what it measures goes on.
-
-    A joint that rests does so, too; what was frozen jumps when it thaws.
-    """
-    steps = np.diff(channel.values)
-    changed = np.flatnonzero(steps != 0)
-    if len(changed) < 10:
-        return []
-    first, last = changed[:-1] + 1, changed[1:]  # samples of each run of one value
-    runs = channel.time[last] - channel.time[first]
-    usual = float(np.quantile(np.abs(steps[changed]), 0.95))
-    frozen = (runs > max(_STUCK, _RUNS * float(np.quantile(runs, 0.95)))) & (
-        np.abs(steps[last]) > _THAW * usual
-    )
-    if not frozen.any():
-        return []
-    k = int(np.argmax(np.where(frozen, runs, 0.0)))
-    return [
-        Flag(
-            "look",
-            "frozen",
-            (name,),
-            f"{recording}: {name} repeats one value for {runs[k]:.3g} s from "
-            f"{channel.time[first[k]]:.4g} s on and then jumps: a frozen sensor or a lost "
-            "connection.",
-            {"seconds": float(runs[k]), "start": float(channel.time[first[k]])},
-        )
-    ]
-
-
-def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:
-    """Return positions and speeds so far apart that their time stamps may be in another unit."""
-    apart = []  # two logs may have one name
-    for r in recordings:
-        moving = [*r.of_kind("qpos").values(), *r.of_kind("qvel").values()]
-        apart.append(max((Sampling.of(c.time).median_dt for c in moving), default=0.0))
-    slow = [r.name for r, dt in zip(recordings, apart, strict=True) if dt > _SLOW]
-    if not slow:
-        return []
-    interval = max(apart)
-    more = f" and {len(slow) - 3} more" if len(slow) > 3 else ""
-    sentence = (
-        f"Motions are sampled every {interval:.3g} s in {', '.join(slow[:3])}{more}, which is too "
-        "rarely for most machines. Perhaps the time stamps are in a smaller unit than the study "
-        "says, ms and not s, or us and not ms: recordings: columns: {time: {from: …, unit: us}}. "
-        "Nothing else that is said here holds then."
-    )
-    return [Flag("look", "sampling", tuple(slow), sentence, {"interval": interval})]
-
-
-def sampling_flags(recordings: Sequence[Recording]) -> list[Flag]:
-    """Return clocks that jitter or lose samples; channels of one clock are told once."""
-    flags = []
-    for r in recordings:
-        clocks: dict[bytes, list[str]] = {}
-        for name, channel in r.channels.items():
-            if channel.hold == "none":
-                clocks.setdefault(channel.time.tobytes(), []).append(name)
-        for names in clocks.values():
-            s = Sampling.of(r.channels[names[0]].time)
-            told = []
-            if s.gaps:
-                told.append(
-                    f"{s.gaps} gap{'s' * (s.gaps > 1)} longer than {GAP:g} x "
-                    f"{1e3 * s.median_dt:.3g} ms, about {s.missing} samples lost"
-                )
-            if s.jitter > _JITTER * s.median_dt:
-                told.append(
-                    f"intervals jitter by {1e3 * s.jitter:.2g} ms about {1e3 * s.median_dt:.3g} ms"
-                )
-            if told:
-                listed = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-                flags.append(
-                    Flag(
-                        "note", "sampling", tuple(names), f"{r.name}: {listed}: {'; '.join(told)}."
-                    )
-                )
     return flags
