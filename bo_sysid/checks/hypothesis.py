@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import pi
 
@@ -67,7 +67,7 @@ class WiringHypothesis:
 
     wires: Mapping[str, Wire]
     delay: float = 0.0
-    causes: tuple[str, ...] = field(default=())
+    causes: tuple[str, ...] = ()
 
     def with_wires(self, changed: Mapping[str, Wire], cause: str) -> "WiringHypothesis":
         """Return the hypothesis with one more fault."""

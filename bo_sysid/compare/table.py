@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,7 @@ class Counted:
     """
 
     simulator: Simulator
-    steps: int = field(default=0)
+    steps: int = 0
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

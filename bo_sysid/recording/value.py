@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar
 
@@ -108,7 +108,7 @@ class Recording:
 
     name: str
     channels: Mapping[str, Channel]
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     begin: float | None = None
 
     def __post_init__(self) -> None:

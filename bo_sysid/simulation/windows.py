@@ -48,7 +48,7 @@ class Windows:
     time: Float[np.ndarray, " W"]
     recording: Int[np.ndarray, " W"]
     timestep: float
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     sources: tuple[Recording, ...] = field(default=(), repr=False)
     quaternions: tuple[tuple[str, ...], ...] = ()
