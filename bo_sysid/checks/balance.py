@@ -82,7 +82,7 @@ class Dynamics:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
-        model.actuator_forcelimited[:] = 0
+        model.actuator_forcelimited[:], model.actuator_delay[:] = 0, 0.0  # what acts is told
         self._data = mujoco.MjData(model)
         self._inputs = self._data.ctrl, self._data.act, self._data.actuator_force
         self._fixed = bool(np.isin(model.actuator_trntype, ALONG_JOINT).all())

@@ -92,20 +92,22 @@ def _too_short(traces: Traces) -> str:
 
 
 def _settled(model: mujoco.MjModel, traces: Traces) -> Traces:
-    """Return traces without instants at which a lag remembers what no log has, if enough are left.
+    """Return traces without instants at which a drive acts on what no log has, if enough are left.
 
-    A lag follows the commands of a gap, and those before the log began, for some time constants.
+    A lag follows the commands of a gap, and those before the log began, for some time constants; an
+    actuator with a delay acts on them that much later.
     """
-    lags = {
-        f"ctrl.{model.actuator(a).name}": float(model.actuator_dynprm[a, 0])
+    memory = {
+        f"ctrl.{model.actuator(a).name}": np.array(_memory(model, a))
         for a in controlled(model)
-        if int(model.actuator_dyntype[a]) in LAGS
+        if any(_memory(model, a))
     }
-    for count in _SETTLED if lags else ():
+    for count in _SETTLED if memory else ():
         kept = []
         for recording, instants in zip(traces.recordings, traces.instants, strict=True):
-            lagged = lags.keys() & recording.channels.keys()
-            clear = count * max((lags[n] for n in lagged), default=0.0) + _ABOUT * traces.width
+            lagged = memory.keys() & recording.channels.keys()
+            longest = max((float(memory[n] @ (count, 1.0)) for n in lagged), default=0.0)
+            clear = longest + _ABOUT * traces.width
             good = np.ones(len(instants), bool)
             for first, last in _unknown(recording, lagged, traces) if lagged else ():
                 good &= np.searchsorted(first, instants) == np.searchsorted(last + clear, instants)
@@ -113,6 +115,12 @@ def _settled(model: mujoco.MjModel, traces: Traces) -> Traces:
         if (settled := _enough(traces, kept)) is not traces:
             return settled
     return traces
+
+
+def _memory(model: mujoco.MjModel, a: int) -> tuple[float, float]:
+    """Return the time constant and the delay of an actuator, in [s]."""
+    lag = model.actuator_dynprm[a, 0] if int(model.actuator_dyntype[a]) in LAGS else 0.0
+    return float(lag), float(model.actuator_delay[a])
 
 
 def _unknown(

@@ -150,7 +150,7 @@ def _jackknife(columns: np.ndarray, target: np.ndarray) -> tuple[float, float]:
         target: `n x ...`.
     """
     p = columns.shape[-1]
-    if not columns.any():  # nothing moved enough to tell
+    if not columns[..., 0].any():  # a control that never changes, or nothing that moved, tells none
         return 0.0, float("inf")
     size = np.sqrt((columns.reshape(-1, p) ** 2).mean(axis=0)) + 1e-300
     grams, rights = [], []

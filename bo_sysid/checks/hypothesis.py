@@ -106,7 +106,10 @@ class WiringEvidence:
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
         self.stated = {n: c.unit for r in traces.recordings for n, c in r.channels.items()}
         silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
-        self.dynamics = Dynamics(model, silent)
+        self._late = {
+            n: float(model.actuator_delay[a]) for a, n in zip(ids, self.actuators, strict=True)
+        }
+        self.dynamics = Dynamics(model, silent)  # clears the delays
         known = [n for a, n in zip(ids, self.actuators, strict=True) if follows(model, a)]
         self.inputs = {n for n in map(self._input, known) if n in self.recorded}
         self._lags = {
@@ -224,15 +227,29 @@ class WiringEvidence:
         return self._physics[wires]
 
     def controls(self, hypothesis: WiringHypothesis, delay: float) -> Float[np.ndarray, "n nu"]:
-        """Return the controls at the instants less a delay."""
+        """Return what the actuators act on at the instants; see `command`."""
         out = np.zeros((int(self.rows.sum()), len(self.actuators)))
         for k, name in enumerate(self.actuators):
-            if name in self.laws:
-                out[:, k] = self._computed(name, hypothesis, delay)
-            elif f"ctrl.{name}" in hypothesis.wires:
-                lag = self._lags.get(name, 0.0)
-                out[:, k] = self.value(hypothesis, f"ctrl.{name}", held=True, delay=delay, lag=lag)
+            out[:, k] = self.command(name, hypothesis, delay)
         return out
+
+    def command(
+        self, actuator: str, hypothesis: WiringHypothesis, delay: float
+    ) -> Float[np.ndarray, " n"]:
+        """Return what an actuator acts on at the instants: its control, less its delay and lag.
+
+        Args:
+            actuator: its name.
+            hypothesis: about the channels.
+            delay: of the control's stamps, in [s], beside the actuator's own.
+        """
+        name = f"ctrl.{actuator}"
+        if actuator in self.laws:
+            return self._computed(actuator, hypothesis, delay)
+        if name not in hypothesis.wires:
+            return np.zeros(int(self.rows.sum()))
+        late, lag = self._late[actuator], self._lags.get(actuator, 0.0)
+        return self.value(hypothesis, name, held=True, delay=delay + late, lag=lag)
 
     def value(
         self,
@@ -251,12 +268,12 @@ class WiringEvidence:
     def _computed(
         self, actuator: str, hypothesis: WiringHypothesis, delay: float
     ) -> Float[np.ndarray, " n"]:
-        """Return what a law makes of the smoothed channels, each instant by itself."""
+        """Return what a law made of the smoothed channels, each instant by itself."""
         law, uses = self.laws[actuator]
-        wires = self._measured(hypothesis)
-        qpos, qvel = self._motion(wires, 0).T, self._motion(wires, 1).T
+        wires, since = self._measured(hypothesis), self._late[actuator]
+        qpos, qvel = (self._motion(wires, k, since).T for k in (0, 1))
         zero = np.zeros(qpos.shape[1])
-        late = {n: delay if n == f"goal.{actuator}" else 0.0 for n in uses}
+        late = {n: since + delay * (n == f"goal.{actuator}") for n in uses}
         return np.asarray(
             law(
                 LawInputs(
@@ -289,12 +306,13 @@ class WiringEvidence:
     def _measured(self, hypothesis: WiringHypothesis) -> tuple[Wire | None, ...]:
         return tuple(hypothesis.wires.get(f"qpos.{j}") for j in self.joints)
 
-    def _motion(self, wires: Sequence[Wire | None], order: int) -> np.ndarray:
+    def _motion(self, wires: Sequence[Wire | None], order: int, delay: float = 0.0) -> np.ndarray:
         count = int(self.rows.sum())
         out = np.tile(self._reference * (order == 0), (count, 1))
         for k, wire in enumerate(wires):
             if wire is not None:
-                raw = self.traces.column(wire.source, held=False, order=order)[self.rows]
+                raw = self.traces.column(wire.source, held=False, order=order, delay=delay)
+                raw = raw[self.rows]
                 out[:, k] = wire.sign * wire.scale * raw + wire.offset * (order == 0)
         return out
 

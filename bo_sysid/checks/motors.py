@@ -77,8 +77,8 @@ def _gain(
 ) -> float:
     """Return the factor of a control at the delay that suits; 0 where physics does as well."""
     terms, j = evidence.terms(h), evidence.dof(name)
-    per_unit = _per_unit(evidence, h, name)
-    own = np.stack([per_unit * evidence.value(h, name, held=True, delay=d) for d in delays])
+    per_unit, actuator = _per_unit(evidence, h, name), name.split(".", 1)[1]
+    own = np.stack([per_unit * evidence.command(actuator, h, d) for d in delays])
     rest = np.stack([terms.actuated(evidence.controls(h, d))[:, j] for d in delays]) - own
     gain, left = free_gain(terms, j, own, rest)
     return gain if left < _TOLD else 0.0

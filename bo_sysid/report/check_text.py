@@ -1,5 +1,6 @@
 """What `check` found, in words and tables."""
 
+import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.check import Checked
@@ -24,6 +25,8 @@ def checked_text(found: Checked) -> str:
         shown = found.wiring.delays.rename(
             columns={"delay": "delay [ms]", "sigma": "± (68 %) [ms]"}
         )
+        untold = ~np.isfinite(found.wiring.delays["sigma"])
+        shown.loc[untold, ["delay [ms]", "± (68 %) [ms]"]] = np.nan
         parts += ["", "When the controls act, after their stamps:", table(shown)]
     if len(found.parameters):
         shown = found.parameters.rename(

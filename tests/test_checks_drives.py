@@ -1,0 +1,130 @@
+"""The wiring of correct logs whose drives are late, compensate gravity, saturate or integrate."""
+
+from collections.abc import Callable
+from math import pi
+
+import mujoco
+import numpy as np
+import pytest
+
+from bo_sysid.checks.wiring import Wiring, find_wiring
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.simulation import Law
+
+ARM = """
+<mujoco>
+  <option timestep=".002" integrator="implicitfast"/>
+  <worldbody>
+    <body><joint name="a" axis="0 1 0" damping=".4"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03" contype="0" conaffinity="0"/>
+      <body pos="0 0 -.3" {link}><joint name="b" axis="0 1 0" damping=".2" {joint}/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.25" size=".025" contype="0" conaffinity="0"/>
+      </body></body>
+  </worldbody>
+  <actuator>{drives}</actuator>
+</mujoco>
+"""
+LATE = 'delay=".03" nsample="16"'
+"""Of a buffer that lasts at 2 ms, not at the finer step of the plant."""
+FINE, EVERY = 2e-4, 50  # [s] step of the plant, steps between samples
+
+MOTORS = ("ma", "mb")
+
+Command = Callable[[int, np.ndarray], np.ndarray]
+"""Returns both commands, given the step of the plant and its positions."""
+
+
+def arm(drives: str, link: str = "", joint: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(ARM.format(drives=drives, link=link, joint=joint))
+
+
+def motors(more: str = "") -> str:
+    return (
+        f'<motor name="ma" joint="a" gear="6" {more}/><motor name="mb" joint="b" gear="2" {more}/>'
+    )
+
+
+def servos(more: str = "") -> str:
+    return (
+        f'<position name="ma" joint="a" kp="60" kv="3" {more}/>'
+        f'<position name="mb" joint="b" kp="30" kv="1" {more}/>'
+    )
+
+
+def tones(size: float, seed: int = 0) -> Command:
+    """Return commands to both joints, of six frequencies each, held for a sample."""
+    rng = np.random.default_rng(seed)
+    rate, phase = 2 * pi * rng.uniform(0.1, 2.5, (6, 2)), rng.uniform(0, 2 * pi, (6, 2))
+
+    def command(step: int, qpos: np.ndarray) -> np.ndarray:
+        t = FINE * EVERY * (step // EVERY)
+        return np.asarray(size * np.sin(rate * t + phase).sum(axis=0) / np.sqrt(6))
+
+    return command
+
+
+def played(
+    plant: mujoco.MjModel, command: Command, *, late: float = 0.0, shift: float = 0.0
+) -> Recording:
+    """Return a log of 10 s from plain MuJoCo at .2 ms, every 10 ms, with noise of .5 mrad.
+
+    Commands act `late` [s] after they were given, and are stamped `shift` [s] before.
+    """
+    plant.opt.timestep = FINE
+    data, held = mujoco.MjData(plant), round(late / FINE)
+    qpos, given = [], []
+    for step in range(round(10.0 / FINE)):
+        qpos.append(data.qpos.copy())
+        given.append(command(step, qpos[-1]))
+        data.ctrl[:] = given[max(step - held, 0)]
+        mujoco.mj_step(plant, data)
+    time = FINE * EVERY * np.arange(len(qpos) // EVERY)
+    seen = np.array(qpos)[::EVERY]
+    seen += 5e-4 * np.random.default_rng(1).standard_normal(seen.shape)
+    channels = {f"qpos.{n}": Channel(time, seen[:, k]) for k, n in enumerate("ab")}
+    for k, name in enumerate(MOTORS):
+        values = np.array(given)[::EVERY, k]
+        channels[f"ctrl.{name}"] = Channel(time - shift, values, hold="zero")
+    return Recording("log", channels)
+
+
+def nothing_wrong(found: Wiring) -> None:
+    assert found.balance["used"].all()
+    assert found.balance["before"].max() < 0.02
+    assert found.flags == ()
+    assert (found.delays["sigma"] > 0.0).all()
+
+
+@pytest.mark.parametrize("drives", [motors, servos])
+def test_a_delay_that_the_model_has_is_no_fault(drives: Callable[[str], str]) -> None:
+    log = played(arm(drives("")), tones(0.4), late=0.03)
+    nothing_wrong(find_wiring(arm(drives(LATE)), [log]))
+
+
+def test_a_clock_is_told_beside_a_delay_that_the_model_has() -> None:
+    log = played(arm(motors()), tones(0.4), late=0.03, shift=0.025)
+    found = find_wiring(arm(motors(LATE)), [log])
+    assert found.delay == pytest.approx(0.025, abs=0.0015)
+    assert found.wires == {}
+
+
+def test_a_law_reads_what_its_late_actuator_acts_on() -> None:
+    """A law of 3 (goal - q) acts 30 ms later: on what the joint did then."""
+    goal = tones(0.5)
+    log = played(arm(motors()), lambda t, q: np.asarray(3.0 * (goal(t, q) - q)), late=0.03)
+    time = log.channels["qpos.a"].time
+    goals = np.array([goal(EVERY * k, np.zeros(2)) for k in range(len(time))])
+    told = {f"goal.{n}": Channel(time, goals[:, k], hold="zero") for k, n in enumerate(MOTORS)}
+    kept = {n: c for n, c in log.channels.items() if n.startswith("qpos.")}
+
+    def law(joint: str, actuator: str) -> Law:
+        return lambda now: 3.0 * (now.signals[f"goal.{actuator}"] - now.qpos[joint])
+
+    laws = {n: (law(j, n), (f"goal.{n}",)) for j, n in zip("ab", MOTORS, strict=True)}
+    nothing_wrong(find_wiring(arm(motors(LATE)), [Recording("log", {**kept, **told})], laws))
+
+
+def test_a_control_that_never_changes_tells_no_delay() -> None:
+    log = played(arm(motors()), lambda t, q: tones(0.4)(t, q) * (1, 0))
+    (still,) = find_wiring(arm(motors()), [log]).delays.query("control == 'ctrl.mb'")["sigma"]
+    assert still == np.inf
