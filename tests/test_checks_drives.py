@@ -1,5 +1,6 @@
 """The wiring of correct logs whose drives are late, compensate gravity, saturate or integrate."""
 
+import copy
 from collections.abc import Callable
 from math import pi
 
@@ -128,3 +129,9 @@ def test_a_control_that_never_changes_tells_no_delay() -> None:
     log = played(arm(motors()), lambda t, q: tones(0.4)(t, q) * (1, 0))
     (still,) = find_wiring(arm(motors()), [log]).delays.query("control == 'ctrl.mb'")["sigma"]
     assert still == np.inf
+
+
+@pytest.mark.parametrize("drives", [motors, servos])
+def test_gravity_that_actuators_compensate_is_no_fault(drives: Callable[[], str]) -> None:
+    model = arm(drives(), 'gravcomp=".8"', 'actuatorgravcomp="true"')
+    nothing_wrong(find_wiring(copy.copy(model), [played(model, tones(0.3))]))

@@ -182,3 +182,19 @@ def test_muscles_and_currents_follow_the_recorded_motion(kind: str) -> None:
     off, settled = (np.abs(x - act[at]).max() for x in (windows[0], told[at]))
     assert off < 0.03 * np.abs(act).max()
     assert settled > 0.1 * np.abs(act).max()
+
+
+def test_an_integrator_does_not_balance_gravity_that_its_actuator_compensates() -> None:
+    text = LOADED.format(mass=1.0, more="").replace("<body", '<body gravcomp=".7"')
+    plant = mujoco.MjModel.from_xml_string(
+        text.replace("<joint ", '<joint actuatorgravcomp="true" ')
+    )
+    data, time = mujoco.MjData(plant), np.arange(0.0, 3.0, 0.01)
+    data.qpos[0] = data.act[0] = 0.8
+    mujoco.mj_step(plant, data, 1000)
+    q, act, rate = np.zeros(len(time)), np.zeros(len(time)), 0.5 * np.sin(2 * time)
+    for k, u in enumerate(rate):
+        q[k], act[k], data.ctrl[0] = data.qpos[0], data.act[0], u
+        mujoco.mj_step(plant, data, 5)
+    log = Recording.from_arrays(time, qpos={"h": q}, ctrl={"m": rate})
+    assert activation(plant, log, 0, time[:1]) == pytest.approx(act[:1], abs=0.2 * NOISE)

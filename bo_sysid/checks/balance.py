@@ -4,9 +4,10 @@ For each degree of freedom j, at each instant,
 
     M a + bias - passive - constraint = g · actuators - b v - c tanh(v / v₀) + residual
 
-where the left side is MuJoCo's inverse dynamics at the smoothed motion, and g (within 0.6 and
-1.67), b and c (not negative) stand for a wrong gain, viscous and dry friction: what is physics and
-not wiring shall not be mistaken for it. J is the mean square of the residual over that of all terms
+where the left side is MuJoCo's inverse dynamics at the smoothed motion, less the gravity
+compensation that actuators give beside their forces, and g (within 0.6 and 1.67), b and c (not
+negative) stand for a wrong gain, viscous and dry friction: what is physics and not wiring shall not
+be mistaken for it. J is the mean square of the residual over that of all terms
 of the balance: near 0 where the channels are what the model takes them for, near 1 where not.
 
 In a closed chain the balance is that of the joints that are free, Zᵀ of each term (mjcf/loops.py);
@@ -22,7 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from bo_sysid.mjcf import Loops
-from bo_sysid.mjcf.commands import ALONG_JOINT, moments
+from bo_sysid.mjcf.commands import ALONG_JOINT, compensating, moments
 
 GAIN = (0.6, 1.67)
 """Factors of an actuator's force that count as physics."""
@@ -101,10 +102,11 @@ class Dynamics:
         bias, gain, moment = np.zeros((n, nu)), np.zeros((n, nu)), np.zeros((n, nu, nv))
         controlled = model.actuator_ctrlnum == 1  # friction may be an actuator without a control
         at, force = (data.qpos, data.qvel, data.qacc), data.qfrc_inverse  # looked up once: views
+        asked, gravcomp = compensating(model), data.qfrc_gravcomp
         for k in range(n):
             at[0][:], at[1][:], at[2][:] = qpos[k], qvel[k], qacc[k]
             mujoco.mj_inverse(model, data)
-            needed[k] = force
+            needed[k] = force - asked * gravcomp
             mujoco.mj_mulM(model, data, inertial[k], qacc[k])
             if nu:
                 self._forces(controlled, bias[k], gain[k])
@@ -157,11 +159,11 @@ class Dynamics:
         return stacked
 
     def _inverse(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
-        data, out = self._data, np.zeros_like(qvel)
+        data, out, asked = self._data, np.zeros_like(qvel), compensating(self.model)
         for k in range(len(qpos)):
             data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
             mujoco.mj_inverse(self.model, data)
-            out[k] = data.qfrc_inverse
+            out[k] = data.qfrc_inverse - asked * data.qfrc_gravcomp
         return out
 
     def _forces(

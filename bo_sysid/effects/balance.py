@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.effects.recorded_motion import along
-from bo_sysid.mjcf.commands import controlled, driven_joint, other_drives
+from bo_sysid.mjcf.commands import compensating, controlled, driven_joint, other_drives
 from bo_sysid.recording import Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -79,8 +79,9 @@ def _carried(
     model = copy.copy(compiled)
     model.opt.disableflags |= _TOUCH
     data, dof = mujoco.MjData(model), int(model.joint(joint).dofadr[0])
+    asked = compensating(model)[dof]
     for k in range(len(force)):
         data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
         mujoco.mj_inverse(model, data)
-        force[k] = data.qfrc_inverse[dof]
+        force[k] = data.qfrc_inverse[dof] - asked * data.qfrc_gravcomp[dof]
     return force

@@ -80,6 +80,14 @@ def other_drives(model: mujoco.MjModel, joint: str) -> tuple[str, ...]:
     return tuple(str(model.actuator(a).name) for a in others if lever[a] > _NONE)
 
 
+def compensating(model: mujoco.MjModel) -> Bool[np.ndarray, " nv"]:
+    """Return the degrees of freedom at which actuators give the gravity compensation as well.
+
+    MuJoCo takes it from the passive forces there: inverse dynamics ask the actuators for it.
+    """
+    return np.asarray(model.jnt_actgravcomp[model.dof_jntid].astype(bool))
+
+
 def moments(model: mujoco.MjModel, data: mujoco.MjData) -> Float[np.ndarray, "a nv"]:
     """Return the force along each degree of freedom per force of each actuator, at a pose."""
     dense = np.zeros((len(model.actuator_trntype), model.nv))
