@@ -2,12 +2,14 @@
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 from math import pi
 
 import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Law
@@ -135,3 +137,38 @@ def test_a_control_that_never_changes_tells_no_delay() -> None:
 def test_gravity_that_actuators_compensate_is_no_fault(drives: Callable[[], str]) -> None:
     model = arm(drives(), 'gravcomp=".8"', 'actuatorgravcomp="true"')
     nothing_wrong(find_wiring(copy.copy(model), [played(model, tones(0.3))]))
+
+
+ENDS = {"a": (-3.0, 3.0), "b": (-1.0, 1.0)}
+
+
+def saturating(kind: str) -> mujoco.MjModel:
+    """Return an arm on servos whose forces are limited, each at its actuator or at its joint."""
+    model = arm(servos())
+    for k, ends in enumerate(ENDS.values()):
+        if kind == "actuator":
+            model.actuator_forcelimited[k], model.actuator_forcerange[k] = 1, ends
+        if kind == "joint":
+            model.jnt_actfrclimited[k], model.jnt_actfrcrange[k] = 1, ends
+    return model
+
+
+@pytest.mark.parametrize("kind", ["actuator", "joint"])
+def test_drives_that_saturate_as_the_model_does_are_no_fault(kind: str) -> None:
+    """Most commands ask for more than the limits: without them a fifth is not explained."""
+    log = played(saturating(kind), tones(1.5))
+    nothing_wrong(find_wiring(saturating(kind), [log]))
+    assert find_wiring(arm(servos()), [log]).balance["before"].max() > 0.1
+
+
+def test_a_wrong_sign_is_found_at_drives_that_saturate() -> None:
+    log = played(saturating("actuator"), tones(1.5))
+    c = log.channels["ctrl.ma"]
+    turned = {**log.channels, "ctrl.ma": replace(c, values=-c.values)}
+    found = find_wiring(saturating("actuator"), [Recording("log", turned)])
+    assert found.wires == {"ctrl.ma": Wire("ctrl.ma", sign=-1)}
+    assert found.balance["after"].max() < 0.02
+
+
+def test_limits_that_a_machine_does_not_have_are_left_out() -> None:
+    nothing_wrong(find_wiring(saturating("actuator"), [played(arm(servos()), tones(0.8))]))

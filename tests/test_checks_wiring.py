@@ -561,7 +561,8 @@ def test_what_is_hit_hides_neither_forces_nor_a_sign(text: str, sign: int) -> No
 def test_a_motion_that_needs_no_force_has_no_constant() -> None:
     """As of a command that is 0 throughout and is tried as a position."""
     none, phase = np.zeros((50, 1)), np.linspace(0.0, 6.0, 50)
-    terms = Terms(none, none, none, none, none, none + 1.0, none[..., None] + 1.0)
+    ends = np.array([[-np.inf], [np.inf]])
+    terms = Terms(none, none, none, none, none, none + 1.0, none[..., None] + 1.0, ends, ends)
     assert free_gain(terms, 0, np.sin(phase)[None], none.T)[0] == 0.0
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
+from bo_sysid.checks.limits import force_ends, joint_ends
 from bo_sysid.mjcf import Loops
 from bo_sysid.mjcf.commands import ALONG_JOINT, compensating, moments
 
@@ -43,6 +44,8 @@ class Terms:
         bias: `n x nu` force of each actuator at zero control.
         gain: `n x nu` force per control.
         moment: `n x nu x nv` force along each degree of freedom per force of each actuator.
+        ends: `2 x nu` least and largest force of each actuator; infinite without a limit.
+        joint_ends: `2 x nv` the same of all actuators together along each degree of freedom.
     """
 
     inertial: Float[np.ndarray, "n nv"]
@@ -52,10 +55,14 @@ class Terms:
     bias: Float[np.ndarray, "n nu"]
     gain: Float[np.ndarray, "n nu"]
     moment: Float[np.ndarray, "n nu nv"]
+    ends: Float[np.ndarray, "2 nu"]
+    joint_ends: Float[np.ndarray, "2 nv"]
 
     def actuated(self, ctrl: Float[np.ndarray, "n nu"]) -> Float[np.ndarray, "n nv"]:
-        """Return the force of all actuators along each degree of freedom."""
-        return np.asarray(np.einsum("nu,nuv->nv", self.bias + self.gain * ctrl, self.moment))
+        """Return the force of all actuators along each degree of freedom, within its limits."""
+        force = np.clip(self.bias + self.gain * ctrl, *self.ends)
+        total = np.einsum("nu,nuv->nv", force, self.moment)
+        return np.asarray(np.clip(total, *self.joint_ends))
 
     @property
     def dry(self) -> Float[np.ndarray, "n nv"]:
@@ -83,6 +90,7 @@ class Dynamics:
             model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+        self._ends = force_ends(model), joint_ends(model, self.loops)
         model.actuator_forcelimited[:], model.actuator_delay[:] = 0, 0.0  # what acts is told
         self._data = mujoco.MjData(model)
         self._inputs = self._data.ctrl, self._data.act, self._data.actuator_force
@@ -118,7 +126,7 @@ class Dynamics:
             Z = self.loops.response(qpos)
             inertial, rest = (np.einsum("nij,ni->nj", Z, f) for f in (inertial, rest))
             moment = np.einsum("nij,nui->nuj", Z, moment)
-        return Terms(inertial, rest, qvel, qacc, bias, gain, moment)
+        return Terms(inertial, rest, qvel, qacc, bias, gain, moment, *self._ends)
 
     def _on_loops(
         self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray

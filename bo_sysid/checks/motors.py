@@ -79,7 +79,8 @@ def _gain(
     terms, j = evidence.terms(h), evidence.dof(name)
     per_unit, actuator = _per_unit(evidence, h, name), name.split(".", 1)[1]
     own = np.stack([per_unit * evidence.command(actuator, h, d) for d in delays])
-    rest = np.stack([terms.actuated(evidence.controls(h, d))[:, j] for d in delays]) - own
+    others = np.array([n != actuator for n in evidence.actuators])
+    rest = np.stack([terms.actuated(evidence.controls(h, d) * others)[:, j] for d in delays])
     gain, left = free_gain(terms, j, own, rest)
     return gain if left < _TOLD else 0.0
 

@@ -14,6 +14,7 @@ from bo_sysid.checks.clocks import clock_flags, clock_of, least_delay
 from bo_sysid.checks.comparable import as_acting, comparable
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.limits import unlimited
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
@@ -106,18 +107,32 @@ def _comparable(
 ) -> tuple[mujoco.MjModel, Traces] | str:
     """Return what is compared, see `comparable`; with commands clipped where that explains more.
 
-    In another unit as well they may leave their range, and are not clipped.
+    In another unit as well they may leave their range, and are not clipped. Forces are within the
+    model's limits, but where they explain far more without.
     """
-    made, acting = comparable(model, recordings, _MOST), as_acting(model, recordings)
-    clipped = made if acting is None else comparable(model, acting, _MOST)
-    if isinstance(made, str) or isinstance(clipped, str) or acting is None:
-        return made
-    scores = []
-    for free, traces in (made, clipped):
-        evidence = WiringEvidence(copy.copy(free), traces, laws=laws)
-        h = evidence.identity()
-        scores.append(float(evidence.scores(h, [h.delay])[0]))
-    return clipped if scores[1] < scores[0] - MARGIN else made
+    acting = as_acting(model, recordings)
+    choices = []
+    for logs in (recordings, *([acting] if acting else [])):
+        made = comparable(model, logs, _MOST)
+        if isinstance(made, str):
+            return made
+        choices.append(made)
+    for free, traces in tuple(choices):
+        if (strong := unlimited(free)) is not None:
+            choices.append((strong, traces))
+    best = choices[0]
+    least = _score(best, laws) if len(choices) > 1 else 0.0
+    for choice in choices[1:]:
+        if (score := _score(choice, laws)) < least - MARGIN:
+            best, least = choice, score
+    return best
+
+
+def _score(choice: tuple[mujoco.MjModel, Traces], laws: Laws | None) -> float:
+    """Return the score of a log as it is; see `WiringEvidence`."""
+    evidence = WiringEvidence(copy.copy(choice[0]), choice[1], laws=laws)
+    h = evidence.identity()
+    return float(evidence.scores(h, [h.delay])[0])
 
 
 def _untested(reason: str) -> Wiring:
