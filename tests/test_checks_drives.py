@@ -172,3 +172,36 @@ def test_a_wrong_sign_is_found_at_drives_that_saturate() -> None:
 
 def test_limits_that_a_machine_does_not_have_are_left_out() -> None:
     nothing_wrong(find_wiring(saturating("actuator"), [played(arm(servos()), tones(0.8))]))
+
+
+INTEGRATES = '<intvelocity name="{}" joint="{}" kp="60" kv="3" actrange="-1.5 1.5"/>'
+
+
+def not_tested(found: Wiring) -> list[str]:
+    return [f.sentence for f in found.flags if f.level == "note" and "not tested" in f.sentence]
+
+
+def test_what_integrates_its_control_is_said_not_to_be_tested() -> None:
+    both = arm(INTEGRATES.format("ma", "a") + INTEGRATES.format("mb", "b"))
+    found = find_wiring(copy.copy(both), [played(both, tones(1.0))])
+    (said,) = not_tested(found)
+    assert "The wiring was not tested against the model: ma and mb act by an activation" in said
+    assert not len(found.delays)
+
+
+def test_a_joint_whose_drive_integrates_is_said_not_to_be_tested_beside_others() -> None:
+    one = arm(INTEGRATES.format("ma", "a") + '<motor name="mb" joint="b" gear="2"/>')
+    found = find_wiring(copy.copy(one), [played(one, tones(0.4))])
+    (said,) = not_tested(found)
+    assert "The wiring of a was not tested against the model: ma acts by an activation" in said
+    assert list(found.delays["control"]) == ["ctrl.mb"]
+
+
+def test_controls_without_a_column_are_why_nothing_was_tested() -> None:
+    log = played(arm(motors()), tones(0.4))
+    kept = {n: c for n, c in log.channels.items() if n.startswith("qpos.")}
+    (said,) = not_tested(find_wiring(arm(motors()), [Recording("log", kept)]))
+    assert "commands were not recorded (ctrl.ma, ctrl.mb)" in said
+    still = {n: replace(c, values=0.0 * c.values) for n, c in log.channels.items()}
+    (said,) = not_tested(find_wiring(arm(motors()), [Recording("log", still)]))
+    assert "none of the recorded joints moves on its own" in said

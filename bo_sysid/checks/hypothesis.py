@@ -130,6 +130,7 @@ class WiringEvidence:
             for a, n in zip(ids, self.actuators, strict=True)
             if n not in self.laws and not model.actuator_biasprm[a, 1:3].any()
         } & {n for n in self.inputs if self._driven[n]}
+        self.unknown: dict[str, list[str]] = {}  # by joint, actuators whose force is not told
         self.weights = self._weights(model)
         self._terms: dict[tuple[Wire | None, ...], Terms] = {}
         self._physics: dict[tuple[Wire | None, ...], np.ndarray] = {}
@@ -326,11 +327,12 @@ class WiringEvidence:
             name = f"qpos.{joint}"
             if name not in self.recorded:
                 continue
-            known = all(
-                self._input(a) in self.inputs or a in self.laws or not felt[i, k]
+            self.unknown[joint] = [
+                a
                 for i, a in enumerate(self.actuators)
-            )
+                if felt[i, k] and a not in self.laws and self._input(a) not in self.inputs
+            ]
             moved = float(self.traces.column(name, held=False).std())
             follows = joint in self.dynamics.loops.joints
-            weights[k] = float(known and moved > 0 and not follows)
+            weights[k] = float(not self.unknown[joint] and moved > 0 and not follows)
         return weights

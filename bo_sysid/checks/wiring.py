@@ -19,7 +19,14 @@ from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.traces import LATEST, Traces, interval
-from bo_sysid.checks.wiring_text import balance_flags, speed_flags, twin_flags, wire_flags
+from bo_sysid.checks.wiring_text import (
+    balance_flags,
+    not_tested,
+    speed_flags,
+    twin_flags,
+    untested_flags,
+    wire_flags,
+)
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import Recording
 
@@ -99,6 +106,7 @@ def find_wiring(
     gives = motors.in_words(fine, found, recordings)
     flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
+    flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
 
 
@@ -136,10 +144,9 @@ def _score(choice: tuple[mujoco.MjModel, Traces], laws: Laws | None) -> float:
 
 
 def _untested(reason: str) -> Wiring:
-    flag = Flag("note", "balance", (), f"The wiring was not tested against the model: {reason}.")
     empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
     balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
-    return Wiring({}, 0.0, np.inf, empty, balance, (flag,))
+    return Wiring({}, 0.0, np.inf, empty, balance, (not_tested(reason),))
 
 
 def _left(

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import pandas as pd
 
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence, WiringHypothesis
 from bo_sysid.checks.search import SUSPICIOUS
+from bo_sysid.checks.sensitivity import listed
 from bo_sysid.checks.speeds import ALIKE
 from bo_sysid.recording import kind_of
 
@@ -117,3 +118,34 @@ def balance_flags(balance: pd.DataFrame) -> list[Flag]:
         )
         for joint, share in zip(bad["joint"], bad["after"], strict=True)
     ]
+
+
+def untested_flags(evidence: WiringEvidence) -> list[Flag]:
+    """Return why no forces were compared, or at which joints not: their drives keep a state."""
+    stateful = {
+        j: [n for n in names if f"ctrl.{n}" in evidence.recorded]
+        for j, names in evidence.unknown.items()
+    }
+    own = dict.fromkeys(n for names in stateful.values() for n in names)
+    reasons = []
+    if own:
+        verb = "acts" if len(own) == 1 else "act"
+        reasons.append(
+            f"{listed(list(own))} {verb} by an activation that no control tells at once, as that "
+            "of a servo that integrates, or of a muscle"
+        )
+    if evidence.weights.any():
+        joints = tuple(j for j, names in stateful.items() if names)
+        return [not_tested(reasons[0], joints)] if joints else []
+    lacking = dict.fromkeys(n for names in evidence.unknown.values() for n in names if n not in own)
+    if lacking:
+        told = ", ".join(f"ctrl.{n}" for n in lacking)
+        reasons.append(f"commands were not recorded ({told})")
+    return [not_tested(", and ".join(reasons) or "none of the recorded joints moves on its own")]
+
+
+def not_tested(reason: str, joints: Sequence[str] = ()) -> Flag:
+    """Return that the wiring, or that of some joints, was not tested, and why."""
+    what = f"The wiring of {listed(joints)}" if joints else "The wiring"
+    sentence = f"{what} was not tested against the model: {reason}."
+    return Flag("note", "balance", tuple(joints), sentence)
