@@ -491,9 +491,40 @@ def test_activations_are_what_the_controls_before_led_to(plain: str, other: str)
     time, a, b, slow, held, *ctrl = np.transpose(rows)
     motion = {"qpos": {"a": a, "b": b}, "ctrl": {"slow": ctrl[0], "held": ctrl[1]}}
     windows = cut(model, [Recording.from_arrays(time, **motion)], horizon=7)
-    first = 7 * np.arange(len(windows))
+    first = np.rint(100 * windows.time).astype(int)
     np.testing.assert_allclose(windows.start.act[1:, 0], slow[first][1:], atol=1e-9)
     np.testing.assert_allclose(windows.start.act[1:, 1], held[first][1:], atol=2e-4)  # balanced
+
+
+LAGS = """<mujoco><option timestep=".002"/><worldbody><body><joint name="a" damping="1"/>
+    <geom size=".1"/></body></worldbody><actuator>
+    <general name="m" joint="a" dyntype="filterexact" dynprm=".05" delay="{}" nsample="9"/>
+  </actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("delay", "first"), [(0.0, 0.3), (0.016, 0.316)])
+@pytest.mark.parametrize("told", [False, True])
+def test_windows_begin_once_a_lag_forgot_what_was_sent_before(delay, first, told: bool) -> None:
+    """A log that begins in the middle of a motion: six time constants, unless it is recorded."""
+    model = Model.from_xml(LAGS.format(delay))
+    time = 0.01 * np.arange(200)
+    channels = {"qpos": {"a": np.sin(time)}, "ctrl": {"m": 3 + np.cos(4 * time)}}
+    if told:
+        channels["act"], first = {"m": 2 * time}, delay
+    windows = cut(model, [Recording.from_arrays(time, **channels)], horizon=5)
+    assert first <= windows.time[0] + 1e-9
+    assert windows.time[0] < first + 0.05
+    left_out = 39 - len(windows)
+    assert left_out == np.ceil(first / 0.05 - 1e-9)
+    assert bool(windows.left_out) == bool(left_out)
+
+
+def test_a_short_log_is_not_left_out_for_what_a_lag_remembers() -> None:
+    model = Model.from_xml(LAGS.format(0.0))
+    time = 0.01 * np.arange(31)
+    log = Recording.from_arrays(time, qpos={"a": np.sin(time)}, ctrl={"m": np.cos(time)})
+    windows = cut(model, [log], horizon=5)
+    np.testing.assert_allclose(windows.time, [0.15, 0.2, 0.25], atol=1e-9)  # three time constants
 
 
 @pytest.mark.parametrize("limits", ['actrange="-.5 .5"', 'ctrlrange="-.4 .3"'])
@@ -511,7 +542,7 @@ def test_an_activation_that_integrates_stops_where_mujoco_stops_it(limits: str) 
     time, a, b, held, *ctrl = np.transpose(rows)
     motion = {"qpos": {"a": a, "b": b}, "ctrl": {"slow": ctrl[0], "held": ctrl[1]}}
     windows = cut(model, [Recording.from_arrays(time, **motion)], horizon=7)
-    expected = held[7 * np.arange(len(windows))]
+    expected = held[np.rint(100 * windows.time).astype(int)]
     np.testing.assert_allclose(windows.start.act[:, 1], expected, atol=1.5e-3)  # balanced
     turned = windows.time > 2.1  # from the end of its range on
     if "actrange" in limits:

@@ -12,6 +12,7 @@ from bo_sysid.recording import Channel, Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
+_FORGOTTEN = 6.0  # time constants after which nothing is left of where a lag began
 _ROUNDS, _ASIDE = 3, 1e-6  # of balancing; a beginning beside another one
 
 
@@ -19,6 +20,16 @@ def remembers(compiled: mujoco.MjModel, a: int) -> bool:
     """Whether an actuator has one activation, which lags behind its control or integrates it."""
     kinds = (_INTEGRATOR, *LAGS)
     return int(compiled.actuator_actnum[a]) == 1 and int(compiled.actuator_dyntype[a]) in kinds
+
+
+def forgets_after(compiled: mujoco.MjModel, a: int) -> float:
+    """Return how long in [s] an actuator acts on controls of before its first recorded one.
+
+    Its delay, and as many time constants of a lag as leave e⁻⁶ of where it began.
+    """
+    lags = int(compiled.actuator_dyntype[a]) in LAGS
+    constant = max(float(compiled.actuator_dynprm[a, 0]), 0.0) if lags else 0.0
+    return float(compiled.actuator_delay[a]) + _FORGOTTEN * constant
 
 
 def activation(

@@ -1,6 +1,6 @@
 """Activations at the start of a window: what actuators with memory made of the controls before."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from bo_sysid.arrays import Ctrl
 from bo_sysid.effects.balance import balances
 from bo_sysid.effects.driven import driven, is_driven
-from bo_sysid.effects.memory import activation, remembers
+from bo_sysid.effects.memory import activation, forgets_after, remembers
 from bo_sysid.mjcf import Model, ParameterLike
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.commands import controlled
@@ -57,6 +57,21 @@ def activations(
         else:
             act[:, own] = ctrl[:, 0, k][:, None]
     return act
+
+
+def memory_of(model: Model, compiled: mujoco.MjModel, recording: Recording) -> Mapping[str, float]:
+    """Return for how long in [s] what was sent before a recording acts, by channel of the control.
+
+    Where an activation was recorded, nothing before it is needed but what a delay holds back.
+    """
+    found = {}
+    for k, a in enumerate(controlled(compiled)):
+        control = model.ctrl_channels[k]
+        if control.replace("ctrl.", "act.", 1) in recording.channels:
+            found[control] = float(compiled.actuator_delay[a])
+        else:
+            found[control] = forgets_after(compiled, a)
+    return {n: seconds for n, seconds in found.items() if seconds > 0}
 
 
 def activations_of(

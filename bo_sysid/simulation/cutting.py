@@ -15,7 +15,7 @@ from bo_sysid.mjcf.commands import controls_without_gain
 from bo_sysid.mjcf.joints import HINGE, SLIDE, quaternions
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
-from bo_sysid.simulation.activations import set_activations
+from bo_sysid.simulation.activations import memory_of, set_activations
 from bo_sysid.simulation.delays import remembered_steps, without_before
 from bo_sysid.simulation.recorded_starts import on_loops, recorded_start
 from bo_sysid.simulation.state import State
@@ -147,7 +147,10 @@ class _Cutter:
         heard = _heard(self.model, self.compiled, self.controlled)
         names = (*heard, *self.signals)
         inputs = {n: recording.channels[n] for n in names if n in recording.channels}
-        return window_starts(recording.name, time, complete, self.horizon, self.stride, inputs)
+        memory = memory_of(self.model, self.compiled, recording)
+        return window_starts(
+            recording.name, time, complete, self.horizon, self.stride, inputs, memory
+        )
 
     def _start(
         self,

@@ -10,6 +10,7 @@ from bo_sysid.recording import Channel
 
 _GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
 _LATE = 1.5  # samples of an input: by more than these it begins after a window, or ends before
+_LEFT = 0.5  # of the windows, that must be left without those that begin before a drive forgot
 _STEADY, _MANY = 0.9, 10  # share and number of short intervals of what is sent all the time
 
 
@@ -20,6 +21,7 @@ def window_starts(
     horizon: int,
     stride: int,
     inputs: Mapping[str, Channel],
+    memory: Mapping[str, float],
 ) -> tuple[Int[np.ndarray, " W"], tuple[str, ...]]:
     """Return the instants where windows begin, and what was left out, in words.
 
@@ -30,6 +32,7 @@ def window_starts(
         horizon: number of instants after each start.
         stride: instants from one start to the next.
         inputs: recorded controls and signals, by channel.
+        memory: for how long in [s] an input of before its first one acts, by channel.
 
     Raises:
         RecordingError: no window fits, or all begin before an input.
@@ -37,7 +40,8 @@ def window_starts(
     first, uncovered = _spread(name, complete, horizon, stride)
     first, gaps = _without_gaps(name, time, first, horizon)
     first, unheard = _with_inputs(name, time, first, horizon, inputs)
-    return first, gaps + uncovered + unheard
+    first, remembered = _without_memory(name, time, first, inputs, memory)
+    return first, gaps + uncovered + unheard + remembered
 
 
 def _spread(
@@ -113,3 +117,32 @@ def _with_inputs(
             raise RecordingError(f"{name}: no window lies where {channel} was recorded")
         first = first[begun & ~ended]
     return first, tuple(notes)
+
+
+def _without_memory(
+    name: str,
+    time: np.ndarray,
+    first: Int[np.ndarray, " W"],
+    inputs: Mapping[str, Channel],
+    memory: Mapping[str, float],
+) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
+    """Leave out windows in which a drive acts on what was sent before a log began.
+
+    A lag that follows its first command as if it had always been sent may be far off. Where too few
+    windows would be left, half of that time has to do, or none.
+    """
+    for share in (1.0, 0.5):
+        until = {n: inputs[n].time[0] + share * s for n, s in memory.items() if n in inputs}
+        known = time[first] >= max(until.values(), default=-np.inf) - 1e-9
+        if known.all():
+            break
+        if np.count_nonzero(known) >= _LEFT * len(first):
+            last = max(until, key=until.__getitem__)
+            note = (
+                f"{name}: {np.count_nonzero(~known)} of {len(first)} windows begin less than "
+                f"{until[last] - time[0]:.2g} s after the log and are left out: what {last} drives "
+                f"still acts on what was sent before, unless {last.replace('ctrl.', 'act.', 1)} is "
+                "recorded"
+            )
+            return first[known], (note,)
+    return first, ()
