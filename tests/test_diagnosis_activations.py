@@ -67,12 +67,12 @@ def test_signatures_beside_a_lag_are_the_difference_of_two_simulations(effect: s
     evidence = evidence_of(recorded(LAG, LATE))
     problem = windows_of(evidence, 20, STEP)
     c = next(c for c in evidence.candidates if c.effect.id == effect)
-    start, x = problem.windows.start, 0.3 * c.point
+    start, x = problem.windows.start, c.point
     linear = linearise(problem, Hypothesis(), start)
     signature = signatures(linear, [c])[..., 0].astype(float)
     moved = problem.residual(Hypothesis(), start) - problem.residual(Hypothesis((c,), (x,)), start)
     exact = project(linear.Q, moved) / x[0]
-    assert np.linalg.norm(signature - exact) < 0.1 * np.linalg.norm(exact)
+    assert np.linalg.norm(signature - exact) < 1e-3 * np.linalg.norm(exact)
 
 
 def test_a_time_constant_that_is_a_parameter_changes_the_activations_of_windows() -> None:

@@ -574,21 +574,24 @@ def test_a_delay_is_named_and_nothing_else_is_flagged(late: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("nominal", "after", "words"),
+    ("parameters", "nominal", "after", "words"),
     [
-        (20.0, 1.1, "falls from 20 to 1.1 sensor sigmas"),
-        (60.0, 1.1, "falls from 60 (20 with the study's parameters fitted) to 1.1 sensor"),
-        (60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
-        (20.0, 20.0, "goes from 20 to 20 sensor sigmas"),
+        (True, 20.0, 1.1, "falls from 20 to 1.1 sensor sigmas"),
+        (True, 60.0, 1.1, "falls from 60 (20 with the study's parameters fitted) to 1.1 sensor"),
+        (False, 60.0, 1.1, "falls from 60 (20 with a finer time step) to 1.1 sensor"),
+        (True, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
+        (False, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),
+        (True, 20.0, 20.0, "goes from 20 to 20 sensor sigmas"),
     ],
 )
-def test_what_parameters_do_is_said(nominal: float, after: float, words: str) -> None:
+def test_what_parameters_and_the_time_step_do_is_said(parameters, nominal, after, words) -> None:
     models = {"nominal": nominal, "refitted": 20.0, "repaired": after, "noise_floor": 1.0}
     rows = [
         {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
         for m, e in models.items()
     ]
-    assert words in Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[0]
+    told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), parameters=parameters)
+    assert words in told.sentences[0]
 
 
 @pytest.mark.parametrize(

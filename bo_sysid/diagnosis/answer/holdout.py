@@ -53,11 +53,12 @@ class Holdout:
         if before is None or after is None or floor is None:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
-        refitted = self.parameters and nominal > (1 + _ALIKE) * before  # they do some of it
+        refitted = nominal > (1 + _ALIKE) * before  # parameters or the time step do some of it
         told = nominal if refitted else before
         verb, first = "falls" if after < (1 - _ALIKE) * told else "goes", _figure(told)
         if refitted and after != before:
-            first += f" ({_figure(before)} with the study's parameters fitted)"
+            done = "the study's parameters fitted" if self.parameters else "a finer time step"
+            first += f" ({_figure(before)} with {done})"
         text = (
             f"Forecast error on the unseen recording {verb} from {first} to "
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."

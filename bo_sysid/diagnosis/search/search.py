@@ -163,8 +163,7 @@ class Search:
 
     def _kept(self, fit: Fit, effort: Effort) -> Fit:
         """Keep a fit, bettered by other orders of its filters and by what is known of its parts."""
-        labels = grouped_labels(fit.members, self.candidates)
-        kept = self._not_worse(self._in_turn(fit, effort), labels, effort)
+        kept = self._not_worse(self._in_turn(fit, effort), effort)
         self.fits[kept.key] = kept
         windows, instants = self.prepared.problem.windows.observed.shape[:2]
         self.doing(
@@ -173,7 +172,7 @@ class Search:
         )
         return kept
 
-    def _not_worse(self, fit: Fit, labels: tuple[str | None, ...], effort: Effort) -> Fit:
+    def _not_worse(self, fit: Fit, effort: Effort) -> Fit:
         """Fit once more from the best smaller set inside it, where that one is nearer."""
         inside = [f for f in self.fits.values() if f.key < fit.key and f.rss < fit.rss]
         if not inside or not effort.final:
@@ -182,7 +181,7 @@ class Search:
         known = {set_key([c]): x for c, x in zip(best.members, best.x, strict=True)}
         x = [known.get(set_key([c]), np.zeros(c.size)) for c in fit.members]
         made = refit(
-            self._frame_of(best), fit.members, x, groups=labels, start=best.start,
+            self._frame_of(best), fit.members, x, groups=fit.groups, start=best.start,
             guess=best.hypothesis, effort=effort,
         )  # fmt: skip
         return made if made.rss < fit.rss else fit
