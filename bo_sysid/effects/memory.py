@@ -11,6 +11,7 @@ from bo_sysid.mjcf.commands import LAGS
 from bo_sysid.recording import Channel, Recording
 
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
 _FORGOTTEN = 6.0  # time constants after which nothing is left of where a lag began
 _ROUNDS, _ASIDE = 3, 1e-6  # of balancing; a beginning beside another one
@@ -25,11 +26,12 @@ def remembers(compiled: mujoco.MjModel, a: int) -> bool:
 def forgets_after(compiled: mujoco.MjModel, a: int) -> float:
     """Return how long in [s] an actuator acts on controls of before its first recorded one.
 
-    Its delay, and as many time constants of a lag as leave e⁻⁶ of where it began.
+    Its delay, and as many time constants of a lag, or of a muscle, as leave e⁻⁶ of where it began.
     """
-    lags = int(compiled.actuator_dyntype[a]) in LAGS
-    constant = max(float(compiled.actuator_dynprm[a, 0]), 0.0) if lags else 0.0
-    return float(compiled.actuator_delay[a]) + _FORGOTTEN * constant
+    kind, constants = int(compiled.actuator_dyntype[a]), compiled.actuator_dynprm[a]
+    count = 1 if kind in LAGS else 2 if kind == _MUSCLE else 0  # one up, one down
+    constant = max(constants[:count], default=0.0)
+    return float(compiled.actuator_delay[a]) + _FORGOTTEN * max(float(constant), 0.0)
 
 
 def activation(

@@ -137,13 +137,13 @@ def make_problem(
     recordings = load_train(study, strict=strict) if recordings is None else tuple(recordings)
     for recording in recordings:
         require_known(model, recording)
-    require_recorded(study, model, recordings)
     require_scales(study, model)
     parameters = study.parameter_set(model)
     if not parameters:
         raise study.error(
             ("parameters",), "identify needs at least one uncertain parameter; the study has none"
         )
+    require_recorded(study, model, recordings)
     simulator = make_simulator(study, model, parameters, threads=threads)
     fitted, horizon, notes = _framing(study, model, recordings)
     windows = study_windows(study, model, recordings, horizon)
