@@ -167,8 +167,10 @@ def test_what_a_closed_chain_lacks_is_found_from_its_motor_alone(tmp_path: Path)
 
 @pytest.mark.parametrize("verb", [overview, make_problem, diagnose])
 def test_a_log_without_passive_joints_says_that_they_follow(tmp_path: Path, verb) -> None:
+    damping = {"address": "joint[crank].damping", "low": 0, "high": 1}
+    content = _study(tmp_path, "bar.xml").resolved(relative_to=tmp_path) | {"parameters": [damping]}
     with pytest.raises(RecordingError, match=r"unrecorded: \{pin: null, follower: null\}"):
-        verb(_study(tmp_path, "bar.xml"))
+        verb(Study.from_dict(content, tmp_path))
 
 
 def test_a_joint_that_is_tied_is_not_held(tmp_path: Path) -> None:
