@@ -35,6 +35,8 @@ BLOCKS = 20
 ROUGH = 3.0  # [sigma] of predictions that are far from the recordings
 _SPEEDS = (0.0, -0.1, 0.1, -0.3, 0.3, -1.0, 1.0)  # of the joints', tried for an added one
 _FAR = 1e7  # residuals are cut off here, in sigma
+_REMEMBERED = 0.25  # [s] for which a lag of 40 ms that the model lacks acts on what was before a log
+_LEFT = 0.9  # of a recording's windows, that begin later than that, or else all count
 
 
 @dataclass(frozen=True)
@@ -306,6 +308,22 @@ class Problem:
         return np.asarray(np.clip(scaled, -_FAR, _FAR)).reshape(len(values), -1)
 
 
+def _begun(windows: Windows, recordings: Sequence[Recording]) -> Bool[np.ndarray, " W"]:
+    """Return which windows begin late enough after their log for a drive that lags.
+
+    Whether one does is what is asked, and it would act there on what was sent before. All count
+    where too few were left.
+    """
+    begun = np.ones(len(windows), bool)
+    for i, recording in enumerate(recordings):
+        own = windows.recording == i
+        first = [c.time[0] for c in recording.of_kind("ctrl").values()]
+        late = own & (windows.time >= max(first, default=-np.inf) + _REMEMBERED - 1e-9)
+        if late.sum() >= _LEFT * own.sum():
+            begun &= late | ~own
+    return begun
+
+
 def cut_problem(
     model: Model,
     machine: Machine,
@@ -344,6 +362,7 @@ def cut_problem(
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
     windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
+    windows = windows.rows(np.flatnonzero(_begun(windows, recordings)))
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
