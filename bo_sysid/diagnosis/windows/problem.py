@@ -35,7 +35,7 @@ BLOCKS = 20
 ROUGH = 3.0  # [sigma] of predictions that are far from the recordings
 _SPEEDS = (0.0, -0.1, 0.1, -0.3, 0.3, -1.0, 1.0)  # of the joints', tried for an added one
 _FAR = 1e7  # residuals are cut off here, in sigma
-_REMEMBERED = 0.25  # [s] for which a lag of 40 ms that the model lacks acts on what was before a log
+_REMEMBERED = 0.25  # [s] for which a missing lag of 40 ms acts on what was sent before a log
 _LEFT = 0.9  # of a recording's windows, that begin later than that, or else all count
 
 
