@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -335,6 +336,16 @@ def test_what_the_model_needs_and_the_log_lacks_is_named(arm: Model) -> None:
     cut(arm, [Recording("r", channels)], horizon=1, controlled=["shoulder"])
     with pytest.raises(RecordingError, match="too few for a window of 900"):
         cut(arm, [whole], horizon=900)
+
+
+def test_joints_that_are_all_said_to_be_unrecorded_are_told_with_the_key(
+    arm: Model, tmp_path: Path
+) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(integrator="implicitfast"))
+    unrecorded = {"shoulder": None, "elbow": None}
+    silent = Model.from_file(tmp_path / "arm.xml", unrecorded=unrecorded)
+    with pytest.raises(RecordingError, match=r"no joint is left .*unrecorded: .* shoulder, elbow"):
+        cut(silent, [simulated(arm)], horizon=10)
 
 
 def test_many_candidates_in_one_call_equal_one_by_one(arm: Model) -> None:

@@ -20,7 +20,12 @@ from bo_sysid.simulation.delays import remembered_steps, without_before
 from bo_sysid.simulation.recorded_starts import on_loops, recorded_start
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
-from bo_sysid.simulation.windows import Layout, Windows, require_orientations
+from bo_sysid.simulation.windows import (
+    Layout,
+    Windows,
+    require_orientations,
+    require_recorded_joint,
+)
 
 _ON_STEP = 1e-6  # an instant this close to a step, in steps, is on it
 
@@ -130,6 +135,7 @@ class _Cutter:
         _require_units(self.compiled, recording)
         missing = [n for n in self._measured if n not in recording.channels]
         _require(recording, missing, "joint position")
+        require_recorded_joint(recording.name, channels, self.model.unrecorded)
         time, table = _merged(recording, channels)
         require_orientations(quaternions(self.compiled), recording.name, channels, time, table)
         return channels, time, table

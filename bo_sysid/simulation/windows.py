@@ -1,6 +1,6 @@
 """Windows: pieces of recordings with a start, the controls of every step, and what was observed."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -179,6 +179,24 @@ class Layout:
             frozenset(f"{g}.{n}" for n in model.unrecorded for g in ("qpos", "qvel")),
             also,
             {name: turned[i] for name, i in qpos.items() if i in turned},
+        )
+
+
+def require_recorded_joint(name: str, channels: Sequence[str], unrecorded: Iterable[str]) -> None:
+    """Refuse a recording with nothing to compare, since its joints are said to be unrecorded.
+
+    Args:
+        name: of the recording.
+        channels: that are compared.
+        unrecorded: joints that nothing measures.
+
+    Raises:
+        RecordingError: there is no channel; the message names the key of the study and its joints.
+    """
+    if not channels:
+        raise RecordingError(
+            f"{name}: no joint is left that was recorded: model: {{unrecorded: …}} of the study "
+            f"names {', '.join(unrecorded)}; leave out of it what was recorded"
         )
 
 
