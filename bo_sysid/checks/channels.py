@@ -9,6 +9,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, Recording, Sampling, kind_of
 from bo_sysid.recording.alignment import GAP
+from bo_sysid.recording.outliers import CLEAR, find_outliers
 
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
@@ -20,7 +21,7 @@ _SLOW = 0.11  # [s] between samples, from which on a motion is hardly seen
 
 
 def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> list[Flag]:
-    """Return saturated commands and frozen sensors."""
+    """Return saturated commands, frozen sensors and positions that jump and come back."""
     limits = {
         f"ctrl.{model.actuator(a).name}": tuple(model.actuator_ctrlrange[k])
         for k, a in enumerate(controlled(model))
@@ -34,6 +35,7 @@ def channel_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> lis
                 flags += _saturated(r.name, name, channel, limits.get(name))
             elif channel.hold == "none":
                 flags += _frozen(r.name, name, channel)
+                flags += _outliers(r.name, name, channel) if kind == "qpos" else []
     return flags
 
 
@@ -101,6 +103,23 @@ def _frozen(recording: str, name: str, channel: Channel) -> list[Flag]:
             {"seconds": float(runs[k]), "start": float(channel.time[first[k]])},
         )
     ]
+
+
+def _outliers(recording: str, name: str, channel: Channel) -> list[Flag]:
+    """Return samples of a position that leave both neighbours as nothing else in it does."""
+    found = find_outliers(channel.time, channel.values)
+    if not found:
+        return []
+    at = [float(channel.time[o.first]) for o in found]
+    times = ", ".join(f"{t:.4g}" for t in at[:3]) + (", …" if len(at) > 3 else "")
+    sentence = (
+        f"{recording}: {name} jumps to {channel.values[found[0].first]:.4g} and back at "
+        f"{times} s, by more than {CLEAR:g} times any other step of it: a code for no "
+        "sample, or a dropout. Speeds, wiring and units of comparison are wrong by it. To leave "
+        f"such samples out, empty their cells and write {name}: {{missing: skip}} under "
+        "recordings: columns."
+    )
+    return [Flag("look", "outlier", (name,), sentence, {"times": at})]
 
 
 def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:

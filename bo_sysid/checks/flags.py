@@ -16,8 +16,8 @@ class Flag:
         level: "wrong" where it must be corrected before anything is fitted, "look" where a person
             should decide, "note" where it is good to know.
         kind: what it is about: sign, unit, scale, order, swap, zero, wrap, range, clock, sampling,
-            excitation, identifiability, bounds, noise, saturation, frozen, step, far, contact,
-            balance.
+            excitation, identifiability, bounds, noise, saturation, frozen, outlier, step, far,
+            contact, balance.
         channels: channels, joints or parameters concerned.
         sentence: in words, with the figures that support it.
         evidence: those figures by name.

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import pi
 
 import numpy as np
 
@@ -10,13 +9,8 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.mapping import turns_at_start, twos_complement
+from bo_sysid.recording.outliers import PERIODS
 
-PERIODS = (2 * pi, pi, 360.0, 1.0, 256.0, 1024.0, 4096.0, 65536.0)
-"""Jumps that are a turn: in radians, degrees, turns, encoder ticks.
-
-A jump of 1.0 must come twice, and something must move between: a joint in rad or m may be knocked
-as far once, and a gripper that is told as 0 or 1 does nothing else.
-"""
 _NEAR = 0.12  # relative difference of a jump from a turn
 _CLEAR = 4.0  # times the largest step that is no jump
 _WORDS = (16, 32)  # bits; of eight, 0 and 255 alone may be a motor switched on and off
@@ -81,6 +75,11 @@ def _steps(channel: Channel) -> np.ndarray:
 
 
 def _wrap(steps: np.ndarray) -> Wrap | None:
+    """Return the turn by which steps jump.
+
+    A jump of 1.0 must come twice, and something must move between: a joint in rad or m may be
+    knocked as far once, and a gripper that is told as 0 or 1 does nothing else.
+    """
     size = np.abs(steps)
     for period in PERIODS:
         jump = np.abs(size - period) < _NEAR * period

@@ -40,7 +40,7 @@ def add_strict(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strict",
         action="store_true",
-        help="refuse recordings with gaps, jitter or duplicate stamps",
+        help="refuse recordings with gaps, jitter, duplicate stamps or outliers",
     )
 
 

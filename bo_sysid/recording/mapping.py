@@ -22,6 +22,7 @@ from bo_sysid.recording.cleaning import (
     usable_rows,
 )
 from bo_sysid.recording.columns import ClockRule, ColumnRule
+from bo_sysid.recording.outliers import find_outliers, in_words
 from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.units import UNITS, is_unit, require_scale, unit_of_kind
 from bo_sysid.recording.value import (
@@ -55,7 +56,8 @@ def to_recording(
         columns: by channel (or ``time``), a `ColumnRule` or what stands for it in a study.
         clocks: by kind or channel, a `ClockRule` or what stands for it in a study.
         name: name of the recording where the file does not say one.
-        strict: refuse what is otherwise used and noted (gaps, jitter, duplicate stamps, …).
+        strict: refuse what is otherwise used and noted (gaps, jitter, duplicate stamps, outliers,
+            …).
 
     Raises:
         RecordingError: the message names file, column, row, the rule and the nearest choice.
@@ -65,7 +67,8 @@ def to_recording(
     for column in table.columns:
         if kind_of(column) in KINDS and "." in column:
             rules.setdefault(column, ColumnRule())
-    mapper = _Mapper(table, rules, clock_rules)
+    name = table.name or name
+    mapper = _Mapper(table, rules, clock_rules, name)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
     if all(channel.continuous for channel in channels.values()):
         raise RecordingError(
@@ -77,7 +80,7 @@ def to_recording(
     if strict:
         refuse(table.source, flaws)
     notes = (*table.notes, *mapper.notes, *mapper.summary(channels), *flaws)
-    return Recording(table.name or name, channels, tuple(dict.fromkeys(notes)))
+    return Recording(name, channels, tuple(dict.fromkeys(notes)))
 
 
 class _Mapper:
@@ -88,14 +91,17 @@ class _Mapper:
         table: RawTable,
         rules: Mapping[str, ColumnRule],
         clock_rules: Mapping[str, ClockRule],
+        name: str,
     ) -> None:
         self.table = table
+        self.name = name
         self.rules = rules
         self.clock_rules = clock_rules
         self.notes: list[str] = []
         self._clocks: dict[ColumnRule, Clock] = {}
         self._dropped: dict[ColumnRule, np.ndarray] = {}
         self._measured: set[ColumnRule] = set()
+        self._outliers: list[str] = []
         for key in clock_rules:
             if not any(channel == key or kind_of(channel) == key for channel in rules):
                 raise RecordingError(
@@ -122,15 +128,20 @@ class _Mapper:
             self._measured.add(stated)
         self.notes += [f"{name}: {note}." for note in notes]
         values, si = self._converted(name, rule, column, raw[rows], where)
+        position = hold == "none" and kind_of(name) == "qpos"
+        if position and (found := find_outliers(clock.stamps[rows], values)):
+            told = in_words(found, raw[rows], rows)
+            self._outliers.append(f"{self.name}: {name} jumps to {told}; all are used.")
         return Channel(clock.stamps[rows], values, si, f"{table.source}: {column}", hold)
 
     def flaws(self) -> list[str]:
-        """Return sentences about all clocks that were read."""
-        return [
+        """Return sentences about all clocks that were read, and about outliers of positions."""
+        clocks = [
             sentence
             for key, clock in self._clocks.items()
             for sentence in clock_flaws(clock, self._dropped[key], measured=key in self._measured)
         ]
+        return [*clocks, *self._outliers]
 
     def summary(self, channels: Mapping[str, Channel]) -> list[str]:
         """Return sentences about holds and about columns that were not used."""

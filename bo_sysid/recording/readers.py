@@ -83,8 +83,8 @@ def read_recording(
             is converted; see `ColumnRule`.
         clocks: a study's ``clocks:``: by kind or channel, the column of its time stamps; see
             `ClockRule`.
-        strict: refuse gaps, jitter, duplicate stamps and channels that never move, which are
-            otherwise used and noted.
+        strict: refuse gaps, jitter, duplicate stamps, outliers and channels that never move, which
+            are otherwise used and noted.
 
     Returns:
         The recording, in SI units; its notes say what was done.

@@ -46,7 +46,7 @@ def checked_text(found: Checked) -> str:
                 "write:"
             )
         parts += ["", where, "recordings:", indented]
-    elif not any(f.level == "wrong" for f in found.flags) and _tested(found):
+    elif not any(f.level == "wrong" or f.kind == "outlier" for f in found.flags) and _tested(found):
         parts += ["", "Signs, units, order, zeros and clocks: nothing to correct."]
     return "\n".join(parts)
 

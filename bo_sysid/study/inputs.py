@@ -94,7 +94,7 @@ def load_train(study: Study, *, strict: bool = False) -> tuple[Recording, ...]:
 
     Args:
         study: names the recordings.
-        strict: refuse gaps, jitter and duplicate stamps.
+        strict: refuse gaps, jitter, duplicate stamps and outliers.
 
     Raises:
         RecordingError: a file cannot be read or is wrong.
