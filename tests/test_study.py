@@ -386,6 +386,55 @@ def test_a_bound_with_which_the_model_does_not_compile_is_refused(
         assert len(study.parameter_set(load_model(study))) == 3
 
 
+ACTUATORS = (
+    '<motor name="late" joint="shoulder" delay=".01" nsample="5"/>'
+    '<general name="lag" joint="shoulder" dyntype="filter" dynprm=".1"/>'
+    '<general name="own" joint="shoulder" dyntype="user" actdim="1" dynprm=".1"/>'
+)
+
+
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        (
+            {"address": "joint[elbow].frictionloss", "low": -1},
+            r"joint\[elbow\]\.frictionloss would be -1, and a friction loss is never negative; "
+            "at least 0",
+        ),
+        ({"address": "joint[*].armature", "low": -1}, "an armature is never negative"),
+        (
+            {"address": "joint[shoulder].armature", "low": -0.3, "apply": "add"},
+            "would be -0.1, and an armature is never negative; at least -0.2",
+        ),
+        (
+            {"address": "joint[shoulder].armature", "low": -1, "apply": "scale"},
+            "would be -0.2, and an armature is never negative; at least 0",
+        ),
+        ({"address": "geom[upper].friction[0]", "low": -1}, "a coefficient of friction is never"),
+        ({"address": "option.viscosity", "low": -1}, "a viscosity is never negative"),
+        ({"address": "actuator[late].delay", "low": -0.01}, "a delay is never negative"),
+        ({"address": "actuator[lag].dynprm[0]", "low": -0.01}, "a time constant is never"),
+        ({"address": "joint[shoulder].armature", "low": -0.2, "apply": "add"}, ""),
+        ({"address": "actuator[own].dynprm[0]", "low": -0.01}, ""),
+        ({"address": "joint[elbow].damping", "low": -1}, ""),
+        ({"address": "joint[elbow].stiffness", "low": -1}, ""),
+        ({"address": "joint[elbow].frictionloss", "low": 0}, ""),
+    ],
+)
+def test_a_bound_below_zero_is_refused_where_it_means_nothing(
+    folder: Path, entry: dict[str, object], expected: str
+) -> None:
+    text = ARM.replace('name="shoulder"', 'name="shoulder" armature=".2"')
+    text = text.replace("</actuator>", f"{ACTUATORS}</actuator>")
+    (folder / "models" / "arm.xml").write_text(text)
+    study = minimal(folder, parameters=[{**entry, "high": 1}])
+    if expected:
+        with pytest.raises(StudyError, match=rf"parameters\.0\.low: .*{expected}"):
+            study.parameter_set(load_model(study))
+    else:
+        assert study.parameter_set(load_model(study))
+
+
 def test_a_wrong_bound_is_told_with_its_line(folder: Path) -> None:
     text = FULL.replace("apply: set, low: 0.4", "apply: set, low: -0.4")
     (folder / "arm.yaml").write_text(text)

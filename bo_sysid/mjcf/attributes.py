@@ -115,6 +115,25 @@ ATTRIBUTES: dict[str, dict[str, Attribute]] = {
     },
 }
 
+NOT_NEGATIVE = {
+    ("joint", "frictionloss"): "a friction loss",
+    ("joint", "armature"): "an armature",
+    ("tendon", "frictionloss"): "a friction loss",
+    ("tendon", "armature"): "an armature",
+    ("actuator", "armature"): "an armature",
+    ("actuator", "delay"): "a delay",
+    ("geom", "friction"): "a coefficient of friction",
+    ("pair", "friction"): "a coefficient of friction",
+    ("option", "o_friction"): "a coefficient of friction",
+    ("option", "density"): "the density of a medium",
+    ("option", "viscosity"): "a viscosity",
+    ("option", "impratio"): "a ratio of impedances",
+}
+"""What MuJoCo compiles below 0 though it means nothing there, in words.
+
+Damping and stiffness may be negative: a drive that feeds a joint, a spring past its dead centre.
+"""
+
 _GEOM_SIZES = {
     mujoco.mjtGeom.mjGEOM_SPHERE: 1,
     mujoco.mjtGeom.mjGEOM_CAPSULE: 2,

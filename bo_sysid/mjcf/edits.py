@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.address import resolve
+from bo_sysid.mjcf.attributes import NOT_NEGATIVE
 from bo_sysid.mjcf.compiling import make_room
 from bo_sysid.mjcf.model import Model
 from bo_sysid.mjcf.plain import add_plain
@@ -17,6 +18,8 @@ from bo_sysid.mjcf.values import Target, write_value
 
 Apply = Literal["set", "scale", "add"]
 
+_ROUNDING = 1e-9  # of a number, that a change by -100 % may leave of it
+_LAGS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT, mujoco.mjtDyn.mjDYN_MUSCLE)
 _LIT = 0.6  # headlight of a picture, at least
 
 
@@ -121,6 +124,32 @@ def nominal(model: Model, parameter: ParameterLike) -> float:
     if parameter.apply in neutral:
         return neutral[parameter.apply]
     return float(np.mean([t.nominal for a in parameter.addresses for t in resolve(model, a)]))
+
+
+def below_zero(model: Model, parameter: ParameterLike, value: float) -> str:
+    """Return which number would be negative and may not be, and the least value; else nothing.
+
+    Raises:
+        ModelError: an address matches nothing.
+    """
+    targets = [t for a in parameter.addresses for t in resolve(model, a)]
+    bound = [(t, what) for t in targets if (what := _not_negative(model, t))]
+    for t, what in bound:
+        number = _applied(t.nominal, value, parameter.apply)
+        if number < -_ROUNDING * abs(t.nominal):
+            least = max(-t.nominal for t, _ in bound) if parameter.apply == "add" else 0.0
+            return (
+                f"{t.address} would be {number:g}, and {what} is never negative; at least {least:g}"
+            )
+    return ""
+
+
+def _not_negative(model: Model, target: Target) -> str:
+    """Return in words what a number is that may not be negative; nothing where it may."""
+    if (target.kind, target.name, target.index) == ("actuator", "dynprm", 0):
+        row = model.compile().actuator(target.element).id
+        return "a time constant" if int(model.compile().actuator_dyntype[row]) in _LAGS else ""
+    return NOT_NEGATIVE.get((target.kind, target.name), "")
 
 
 def parameter_edits(

@@ -65,7 +65,7 @@ def require_one_step(
 def require_bounds(
     study: "Study", model: "Model", parameters: Sequence["Parameter"], entries: Mapping[str, int]
 ) -> None:
-    """Refuse a bound with which a model does not compile, such as a mass below 0.
+    """Refuse a bound with which a model does not compile, such as a mass below 0, or means nothing.
 
     Two models are compiled, all parameters at their low and at their high; only where one of them
     is refused, each parameter alone, the others as the model has them. What two parameters do
@@ -78,12 +78,17 @@ def require_bounds(
         entries: by the parameter's name, which entry of ``parameters:`` it stands in.
 
     Raises:
-        StudyError: the message names the first such bound and what MuJoCo says of it.
+        StudyError: the message names the first such bound and what MuJoCo says of it, or that the
+            quantity is never negative.
         ModelError: two parameters share an address.
     """
-    from bo_sysid.mjcf import nominal
+    from bo_sysid.mjcf import below_zero, nominal
 
     bounds: tuple[Bound, ...] = ("low", "high")
+    for p in parameters:
+        for bound in bounds:
+            if why := below_zero(model, p, getattr(p, bound)):
+                raise study.error(("parameters", entries[p.name], bound), why)
     for bound in bounds:
         if not _refused(model, parameters, [getattr(p, bound) for p in parameters]):
             continue
