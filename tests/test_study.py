@@ -10,7 +10,7 @@ import yaml
 
 from bo_sysid.diagnosis.diagnose import gather
 from bo_sysid.effects.learned import ELAPSED
-from bo_sysid.errors import ModelError, RecordingError, StudyError
+from bo_sysid.errors import RecordingError, StudyError
 from bo_sysid.excite.excite import excite
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.plants.build import study_task
@@ -386,6 +386,54 @@ def test_a_bound_with_which_the_model_does_not_compile_is_refused(
         assert len(study.parameter_set(load_model(study))) == 3
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (
+            "unit: deg,",
+            "unit: degre,",
+            r"columns\.qpos\.elbow: unknown unit 'degre' \(did you mean",
+        ),
+        ("aux.voltage: {", "ax.voltage: {", r"columns\.ax\.voltage: a channel is called .*'aux'"),
+        ("{ctrl: {from", "{ctlr: {from", r"clocks\.ctlr: names no kind .*did you mean 'ctrl'"),
+    ],
+)
+def test_a_wrong_rule_for_a_channel_is_told_with_its_line(
+    folder: Path, old: str, new: str, expected: str
+) -> None:
+    assert old in FULL
+    (folder / "arm.yaml").write_text(FULL.replace(old, new))
+    with pytest.raises(StudyError, match=rf"arm\.yaml, line \d+: recordings\.{expected}"):
+        load_train(load(folder))
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        ({"file": "models/arm.xml", "hold": ["elbw"]}, r"hold: .*arm\.xml: no joint .*'elbow'"),
+        ({"file": "models/arm.xml", "unrecorded": {"elbw": None}}, r"unrecorded: .*'elbow'"),
+        ({"dm_control": {"domain": "cheeta", "task": "run"}}, r"dm_control: .*'cheetah'"),
+        ({"dm_control": {"domain": "cheetah", "task": "rnu"}}, r"dm_control: .*'run'"),
+    ],
+)
+def test_what_the_model_lacks_is_told_with_the_key_that_names_it(
+    folder: Path, model: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(StudyError, match=rf"model\.{expected}"):
+        load_model(minimal(folder, model=model))
+
+
+def test_two_parameters_of_one_number_are_told_with_their_entries(folder: Path) -> None:
+    first = {"name": "all", "address": "joint[*].damping", "low": 0, "high": 1}
+    second = {"address": "joint[elbow].damping", "low": 0, "high": 1}
+    study = minimal(folder, parameters=[first, second])
+    with pytest.raises(
+        StudyError,
+        match=r"parameters\.1\.address: joint\[elbow\]\.damping is parameters\.0, 'all', already",
+    ):
+        study.parameter_set(load_model(study))
+
+
 ACTUATORS = (
     '<motor name="late" joint="shoulder" delay=".01" nsample="5"/>'
     '<general name="lag" joint="shoulder" dyntype="filter" dynprm=".1"/>'
@@ -532,7 +580,7 @@ def test_names_are_checked_against_registries(folder: Path) -> None:
 def test_the_suite_names_the_nearest_task(folder: Path) -> None:
     wrong = {"dm_control": {"domain": "cheetah", "task": "rum"}}
     study = minimal(folder, model=wrong, task=wrong)
-    with pytest.raises(ModelError, match=r"no task 'rum'; did you mean 'run'"):
+    with pytest.raises(StudyError, match=r"model\.dm_control: .*no task 'rum'; did you mean 'run'"):
         load_model(study)
     with pytest.raises(StudyError, match=r"no 'cheetah rum' .*did you mean 'cheetah run'"):
         study_task(study, load_model(minimal(folder)))

@@ -99,7 +99,7 @@ def message(folder: Path, text: str, **overrides: object) -> str:
         ),
         (
             "limits: {elbow: {position: [2, -2]}}",
-            "arm.yaml, line 4: limits.elbow: position: 2 must be below -2",
+            "arm.yaml, line 4: limits.elbow.position: low 2 must be below high -2",
         ),
         (
             "limits: {elbow: {velocty: 3}}",

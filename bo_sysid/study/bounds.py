@@ -62,6 +62,34 @@ def require_one_step(
             )
 
 
+def require_apart(
+    study: "Study", model: "Model", parameters: Sequence["Parameter"], entries: Mapping[str, int]
+) -> None:
+    """Refuse a number of the model that two parameters have.
+
+    Args:
+        study: has the parameters, for the message.
+        model: the nominal model.
+        parameters: of the study.
+        entries: by the parameter's name, which entry of ``parameters:`` it stands in.
+
+    Raises:
+        StudyError: the message names the number and both parameters.
+    """
+    from bo_sysid.mjcf.address import resolve
+
+    owner: dict[tuple[str, str, str, int], str] = {}
+    for p in parameters:
+        for t in (t for a in p.addresses for t in resolve(model, a)):
+            other = owner.setdefault((t.kind, t.element, t.name, t.index), p.name)
+            if other != p.name:
+                raise study.error(
+                    ("parameters", entries[p.name], "address"),
+                    f"{t.address} is parameters.{entries[other]}, {other!r}, already; each number "
+                    "of the model has one parameter at most",
+                )
+
+
 def require_bounds(
     study: "Study", model: "Model", parameters: Sequence["Parameter"], entries: Mapping[str, int]
 ) -> None:
@@ -80,7 +108,6 @@ def require_bounds(
     Raises:
         StudyError: the message names the first such bound and what MuJoCo says of it, or that the
             quantity is never negative.
-        ModelError: two parameters share an address.
     """
     from bo_sysid.mjcf import below_zero, nominal
 

@@ -12,11 +12,12 @@ from typing import Any
 from bo_sysid.effects import Effect, Part, Reading, catalogue
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.effects.readings import readings
-from bo_sysid.errors import RecordingError, UserError, nearest
+from bo_sysid.errors import ModelError, RecordingError, UserError, nearest
 from bo_sysid.execution.files import run_file
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording, load_dataset, read_recordings
 from bo_sysid.runs import versions
+from bo_sysid.study.rules import clock_rules, column_rules
 from bo_sysid.study.study import Study
 
 _MOTION = ("qpos", "qvel")
@@ -28,8 +29,22 @@ def load_model(study: Study) -> Model:
     """Return the nominal model of a study.
 
     Raises:
-        ModelError: it does not compile, or there is no such model.
+        ModelError: it does not compile, or there is no such robot.
+        StudyError: there is no such file or task, or it lacks what a key of the study names.
     """
+    try:
+        return _model(study)
+    except ModelError as error:
+        if study.model.dm_control is not None:
+            raise study.error(("model", "dm_control"), str(error)) from None
+        for key in ("hold", "unrecorded"):
+            file, said, rule = str(error).partition(f": {key}: ")
+            if said:
+                raise study.error(("model", key), f"{file}: {rule}") from None
+        raise
+
+
+def _model(study: Study) -> Model:
     source = study.model
     if source.dm_control is not None:
         return Model.from_dm_control(source.dm_control.domain, source.dm_control.task)
@@ -253,9 +268,10 @@ def read_files(study: Study, files: Sequence[Path], strict: bool) -> tuple[Recor
 
     Raises:
         RecordingError: a file cannot be read or is wrong.
+        StudyError: a rule says nothing of its channel, or has an unknown unit.
     """
-    columns = {name: _rule(rule) for name, rule in study.recordings.columns.items()}
-    clocks = {name: _rule(rule) for name, rule in study.recordings.clocks.items()}
+    columns = column_rules(study)
+    clocks = clock_rules(study)
     found = [(f, r) for f in files for r in read_recordings(f, columns, clocks, strict)]
     return tuple(_without_held(r, study.model.hold) for r in _named_apart(found))
 
@@ -278,10 +294,6 @@ def _without_held(recording: Recording, held: Sequence[str]) -> Recording:
     channels = {n: c for n, c in recording.channels.items() if n not in unused}
     notes = [f"{n} is not used: its joint is held where the model puts it." for n in unused]
     return replace(recording, channels=channels).with_notes(notes)
-
-
-def _rule(section: Any) -> Mapping[str, Any]:
-    return {k: v for k, v in section.model_dump(by_alias=True).items() if v is not None}
 
 
 def _part(recording: Recording, *, train: bool) -> Recording:

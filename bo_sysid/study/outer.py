@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from bo_sysid.study.base import (
     Count,
@@ -56,12 +56,12 @@ class Limit(Section):
     effort: Positive | None = None
     """Highest torque or force, in N m or N."""
 
-    @model_validator(mode="after")
-    def _extent(self) -> "Limit":
-        if self.position is not None and not self.position[0] < self.position[1]:
-            low, high = self.position
-            raise ValueError(f"position: {low:g} must be below {high:g}")
-        return self
+    @field_validator("position")
+    @classmethod
+    def _extent(cls, position: tuple[float, float] | None) -> tuple[float, float] | None:
+        if position is not None and not position[0] < position[1]:
+            raise ValueError(f"low {position[0]:g} must be below high {position[1]:g}")
+        return position
 
 
 class Task(Section):

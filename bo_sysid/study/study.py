@@ -12,7 +12,7 @@ from bo_sysid.runs import digest
 from bo_sysid.study import named
 from bo_sysid.study import source as text
 from bo_sysid.study.base import Relocation, Section
-from bo_sysid.study.bounds import require_bounds, require_one_step, require_si
+from bo_sysid.study.bounds import require_apart, require_bounds, require_one_step, require_si
 from bo_sysid.study.messages import study_error
 from bo_sysid.study.outer import (
     Compare,
@@ -186,9 +186,8 @@ class Study(Section):
 
         Raises:
             StudyError: an address is none, matches nothing or is the time step, two parameters have
-                one name, one has the name of a column of the tables, a unit is no SI unit, or the
-                model does not compile at a bound.
-            ModelError: two parameters share an address.
+                one name or number of the model, one has the name of a column of the tables, a unit
+                is no SI unit, or the model does not compile at a bound.
         """
         from bo_sysid.mjcf import Address
         from bo_sysid.parameters import COLUMNS, Parameter
@@ -229,6 +228,7 @@ class Study(Section):
                 )
         parameters = tuple(found.values())
         require_one_step(self, parameters, entries)
+        require_apart(self, model, parameters, entries)
         require_bounds(self, model, parameters, entries)
         return parameters
 
