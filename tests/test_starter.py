@@ -1,6 +1,7 @@
 """`init`: studies from a model and nothing but raw logs."""
 
 import re
+import shlex
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -517,6 +518,20 @@ def test_the_command_says_what_it_guessed(
     assert main(["check", "two_link_arm.yaml", "--out", "found"]) == 0
     assert "nothing to correct" in capsys.readouterr().out
     assert (tmp_path / "found" / "log.png").stat().st_size > 10_000
+
+
+def test_the_command_to_go_on_with_can_be_pasted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, qpos, _, ctrl = moved(TWO, 1.0)
+    pd.DataFrame({"time": time, "pos_shoulder": qpos[:, 0], "pos_elbow": qpos[:, 1],
+                  "cmd_shoulder": ctrl[:, 0], "cmd_elbow": ctrl[:, 1]}).to_csv(
+        tmp_path / "log.csv", index=False
+    )  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", str(TWO), "log.csv", "--out", "my arm's.yaml"]) == 0
+    said = capsys.readouterr().out.rpartition("then: ")[2]
+    assert shlex.split(said) == ["bo-sysid", "check", "my arm's.yaml"]
 
 
 GANTRY = """

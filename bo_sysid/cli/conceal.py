@@ -1,6 +1,7 @@
 """`bo-sysid conceal`: draw machines that lack physics, and seal what it is."""
 
 import argparse
+import shlex
 from pathlib import Path
 
 from bo_sysid.cli.common import RUNS, Verbs, arguments
@@ -58,4 +59,4 @@ def run(args: argparse.Namespace) -> None:
         said = conceal(opened, args.suite, overrides=overrides, seals=args.seals, progress=progress)
     print(f"{folder}: {len(said['cases'])} cases, their answers sealed apart.")
     print(f"Publish: SHA-256 of {COMMITMENTS} is {file_digest(folder / COMMITMENTS)}")
-    print(f"Now: bo-sysid reveal {folder}")
+    print(f"Now: bo-sysid reveal {shlex.quote(str(folder))}")

@@ -1,6 +1,7 @@
 """`bo-sysid init`: a first study from a model and logs."""
 
 import argparse
+import shlex
 from pathlib import Path
 
 from bo_sysid.cli.common import Verbs
@@ -46,4 +47,4 @@ def run(args: argparse.Namespace) -> None:
     if following := started.rules.following:
         joints = ", ".join(following)
         print(f"- Not recorded, left to move, since the model ties them to others: {joints}.")
-    print(f"\n{started.path}: read it, then: bo-sysid check {started.path}")
+    print(f"\n{started.path}: read it, then: bo-sysid check {shlex.quote(str(started.path))}")

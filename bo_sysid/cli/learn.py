@@ -1,6 +1,7 @@
 """`bo-sysid learn`: a policy from few real trajectories."""
 
 import argparse
+import shlex
 
 from bo_sysid.cli.common import Verbs, add_out, add_strict, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
@@ -39,5 +40,6 @@ def run(args: argparse.Namespace) -> None:
 
     print(run_text(run.folder))
     trust = " --trust-code" if study.code else ""
-    see = f" See the policy: bo-sysid play {run.folder}{trust}" if study.plant else ""
+    folder = shlex.quote(str(run.folder))
+    see = f" See the policy: bo-sysid play {folder}{trust}" if study.plant else ""
     print(f"\nFigures: {run.path('figures')}.{see}")

@@ -1,6 +1,7 @@
 """`bo-sysid record`: roll the plant of a study out into recordings."""
 
 import argparse
+import shlex
 
 from bo_sysid.cli.common import Verbs, add_out, add_study, load_study, open_run
 from bo_sysid.cli.progress import shown
@@ -29,4 +30,4 @@ def run(args: argparse.Namespace) -> None:
     for note in notes:
         print(note)
     verb = "identify" if study.parameters else "diagnose"
-    print(f"{path.parent}: recordings of the plant. Now: bo-sysid {verb} {path}")
+    print(f"{path.parent}: recordings of the plant. Now: bo-sysid {verb} {shlex.quote(str(path))}")

@@ -1,5 +1,6 @@
 """Results as text: what the command line prints, and `bo-sysid report` again later."""
 
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ def _concealed(folder: Path) -> str:
     after = (
         f"All scores are in {folder / 'proof.html'}."
         if (folder / "proof.html").is_file()
-        else f"Go on with: bo-sysid reveal {folder}"
+        else f"Go on with: bo-sysid reveal {shlex.quote(str(folder))}"
     )
     return f"Concealed cases: {cases}, with an answer: {answered}. {after}"
 

@@ -1,6 +1,7 @@
 """`bo-sysid demo`: the main job on an embedded study, from recording to the repaired model."""
 
 import argparse
+import shlex
 from importlib import resources
 from pathlib import Path
 
@@ -47,4 +48,5 @@ def run(args: argparse.Namespace) -> None:
     assert study.plant is not None  # noqa: S101 - the embedded study has one
     truth = ", ".join(f"{name} {value:g}" for name, value in study.plant.parameters.items())
     print(f"\nThe recorded arm had: {truth}.")
-    print(f"To go on with the repaired model: bo-sysid identify {folder / 'study_repaired.yaml'}")
+    repaired = shlex.quote(str(folder / "study_repaired.yaml"))
+    print(f"To go on with the repaired model: bo-sysid identify {repaired}")
