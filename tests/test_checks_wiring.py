@@ -11,7 +11,8 @@ import pytest
 
 from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
 from bo_sysid.checks.channels import channel_flags
-from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.evidence import WiringEvidence
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.motion import range_flags, turned_inside
 from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.checks.estimate import Estimate, delay
-from bo_sysid.checks.hypothesis import WiringEvidence
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.traces import Traces
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence

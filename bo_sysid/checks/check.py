@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
+from bo_sysid.checks.evidence import Laws
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import Laws
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
 from bo_sysid.checks.numerics import contact_flags, far_flags, step_effect, step_flags
 from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns

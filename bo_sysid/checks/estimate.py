@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from bo_sysid.checks.hypothesis import Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.evidence import WiringEvidence
+from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.traces import blocks
 
 _BLOCKS = 8

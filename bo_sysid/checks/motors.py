@@ -11,7 +11,8 @@ from math import exp
 import numpy as np
 
 from bo_sysid.checks.balance import GAIN, free_gain
-from bo_sysid.checks.hypothesis import FREE, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.evidence import WiringEvidence
+from bo_sysid.checks.hypothesis import FREE, WiringHypothesis
 from bo_sysid.recording import Recording
 
 _TOLD = exp(-0.8)  # of what physics alone leaves, that a constant leaves at most

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from bo_sysid.checks.estimate import with_zero
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import (
     ANGLES,
     FREE,
@@ -22,7 +23,6 @@ from bo_sysid.checks.hypothesis import (
     UNDONE,
     Units,
     Wire,
-    WiringEvidence,
     WiringHypothesis,
 )
 from bo_sysid.checks.motors import scaled

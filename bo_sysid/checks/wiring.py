@@ -12,8 +12,9 @@ from jaxtyping import Float
 from bo_sysid.checks import estimate, motors
 from bo_sysid.checks.clocks import clock_flags, clock_of, least_delay
 from bo_sysid.checks.comparable import as_acting, comparable
+from bo_sysid.checks.evidence import FLOOR, Laws, WiringEvidence
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import FLOOR, Laws, Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.limits import unlimited
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.hypothesis import FREE, Wire, WiringEvidence, WiringHypothesis
+from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import listed
 from bo_sysid.checks.speeds import ALIKE

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bo_sysid.checks.comparable import comparable
-from bo_sysid.checks.hypothesis import WiringEvidence
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model

@@ -7,7 +7,7 @@ from math import pi
 import mujoco
 import numpy as np
 
-from bo_sysid.checks.hypothesis import WiringEvidence
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.motion import beyond_range, turned_inside
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS
 from bo_sysid.mjcf.joints import HINGE
