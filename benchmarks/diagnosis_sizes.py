@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
 from bo_sysid.diagnosis.windows.linear import project
-from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model

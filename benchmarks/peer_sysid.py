@@ -22,6 +22,7 @@ from absl import logging as absl_logging
 from jaxtyping import Float
 from mujoco import sysid
 
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.hypothesis import (
     Candidate,
@@ -29,7 +30,7 @@ from bo_sysid.diagnosis.windows.hypothesis import (
     edits_and_parts,
     parameter_candidates,
 )
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.parameters import Parameter
 
 WINDOW = 0.3  # [s]

@@ -9,10 +9,11 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.observation import observe
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Machine, Reading, survey
 from bo_sysid.mjcf import Model

@@ -6,7 +6,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.answer.sessions import between, by_recording, by_stretch
 from bo_sysid.diagnosis.sets.refit import refit
-from bo_sysid.diagnosis.windows.problem import cut_problem
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import survey
 from bo_sysid.simulation import Engine

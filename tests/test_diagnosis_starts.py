@@ -10,12 +10,12 @@ from scipy.optimize import least_squares
 
 from bo_sysid.diagnosis.windows import fitted_starts
 from bo_sysid.diagnosis.windows.coordinates import Coordinates
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up, estimated
 from bo_sysid.diagnosis.windows.fitted_starts import FittedStarts, prior, start_noise
 from bo_sysid.diagnosis.windows.forecast import forecast
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise
-from bo_sysid.diagnosis.windows.problem import cut_problem
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model

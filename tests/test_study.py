@@ -28,7 +28,8 @@ from bo_sysid.study.inputs import (
     load_train,
     require_holdout,
 )
-from bo_sysid.study.overview import overview, require_limits, require_scales
+from bo_sysid.study.overview import overview
+from bo_sysid.study.requirements import require_limits, require_scales
 from bo_sysid.study.sections import Clock, Column
 
 STUDIES = [

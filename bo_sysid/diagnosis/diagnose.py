@@ -46,7 +46,12 @@ from bo_sysid.study.inputs import (
     require_holdout,
     study_effects,
 )
-from bo_sysid.study.overview import require_known, require_limits, require_recorded, require_scales
+from bo_sysid.study.requirements import (
+    require_known,
+    require_limits,
+    require_recorded,
+    require_scales,
+)
 
 _STAGES = 6
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."

@@ -19,7 +19,7 @@ from bo_sysid.recording import Recording, stated_for
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
-from bo_sysid.study.overview import require_limits
+from bo_sysid.study.requirements import require_limits
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
 _LONGEST = 3600.0  # [s]

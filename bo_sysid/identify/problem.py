@@ -18,7 +18,8 @@ from bo_sysid.simulation import Windows
 from bo_sysid.simulation.of_study import make_simulator, study_windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
-from bo_sysid.study.overview import candidate_set, require_known, require_recorded, require_scales
+from bo_sysid.study.overview import candidate_set
+from bo_sysid.study.requirements import require_known, require_recorded, require_scales
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 

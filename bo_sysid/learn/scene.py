@@ -22,7 +22,8 @@ from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
-from bo_sysid.study.overview import candidate_set, require_scales
+from bo_sysid.study.overview import candidate_set
+from bo_sysid.study.requirements import require_scales
 
 _ENVIRONMENTS = 80  # most simulations of a training; more fall out of the processor's cache
 

@@ -29,7 +29,7 @@ from bo_sysid.simulation.simulator import MujocoSimulator
 from bo_sysid.simulation.windows import Windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_function, load_parts
-from bo_sysid.study.overview import require_actuators
+from bo_sysid.study.requirements import require_actuators
 
 
 def make_simulator(

@@ -24,8 +24,9 @@ from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.sets.refit import Effort, refit_at
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.observation import observe
-from bo_sysid.diagnosis.windows.problem import Problem, Simulated, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem, Simulated
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Machine, Site
 from bo_sysid.errors import StudyError, UserError

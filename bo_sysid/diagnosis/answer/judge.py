@@ -11,6 +11,7 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.answer.explain import Outcome
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.tables import traces
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import (
     AHEAD,
@@ -23,7 +24,7 @@ from bo_sysid.diagnosis.windows.forecast import (
     noise_floor,
 )
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import instants_in

@@ -3,10 +3,11 @@
 import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.windowing import Prepared, nothing, prepare
 
 LEAST = 6

@@ -7,11 +7,12 @@ import pandas as pd
 from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.signatures import response_to_forces
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects.machine import JointScale

@@ -11,11 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.estimated_starts import estimated
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING, held_joints, prior
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise
-from bo_sysid.diagnosis.windows.problem import Problem, cut_problem
+from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model

@@ -1,0 +1,96 @@
+"""Recordings cut into the windows of a diagnosis."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool
+
+from bo_sysid.deviation.measure import blocks_of
+from bo_sysid.diagnosis.windows.compared import at_positions
+from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
+from bo_sysid.diagnosis.windows.problem import BLOCKS, Problem
+from bo_sysid.effects import Machine
+from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
+from bo_sysid.simulation import Controller, Engine, ForceLaw
+from bo_sysid.simulation.cutting import cut
+from bo_sysid.simulation.windows import Layout, Windows
+
+_REMEMBERED = 0.25  # [s] for which a missing lag of 40 ms acts on what was sent before a log
+_LEFT = 0.9  # of a recording's windows, that begin later than that, or else all count
+
+
+def _begun(windows: Windows, recordings: Sequence[Recording]) -> Bool[np.ndarray, " W"]:
+    """Return which windows begin late enough after their log for a drive that lags.
+
+    Whether one does is what is asked, and it would act there on what was sent before. All count
+    where too few were left.
+    """
+    begun = np.ones(len(windows), bool)
+    for i, recording in enumerate(recordings):
+        own = windows.recording == i
+        first = [c.time[0] for c in recording.of_kind("ctrl").values()]
+        late = own & (windows.time >= max(first, default=-np.inf) + _REMEMBERED - 1e-9)
+        if late.sum() >= _LEFT * own.sum():
+            begun &= late | ~own
+    return begun
+
+
+def cut_problem(
+    model: Model,
+    machine: Machine,
+    recordings: Sequence[Recording],
+    sigma: dict[str, float],
+    nuisances: Sequence[Candidate],
+    *,
+    horizon: int,
+    stride: int = 1,
+    timestep: float | None = None,
+    engine: Engine,
+    laws: Sequence[Controller | ForceLaw] = (),
+    kept: FitCache = NO_CACHE,
+) -> Problem:
+    """Cut recordings into windows.
+
+    Args:
+        model: the nominal model.
+        machine: the scales of its sites.
+        recordings: to cut.
+        sigma: noise of each observed channel; others are not observed.
+        nuisances: the study's parameters.
+        horizon: instants in a window, of observed channels and positions.
+        stride: every how many-th of the disjoint windows to keep.
+        timestep: of the simulation in [s]; by default the model's.
+        engine: simulates.
+        laws: controllers and force laws that belong to the nominal model.
+        kept: long fits of a diagnosis that was killed.
+    """
+    windows = cut(
+        model,
+        at_positions(model, recordings, sigma),
+        horizon=horizon,
+        timestep=timestep,
+        signals=(*machine.inputs, ELAPSED),
+        controlled=[w.actuator for w in laws if isinstance(w, Controller)],
+    )
+    windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
+    windows = windows.rows(np.flatnonzero(_begun(windows, recordings)))
+    scale = np.array([sigma[n] for n in windows.channels])
+    weight = np.isfinite(windows.observed) / scale
+    return Problem(
+        model=model,
+        machine=machine,
+        recordings=tuple(recordings),
+        windows=windows,
+        layout=Layout.of(model, machine.model),
+        weight=weight,
+        block=blocks_of(windows.recording, BLOCKS)[0],
+        nuisances=tuple(nuisances),
+        correction=None,
+        engine=engine,
+        laws=tuple(laws),
+        loops=model.loops,
+        kept=kept,
+    )
