@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool
 
 from bo_sysid.deviation.measure import blocks_of
 from bo_sysid.diagnosis.windows.compared import at_positions
@@ -16,26 +15,7 @@ from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 from bo_sysid.simulation.cutting import cut
-from bo_sysid.simulation.windows import Layout, Windows
-
-_REMEMBERED = 0.25  # [s] for which a missing lag of 40 ms acts on what was sent before a log
-_LEFT = 0.9  # of a recording's windows, that begin later than that, or else all count
-
-
-def _begun(windows: Windows, recordings: Sequence[Recording]) -> Bool[np.ndarray, " W"]:
-    """Return which windows begin late enough after their log for a drive that lags.
-
-    Whether one does is what is asked, and it would act there on what was sent before. All count
-    where too few were left.
-    """
-    begun = np.ones(len(windows), bool)
-    for i, recording in enumerate(recordings):
-        own = windows.recording == i
-        first = [c.time[0] for c in recording.of_kind("ctrl").values()]
-        late = own & (windows.time >= max(first, default=-np.inf) + _REMEMBERED - 1e-9)
-        if late.sum() >= _LEFT * own.sum():
-            begun &= late | ~own
-    return begun
+from bo_sysid.simulation.windows import Layout
 
 
 def cut_problem(
@@ -76,7 +56,6 @@ def cut_problem(
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
     windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
-    windows = windows.rows(np.flatnonzero(_begun(windows, recordings)))
     scale = np.array([sigma[n] for n in windows.channels])
     weight = np.isfinite(windows.observed) / scale
     return Problem(
