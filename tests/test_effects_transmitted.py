@@ -58,11 +58,26 @@ def test_how_strong_a_servo_at_a_tendon_was_is_told_with_where_its_joint_was() -
 def test_a_filtered_motor_pulls_as_late_as_it_acts() -> None:
     """Of a sine a first-order lag leaves 1 / sqrt(1 + (w tau)^2)."""
     motor = '<general name="belt" tendon="belt" dyntype="filter" dynprm="1" gainprm="1"/>'
-    log = Recording.from_arrays(
-        TIME, qpos={"x": SWING}, ctrl={"belt": np.where(TIME < 0, 0, np.sin(3 * TIME))}
-    )
+    log = Recording.from_arrays(TIME, qpos={"x": SWING}, ctrl={"belt": np.sin(3 * TIME)})
     forces = transmitted(mujoco.MjModel.from_xml_string(BELT.format(motor)), [log])[100:, 0]
     assert np.sqrt(2) * forces.std() == pytest.approx(20 / np.sqrt(10), rel=0.05)
+
+
+def test_a_muscle_at_a_tendon_pulls_as_it_did_in_the_plant() -> None:
+    """Its activation follows from excitation and motion; at rest it would not pull at all."""
+    muscle = '<muscle name="belt" tendon="belt" lengthrange="-3 3" force="5"/>'
+    plant = mujoco.MjModel.from_xml_string(BELT.format(muscle))
+    data, rows = mujoco.MjData(plant), []
+    for u in np.repeat(np.clip(COMMAND, 0, 1), 2):
+        data.ctrl[:] = u
+        mujoco.mj_forward(plant, data)
+        rows.append([data.time, data.qpos[0], u, data.qfrc_actuator[0]])
+        mujoco.mj_step(plant, data)
+    time, q, u, force = np.transpose(rows)
+    found = transmitted(plant, [Recording.from_arrays(time, qpos={"x": q}, ctrl={"belt": u})])
+    pulled = np.interp(np.linspace(time[0], time[-1], len(found)), time, force)
+    assert np.abs(pulled).max() > 10
+    np.testing.assert_allclose(found[20:, 0], pulled[20:], atol=0.03 * np.abs(pulled).max())
 
 
 @pytest.mark.parametrize("gear", [1, -3])

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.effects.driven import driven, is_driven
 from bo_sysid.effects.memory import activation, remembers
 from bo_sysid.effects.recorded_motion import along
 from bo_sysid.mjcf.joints import SCALAR
@@ -49,6 +50,10 @@ def forces_along(
         ctrl[:, model.actuator_ctrladr[a]] = channel.at(time)
         if remembers(model, a):
             act[:, model.actuator_actadr[a]] = activation(model, recording, a, time)
+        elif is_driven(model, a):
+            first = int(model.actuator_actadr[a])
+            own_act = slice(first, first + int(model.actuator_actnum[a]))
+            act[:, own_act] = driven(model, recording, time)[:, own_act]
     data, along_dofs = mujoco.MjData(bare), np.zeros((len(time), model.nv))
     own = np.zeros((len(time), model.nactuator))
     for k in range(len(time)):

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.attributes import NOT_NEGATIVE
+from bo_sysid.mjcf.commands import LAGS
 from bo_sysid.mjcf.compiling import make_room
 from bo_sysid.mjcf.model import Model
 from bo_sysid.mjcf.plain import add_plain
@@ -19,7 +20,7 @@ from bo_sysid.mjcf.values import Target, write_value
 Apply = Literal["set", "scale", "add"]
 
 _ROUNDING = 1e-9  # of a number, that a change by -100 % may leave of it
-_LAGS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT, mujoco.mjtDyn.mjDYN_MUSCLE)
+_TIMED = (*LAGS, int(mujoco.mjtDyn.mjDYN_MUSCLE))  # whose first number is a time constant
 _LIT = 0.6  # headlight of a picture, at least
 
 
@@ -147,8 +148,9 @@ def below_zero(model: Model, parameter: ParameterLike, value: float) -> str:
 def _not_negative(model: Model, target: Target) -> str:
     """Return in words what a number is that may not be negative; nothing where it may."""
     if (target.kind, target.name, target.index) == ("actuator", "dynprm", 0):
-        row = model.compile().actuator(target.element).id
-        return "a time constant" if int(model.compile().actuator_dyntype[row]) in _LAGS else ""
+        compiled = model.compile()
+        kind = int(compiled.actuator_dyntype[compiled.actuator(target.element).id])
+        return "a time constant" if kind in _TIMED else ""
     return NOT_NEGATIVE.get((target.kind, target.name), "")
 
 
