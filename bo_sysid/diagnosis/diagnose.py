@@ -183,6 +183,7 @@ def diagnose(
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
     located = locate(evidence, tell, tell.doing)
+    evidence = evidence.heard_from(located.evidence.unheard)
     tell.doing("what stays unexplained, and forecasts of the training recordings where any does")
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
@@ -197,7 +198,7 @@ def diagnose(
     frozen = answer.sha256  # before the hold-out is read
     notes = _repair(study, run, evidence, outcome, answer)
     tell.doing("forecasts of the unseen recordings")
-    unseen = load_holdout(study, strict=strict)
+    unseen = evidence.heard(load_holdout(study, strict=strict))
     holdout = judge(evidence, outcome, unseen)
     said = [
         *of_study(study, evidence), *notes, *of_unseen(study, evidence, unseen, holdout),

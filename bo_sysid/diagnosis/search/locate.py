@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
+from bo_sysid.diagnosis.search.beginnings import unheard
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.gaps import mesh
@@ -81,7 +82,7 @@ def _located(
     evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
 ) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
-    search, horizon, step = _searched(evidence, tell, doing)
+    evidence, search, horizon, step = _searched(evidence, tell, doing)
     if not explains_little(search.best, search.nominal):
         sharpened(search)
         without_weakest(search)
@@ -104,8 +105,11 @@ def _located(
 
 def _searched(
     evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
-) -> tuple[Search, int, float]:
-    """Search in windows that grow; return their full length in instants and the time step."""
+) -> tuple[Evidence, Search, int, float]:
+    """Search in windows that grow; return their full length in instants and the time step.
+
+    What is compared begins later where a late drive acts on what was sent before its log.
+    """
     full = max(round(evidence.window / evidence.machine.sampling), LEAST)
     step = evidence.machine.model.opt.timestep
     horizon = stable(evidence, full, step)
@@ -119,11 +123,14 @@ def _searched(
         search, length = begun, horizon
         tell(f"windows of {length} instants at once: {_said(search.best)}")
     search, step = _explored(evidence, search, length, step)
+    if (seconds := unheard(search)) > evidence.unheard:
+        tell(f"without the first {seconds:.2g} s of each log: {_said(search.best)}")
+        return _searched(evidence.heard_from(seconds), tell, doing)
     while True:
         if length >= horizon:
             longer = _calmer(evidence, search, horizon, full, step)
             if longer <= horizon:
-                return search, horizon, step
+                return evidence, search, horizon, step
             horizon, step = longer, step / 2  # what a step does grows with a window
         step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)

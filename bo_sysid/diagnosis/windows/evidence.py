@@ -46,6 +46,7 @@ class Evidence:
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
         kept: long fits of a diagnosis that was killed.
+        unheard: time in [s] after the first command of a log from which on positions are compared.
     """
 
     model: Model
@@ -60,6 +61,7 @@ class Evidence:
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...]
     kept: FitCache
+    unheard: float = 0.0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -74,6 +76,11 @@ class Evidence:
             said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
             said.append("Nothing touches in the training recordings: contact is left out there.")
+        if self.unheard:
+            said.append(
+                f"Positions in the first {self.unheard:.2g} s after a log's first command are not "
+                "compared: a late drive acts there on what was sent before, if anything was."
+            )
         return (*said, *rates_note(self.recordings, self.model))
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
@@ -87,11 +94,28 @@ class Evidence:
         whole = replace(self.machine, model=self.given.compile(), impacts=impacts)
         return replace(self, model=self.given, machine=whole)
 
+    def heard_from(self, seconds: float) -> "Evidence":
+        """Return the same, compared from some time in [s] after the logs' first commands on."""
+        made = replace(self, unheard=seconds)
+        return replace(made, recordings=made.heard(self.recordings))
+
+    def heard(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+        """Return recordings without the positions that are not compared, all commands in them."""
+        if not self.unheard:
+            return tuple(recordings)
+        return tuple(r.between(first_command(r) + self.unheard, np.inf) for r in recordings)
+
     @property
     def rigid(self) -> "Evidence":
         """The same without candidates that add a joint."""
         held = tuple(c for c in self.candidates if not c.effect.hidden)
         return replace(self, candidates=held)
+
+
+def first_command(recording: Recording) -> float:
+    """Return the time in [s] of the first command of a log, of the log itself where it has none."""
+    sent = [float(c.time[0]) for c in recording.of_kind("ctrl").values()]
+    return min(sent, default=recording.origin)
 
 
 def rates_note(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]:

@@ -1,0 +1,74 @@
+"""What a log does not say of the time before it, where a late drive is what the model lacks.
+
+A lag, a delay or a slow command goes on from what was sent before. As far as anything tells, that
+was the log's first command; a machine that was switched on at that moment had none, and for a few
+time constants it does what no such drive does.
+"""
+
+import numpy as np
+from jaxtyping import Bool
+
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.rules import LOOSE, clean
+from bo_sysid.diagnosis.windows.evidence import first_command
+from bo_sysid.diagnosis.windows.linear import project
+
+_REMEMBERING = ("actuator_lag", "actuator_delay", "command_rate")
+_CONSTANTS = 6.0  # of a lag, after which nothing is left of where it began
+_LEAST = 0.1  # [s] looked at, and left out, after a first command
+_FEW = 0.25  # share of the windows, that may begin so early
+_MORE = 2.0  # times what a set leaves of the other windows, that it leaves of those
+_TRIED = 3  # sets, those that leave least of the other windows
+
+
+def unheard(search: Search) -> float:
+    """Return for how long in [s] after first commands logs are not explained, 0 where they are.
+
+    That is where a set with a late drive explains all windows but those, and does not without it.
+    """
+    problem = search.prepared.problem
+    if clean(search.best) or problem.machine.impacts:
+        return 0.0
+    first = np.array([first_command(r) for r in problem.recordings])
+    since = problem.windows.time - first[problem.windows.recording]
+    tried: list[tuple[float, Fit]] = []
+    for f in search.fits.values():
+        early = since < _forgotten(f) - 1e-9
+        if _late(f) and 0 < early.sum() <= _FEW * len(early):
+            left = (project(search.frame.Q, f.residual) ** 2).mean(axis=1)
+            begin, rest = np.sqrt(left[early].mean()), np.sqrt(left[~early].mean())
+            if begin > _MORE * rest:
+                tried.append((float(rest), f))
+    for _, f in sorted(tried, key=lambda pair: pair[0])[:_TRIED]:
+        seconds = _forgotten(f)
+        if _explains(search, f, since >= seconds - 1e-9):
+            return seconds
+    return 0.0
+
+
+def _late(fit: Fit) -> list[int]:
+    """Return which members of a set go on from what was sent before."""
+    return [k for k, c in enumerate(fit.members) if c.effect.id in _REMEMBERING]
+
+
+def _forgotten(fit: Fit) -> float:
+    """Return for how long in [s] the late drives of a set go on from what was sent before."""
+    times = [_LEAST]
+    for c, x in zip(fit.members, fit.x, strict=True):
+        if c.effect.id == "actuator_lag":
+            times.append(_CONSTANTS * float(x[0]))
+        elif c.effect.id == "actuator_delay":
+            times.append(float(x[0]))
+    return max(times)
+
+
+def _explains(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> bool:
+    """Whether a set explains some of the windows, and without its late drives does not."""
+    alone = Search.on(search.prepared.rows(rest), search.candidates, search.most, fit.hypothesis)
+    if not clean(alone.fit(fit.members, fit.x, guess=fit.hypothesis)):
+        return False
+    late = _late(fit)
+    members, x = subset(fit, [k for k in range(len(fit.members)) if k not in late])
+    return alone.fit(members, x, guess=fit.hypothesis).rms > LOOSE
