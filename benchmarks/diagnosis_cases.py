@@ -14,7 +14,7 @@ from diagnosis_rigs import RIGS, Log, load
 from diagnosis_sizes import Sizes
 from diagnosis_strange import strange_force
 
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, candidates
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.effects import CATALOGUE, survey
 from bo_sysid.recording import Recording
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import Machine

@@ -18,8 +18,9 @@ from jaxtyping import Float
 from pysindy.optimizers import STLSQ
 from scipy.signal import savgol_filter
 
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE, Site
 
 WINDOWS = (0.03, 0.06, 0.12, 0.2)  # [s]

@@ -22,14 +22,10 @@ from absl import logging as absl_logging
 from jaxtyping import Float
 from mujoco import sysid
 
+from bo_sysid.diagnosis.windows.candidate import Candidate, parameter_candidates
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.hypothesis import (
-    Candidate,
-    Hypothesis,
-    edits_and_parts,
-    parameter_candidates,
-)
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.parameters import Parameter
 

@@ -26,7 +26,15 @@ class RecordingError(UserError):
 
 
 class ModelError(UserError):
-    """A model is wrong or does not compile, or an address matches nothing in it."""
+    """A model is wrong or does not compile, or an address matches nothing in it.
+
+    Attributes:
+        key: of the study, or argument, that named what the model lacks; empty for the file itself.
+    """
+
+    def __init__(self, message: str, *, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
 
 
 class RunError(UserError):

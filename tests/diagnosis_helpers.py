@@ -6,8 +6,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, candidates
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import CATALOGUE, Machine, Site, survey
 from bo_sysid.mjcf import Model

@@ -355,7 +355,7 @@ def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagno
 
 def test_an_unrecorded_joint_must_be_one_of_the_model(tmp_path: Path) -> None:
     (tmp_path / "joint.xml").write_text(JOINT)
-    with pytest.raises(ModelError, match=r"unrecorded: no hinge or slide 'hing'.*hinge"):
+    with pytest.raises(ModelError, match=r"no hinge or slide 'hing'.*hinge"):
         Model.from_file(tmp_path / "joint.xml", unrecorded={"hing": None})
 
 

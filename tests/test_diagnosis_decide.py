@@ -10,7 +10,8 @@ from bo_sysid.diagnosis.search.final import finalists
 from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, explains_little, required, sizes
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.candidate import Candidate
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000

@@ -14,8 +14,9 @@ from bo_sysid.diagnosis.sets.fit import assess, sandwich
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.settling import first_start, settle

@@ -20,8 +20,8 @@ from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
+from bo_sysid.diagnosis.windows.candidate import beside, candidates, parameter_candidates
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.hypothesis import beside, candidates, parameter_candidates
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
 from bo_sysid.mjcf import Model

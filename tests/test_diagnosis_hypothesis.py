@@ -13,13 +13,9 @@ from effect_bench import MOTOR, SLIDE, Bench, pendulum
 from effect_machines import case
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, MODULE, write_model
+from bo_sysid.diagnosis.windows.candidate import candidates, parameter_candidates
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.hypothesis import (
-    Hypothesis,
-    candidates,
-    edits_and_parts,
-    parameter_candidates,
-)
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.recorded_contact import meets_stops
 from bo_sysid.diagnosis.windows.timestep import coarsened, finer_step
 from bo_sysid.effects import (

@@ -9,7 +9,8 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, followed, orders
+from bo_sysid.diagnosis.windows.candidate import Candidate, followed, orders
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Machine, survey
 from bo_sysid.recording import Channel, Recording

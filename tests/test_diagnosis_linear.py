@@ -9,8 +9,9 @@ import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis.sets.signatures import signatures
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.sets.subsets import Unit, clashes, gram, groups, search
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Component, Effect, Extent, Site
 
 

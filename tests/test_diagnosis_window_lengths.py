@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.search.window_lengths import stable
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

@@ -8,8 +8,9 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
 from bo_sysid.diagnosis.unexplained.law import law_candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import Machine, survey
 from bo_sysid.effects.beside import as_commanded_and_measured, read_beside
 from bo_sysid.effects.learned import features

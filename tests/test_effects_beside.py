@@ -13,7 +13,8 @@ from effect_bench import SERVO, pendulum
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.candidate import Candidate
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE, Filter, Force, Site, extent_at, survey
 from bo_sysid.effects.beside import (
     Beside,

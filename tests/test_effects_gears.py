@@ -6,7 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, candidates, edits_and_parts
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.effects import CATALOGUE, Force, Machine, Site, survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording

@@ -64,7 +64,7 @@ def test_a_joint_that_is_named_twice_is_held_once(tmp_path: Path) -> None:
 
 def test_an_unknown_joint_is_refused(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM)
-    with pytest.raises(ModelError, match=r"hold: no joint 'fingr'; did you mean 'finger'"):
+    with pytest.raises(ModelError, match=r"no joint 'fingr'; did you mean 'finger'"):
         Model.from_file(tmp_path / "arm.xml", hold=["fingr"])
 
 

@@ -107,7 +107,8 @@ class Model:
         for name in (n for pair in self.unrecorded.items() for n in pair if n is not None):
             if f"qpos.{name}" not in known:
                 near = nearest(name, [n.removeprefix("qpos.") for n in known])
-                raise ModelError(f"{self.source}: unrecorded: no hinge or slide {name!r}; {near}")
+                said = f"{self.source}: no hinge or slide {name!r}; {near}"
+                raise ModelError(said, key="unrecorded")
 
     @classmethod
     def from_file(

@@ -171,11 +171,13 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     joints = {j.name: j for j in spec.joints}
     for name in dict.fromkeys(names):  # deleted twice, a joint ends the process
         if name not in joints:
-            raise ModelError(f"{source}: hold: no joint {name!r}; {nearest(name, joints)}")
+            said = f"{source}: no joint {name!r}; {nearest(name, joints)}"
+            raise ModelError(said, key="hold")
         if tie := tied_by(before, name):
             raise ModelError(
-                f"{source}: hold: {tie} moves {name} with other joints, so that it cannot be held; "
-                f"unrecorded: {{{name}: null}} lets it move unmeasured"
+                f"{source}: {tie} moves {name} with other joints, so that it cannot be held; "
+                f"unrecorded: {{{name}: null}} lets it move unmeasured",
+                key="hold",
             )
         drives = [a for a in spec.actuators if int(a.trntype) in ALONG_JOINT and a.target == name]
         gone = {(mujoco.mjtObj.mjOBJ_ACTUATOR, a.name) for a in drives}

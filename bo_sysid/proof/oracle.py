@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from bo_sysid.diagnosis.diagnose import gather
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE, Machine, Site
 from bo_sysid.mjcf import nominal
 from bo_sysid.study import Study

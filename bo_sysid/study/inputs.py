@@ -37,10 +37,8 @@ def load_model(study: Study) -> Model:
     except ModelError as error:
         if study.model.dm_control is not None:
             raise study.error(("model", "dm_control"), str(error)) from None
-        for key in ("hold", "unrecorded"):
-            file, said, rule = str(error).partition(f": {key}: ")
-            if said:
-                raise study.error(("model", key), f"{file}: {rule}") from None
+        if error.key:
+            raise study.error(("model", error.key), str(error)) from None
         raise
 
 

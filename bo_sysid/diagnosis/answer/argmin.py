@@ -17,7 +17,8 @@ from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.measure import SESSIONS
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.candidate import slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.identify.search import History, Rules, search

@@ -24,7 +24,8 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     needed_beside,
     slopes_reach,
 )
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.timestep import coarsened
 from bo_sysid.diagnosis.windows.windowing import meets_impacts

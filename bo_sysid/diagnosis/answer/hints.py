@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
 from bo_sysid.diagnosis.sets.meshing import LATE, meshing
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf.joints import BALL
 

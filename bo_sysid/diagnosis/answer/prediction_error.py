@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
+from bo_sysid.diagnosis.windows.candidate import slices_of
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
-from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.timestep import shares
 from bo_sysid.diagnosis.windows.windowing import meets_impacts
 

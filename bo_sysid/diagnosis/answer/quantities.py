@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.shapes import ranges
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.effects import Machine, unit_at
 
 _QUANTILE = 1.96

@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts, followed
+from bo_sysid.diagnosis.windows.candidate import Candidate, followed
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects import Filter, Force, Hidden, Machine, Part, Reading
 from bo_sysid.effects.beside import Beside, LearnedLaw, Placed, beside_a_file

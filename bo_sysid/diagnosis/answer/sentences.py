@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.answer.wording import plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import unit_at
 

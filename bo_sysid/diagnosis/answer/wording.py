@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from bo_sysid.diagnosis.answer.quantities import Quantity, amount
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Site
 
 _SHORT = 3  # letters of a name that needs its kind beside it

@@ -12,8 +12,8 @@ from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, lengthened, wind
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import LOOSE
 from bo_sysid.diagnosis.sets.subsets import groups
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.diagnosis.windows.windowing import prepare
 
 _LACKED = ("dry_friction", "viscous_damping", "armature")

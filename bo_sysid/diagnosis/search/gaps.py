@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import subset
 from bo_sysid.diagnosis.sets.meshing import joints_at
 from bo_sysid.diagnosis.sets.subsets import clashes
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 
 # joints on which a gap is tried, most promising first; magnitudes each fit begins from

@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.refit import Effort
 from bo_sysid.diagnosis.sets.rules import clean
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 
 _INERTIAL = ("payload", "link_mass", "com_shift", "link_inertia", "gravity_compensation")
 _AFRESH, _NEARER = 4, 0.999  # times a place is fitted anew; each must leave less than this share

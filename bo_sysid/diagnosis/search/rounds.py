@@ -19,7 +19,7 @@ from bo_sysid.diagnosis.sets.refit import FINAL, Effort
 from bo_sysid.diagnosis.sets.rules import CLEAN, MARGIN, SHARE, clean
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.subsets import Scored
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 
 _TOP = {1: 5, 2: 5, 3: 3}  # sets of each size that are fitted in the first round

@@ -17,8 +17,9 @@ from bo_sysid.diagnosis.sets.refit import Effort, refit, refit_at
 from bo_sysid.diagnosis.sets.rules import SetPrior, clean, ranked
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.subsets import groups
+from bo_sysid.diagnosis.windows.candidate import Candidate, orders
 from bo_sysid.diagnosis.windows.estimated_starts import on_the_right_side
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, orders
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared

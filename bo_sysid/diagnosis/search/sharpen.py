@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.screen import Screen
 from bo_sysid.diagnosis.sets.shapes import UNIFORM, Place, profile, ranges, reshaped_members
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import linearise
 
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of its range that is told apart

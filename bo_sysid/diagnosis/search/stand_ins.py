@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.sets.fit import Fit, set_key, size_of
 from bo_sysid.diagnosis.sets.groups import grouped_labels
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.subsets import clashes
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 
 _THERE = 0.1  # of the level by which friction is probed, that friction of a model must have
 _BEGUN = 1e-2  # of that level, by which a member begins to change it: without a change none bends

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.shapes import reshaped
 from bo_sysid.diagnosis.sets.subsets import clashes
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import linearise
 
 _PROMISING = 1.5  # times the least that is left, up to which a bend is fitted

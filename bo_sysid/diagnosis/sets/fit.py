@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS

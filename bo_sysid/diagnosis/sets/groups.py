@@ -6,7 +6,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.subsets import Scored, groups
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 
 
 def units_of(fit: Fit) -> list[tuple[int, ...]]:

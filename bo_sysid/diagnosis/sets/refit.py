@@ -13,9 +13,10 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, assess
 from bo_sysid.diagnosis.sets.gauss_newton import LeastSquares, broyden
+from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, beside, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
 from bo_sysid.diagnosis.windows.settling import better_of, first_start, moved_along, settle

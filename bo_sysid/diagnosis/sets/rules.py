@@ -11,7 +11,7 @@ from math import comb, log, sqrt
 import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 
 MARGIN = 0.2  # [sigma] least unique size of an effect

@@ -10,7 +10,8 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.sets.subsets import Gram, gram
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, beside, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 

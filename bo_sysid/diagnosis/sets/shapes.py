@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects import Machine

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.commanded import changed_activations
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, project
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.effects import Force

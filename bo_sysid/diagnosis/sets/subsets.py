@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate
 
 PAIRED, TRIPLED = 170, 60  # how many units are combined in twos and in threes
 _BESIDE_GROUPS = 20  # single candidates tried beside two groups

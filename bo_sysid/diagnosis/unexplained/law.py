@@ -9,7 +9,8 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.signatures import response_to_forces, signatures
 from bo_sysid.diagnosis.unexplained.left_out import LeftOut
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.settling import settle

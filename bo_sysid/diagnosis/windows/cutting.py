@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bo_sysid.deviation.measure import blocks_of
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.compared import at_positions
-from bo_sysid.diagnosis.windows.hypothesis import Candidate
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.problem import BLOCKS, Problem
 from bo_sysid.effects import Machine

@@ -5,14 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates, parameter_candidates
 from bo_sysid.diagnosis.windows.channel_noise import channel_noise
-from bo_sysid.diagnosis.windows.hypothesis import (
-    Candidate,
-    Hypothesis,
-    candidates,
-    edits_and_parts,
-    parameter_candidates,
-)
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.law_controls import driven
 from bo_sysid.diagnosis.windows.recorded_contact import shows_impacts, without_unused_contact

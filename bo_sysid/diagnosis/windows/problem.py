@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from bo_sysid.deviation.measure import blocks_of
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
-from bo_sysid.diagnosis.windows.hypothesis import Candidate, Hypothesis, edits_and_parts
+from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.recent import Recent
