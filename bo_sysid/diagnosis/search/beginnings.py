@@ -23,14 +23,15 @@ _MORE = 2.0  # times what a set leaves of the other windows, that it leaves of t
 _TRIED = 3  # sets, those that leave least of the other windows
 
 
-def unheard(search: Search) -> float:
-    """Return for how long in [s] after first commands logs are not explained, 0 where they are.
+def unheard(search: Search) -> tuple[float, Fit] | None:
+    """Return for how long in [s] after first commands logs are not explained, and what then does.
 
-    That is where a set with a late drive explains all windows but those, and does not without it.
+    That is where a set with a late drive explains all windows but those, and does not without it;
+    None where there is none.
     """
     problem = search.prepared.problem
     if clean(search.best) or problem.machine.impacts:
-        return 0.0
+        return None
     first = np.array([first_command(r) for r in problem.recordings])
     since = problem.windows.time - first[problem.windows.recording]
     tried: list[tuple[float, Fit]] = []
@@ -42,10 +43,10 @@ def unheard(search: Search) -> float:
             if begin > _MORE * rest:
                 tried.append((float(rest), f))
     for _, f in sorted(tried, key=lambda pair: pair[0])[:_TRIED]:
-        seconds = _forgotten(f)
-        if _explains(search, f, since >= seconds - 1e-9):
-            return seconds
-    return 0.0
+        made = _fitted(search, f, since >= _forgotten(f) - 1e-9)
+        if made is not None:
+            return _forgotten(made), made
+    return None
 
 
 def _late(fit: Fit) -> list[int]:
@@ -64,11 +65,12 @@ def _forgotten(fit: Fit) -> float:
     return max(times)
 
 
-def _explains(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> bool:
-    """Whether a set explains some of the windows, and without its late drives does not."""
+def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | None:
+    """Return a set that explains some of the windows, and without its late drives does not."""
     alone = Search.on(search.prepared.rows(rest), search.candidates, search.most, fit.hypothesis)
-    if not clean(alone.fit(fit.members, fit.x, guess=fit.hypothesis)):
-        return False
+    made = alone.fit(fit.members, fit.x, guess=fit.hypothesis)
+    if not clean(made):
+        return None
     late = _late(fit)
     members, x = subset(fit, [k for k in range(len(fit.members)) if k not in late])
-    return alone.fit(members, x, guess=fit.hypothesis).rms > LOOSE
+    return made if alone.fit(members, x, guess=fit.hypothesis).rms > LOOSE else None

@@ -122,10 +122,7 @@ def _searched(
     if begun is not None:
         search, length = begun, horizon
         tell(f"windows of {length} instants at once: {_said(search.best)}")
-    search, step = _explored(evidence, search, length, step)
-    if (seconds := unheard(search)) > evidence.unheard:
-        tell(f"without the first {seconds:.2g} s of each log: {_said(search.best)}")
-        return _searched(evidence.heard_from(seconds), tell, doing)
+    evidence, search, step = _explored_anew(evidence, search, length, step)
     while True:
         if length >= horizon:
             longer = _calmer(evidence, search, horizon, full, step)
@@ -134,7 +131,7 @@ def _searched(
             horizon, step = longer, step / 2  # what a step does grows with a window
         step = _step_for(search, search.best, step)
         search, length = _lengthened(evidence, search, length, horizon, step)
-        search, step = _explored(evidence, search, length, step, rounds=3)
+        evidence, search, step = _explored_anew(evidence, search, length, step, rounds=3)
         tell(f"windows of {length} instants: {_said(search.best)}")
 
 
@@ -163,6 +160,22 @@ def _short_enough(
         step = step / 2
         prepared = prepare(windows_of(evidence, length, step))
     return prepared, step
+
+
+def _explored_anew(
+    evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
+) -> tuple[Evidence, Search, float]:
+    """Explore, and once more without the first moments of each log where they alone do not fit."""
+    search, step = _explored(evidence, search, length, step, rounds)
+    found = unheard(search)
+    if found is None:
+        return evidence, search, step
+    seconds, fit = found
+    evidence = evidence.heard_from(max(seconds, evidence.unheard))
+    prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
+    made = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
+    made.fit(fit.members, fit.x, guess=fit.hypothesis)
+    return evidence, *_explored(evidence, made, length, step, rounds)
 
 
 def _explored(
