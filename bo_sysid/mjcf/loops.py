@@ -13,7 +13,7 @@ Source: MuJoCo documentation, Computation, Constraint model.
 
 import copy
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from bo_sysid.mjcf.commands import ALONG_JOINT
 from bo_sysid.mjcf.joints import SCALAR
 
 _RIGID = 0.02  # [s] time constant up to which an equality is rigid; MuJoCo's own
+_QUICK = 0.01  # [s] time constant up to which an equality opens by nothing that is measured
 _ITERATIONS, _CLOSED = 30, 1e-11  # of Newton's method; [m] or [rad] of its last step
 _LONGEST, _STRIDE = 0.3, 0.1  # [m] or [rad] of a step; of the joints that are followed
 _ASIDE = 0.05  # [m] or [rad] from where the model rests, where its rank is looked at
@@ -88,16 +89,37 @@ class Loops:
     @property
     def mirrored(self) -> dict[str, str]:
         """The joints that follow in proportion to another, as fingers that mimic, with that one."""
-        model, found = self.model, {}
-        for e in np.flatnonzero(model.eq_active0):
+        return {follower: other for _, follower, other in self._in_proportion()}
+
+    @property
+    def yielding(self) -> frozenset[str]:
+        """The mirrored joints whose tie opens under load by what an encoder may show.
+
+        Where it holds back an acceleration a, a tie of time constant τ opens by
+
+            r = τ² D² (1 - d) a / d²
+
+        with its impedance d, at most D: half a milliradian for 11 rad/s² and MuJoCo's own numbers.
+        Source: MuJoCo documentation, Computation, Constraint model, with an acceleration of 0.
+        """
+        slow = self.model.eq_solref[:, 0] > _QUICK
+        return frozenset(follower for e, follower, _ in self._in_proportion() if slow[e])
+
+    def _in_proportion(self) -> Iterator[tuple[int, str, str]]:
+        """Yield the equalities that tie two joints in proportion, who follows, and whom."""
+        model = self.model
+        for e in np.flatnonzero(model.eq_active0).tolist():
             if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or model.eq_obj2id[e] < 0:
                 continue
             one, two = (model.joint(int(j)).name for j in (model.eq_obj1id[e], model.eq_obj2id[e]))
             in_proportion = not model.eq_data[e, 2:5].any()
             if in_proportion and (one in self.joints) != (two in self.joints):
-                follower, other = (one, two) if one in self.joints else (two, one)
-                found[follower] = other
-        return found
+                yield (e, one, two) if one in self.joints else (e, two, one)
+
+    def released(self, joints: Collection[str]) -> "Loops":
+        """Return the same where some joints do not follow."""
+        keep = [k for k, name in enumerate(self.joints) if name not in joints]
+        return replace(self, joints=tuple(self.joints[k] for k in keep), dofs=self.dofs[keep])
 
     @property
     def columns(self) -> Int[np.ndarray, " d"]:

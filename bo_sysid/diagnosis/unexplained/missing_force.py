@@ -93,7 +93,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
 def _free(problem: Problem) -> dict[str, JointScale]:
     """Return the joints that do not follow from others."""
     joints = problem.machine.joints.items()
-    return {name: joint for name, joint in joints if name not in problem.loops.joints}
+    return {name: joint for name, joint in joints if name not in problem.model.loops.joints}
 
 
 def _forces(

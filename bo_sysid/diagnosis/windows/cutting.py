@@ -57,6 +57,7 @@ def cut_problem(
     )
     windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
     scale = np.array([sigma[n] for n in windows.channels])
+    recorded = {n.removeprefix("qpos.") for n in windows.channels}
     weight = np.isfinite(windows.observed) / scale
     return Problem(
         model=model,
@@ -70,6 +71,6 @@ def cut_problem(
         correction=None,
         engine=engine,
         laws=tuple(laws),
-        loops=model.loops,
+        loops=model.loops.released(model.loops.yielding & recorded),
         kept=kept,
     )
