@@ -61,8 +61,14 @@ class Evidence:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to the model, in words."""
+        yielding = self.model.loops.yielding
         said = [
-            f"{joint} is tied to {other}: what acts on one acts on the other, and is named there."
+            f"{joint} is tied to {other}: what acts on one acts on the other, and "
+            + (
+                "only how that tie gives way tells where."
+                if joint in yielding
+                else "is named there."
+            )
             for joint, other in self.model.loops.mirrored.items()
             if joint in self.machine.joints
         ]
@@ -193,10 +199,9 @@ def make_evidence(
 def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """Return the candidates without the physics of joints that follow in proportion to another.
 
-    It does what the same does at the other joint: what tells them apart is how MuJoCo's equality
-    gives way, and no machine's.
+    It does what the same does at the other joint, unless the tie gives way by what encoders show.
     """
-    mirrored = model.loops.mirrored
+    mirrored = model.loops.mirrored.keys() - model.loops.yielding
     return tuple(
         c for c in all_of
         if not (c.effect.family == "physics" and c.site.kind == "joint")
