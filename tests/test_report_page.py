@@ -264,7 +264,8 @@ def test_the_live_page_is_served_to_this_machine_and_follows_the_run(tmp_path: P
             get("../secret.txt")
         (run / "next experiment.csv").write_text("controls")
         assert get("next%20experiment.csv") == "controls"
-        for host, status in (("127.0.0.1:9", 200), ("localhost", 200), ("other.example", 403)):
+        hosts = {"127.0.0.1:9": 200, "localhost": 200, "other.example": 403, "[": 403}
+        for host, status in hosts.items():
             asked = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
             asked.request("GET", "/version", headers={"Host": host})
             assert asked.getresponse().status == status

@@ -66,7 +66,11 @@ def _answering(folder: Path) -> type[BaseHTTPRequestHandler]:
 
             The port may be another one, of a tunnel.
             """
-            return urlsplit(f"//{self.headers.get('Host', '')}").hostname in (HOST, "localhost")
+            try:
+                asked = urlsplit(f"//{self.headers.get('Host', '')}").hostname
+            except ValueError:  # not a name of any machine
+                return False
+            return asked in (HOST, "localhost")
 
         def log_message(self, *_: object) -> None:
             """Keep the terminal free."""
