@@ -1,5 +1,6 @@
 """Trajectories that are planned: informative, and within limits for every machine they are for."""
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -294,11 +295,18 @@ def test_the_command_writes_controls_a_picture_and_intervals(
         "limits: {hinge: {position: [-1, 1], velocity: 5}}\n"
     )
     assert main(["excite", "rod.yaml", "--seconds", "2", "--budget", "30", "--effects"]) == 0
-    assert "joint[hinge].frictionloss" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "joint[hinge].frictionloss" in said
+    assert re.search(r"\n[1-9]\d* % of the limits are used", said)
     lines = (tmp_path / "runs/rod-excite/controls.csv").read_text().splitlines()
     assert lines[0] == "time,ctrl.m"
     assert len(lines) == 201
     assert (tmp_path / "runs/rod-excite/predicted.png").is_file()
+    free = ("rod.yaml", "--seconds", "2", "--budget", "28", "--set", "limits={}", "--out", "free")
+    assert main(["excite", *free]) == 0
+    said = capsys.readouterr().out
+    assert "No limits were kept" in said
+    assert "limits are used" not in said
 
 
 def with_beside(folder: Path, effect: Placed) -> Study:

@@ -77,6 +77,8 @@ def run(args: argparse.Namespace) -> None:
     print(table(found.parameters.rename(columns=shown_columns)))
     print(
         f"\n{100 * found.used:.0f} % of the limits are used, over parameters within their bounds."
+        if found.used
+        else "\nNo limits were kept: neither the study nor the model states any for these joints."
     )
     for note in found.notes:
         print(f"- {note}")
