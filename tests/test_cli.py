@@ -107,6 +107,10 @@ def test_help_names_every_verb(say: Say) -> None:
         (["report", "nowhere"], "nowhere: not a run folder"),
         (["identify", "arm.yaml", "--threads", "0"], "--threads 0: at least 1"),
         (["record", "arm.yaml"], "plant: record needs this key"),
+        (
+            ["record", "arm.yaml", "--set", "parameters=[]", "--set", "plant={parameters: {m: 1}}"],
+            "no parameter 'm'; the study has none \\(or an MJCF address\\)",
+        ),
     ],
 )
 def test_wrong_input_gives_one_message(

@@ -212,6 +212,7 @@ def _parameter_edits(study: Study, model: Model) -> Sequence[Edit]:
         else:
             raise study.error(
                 ("plant", "parameters", name),
-                f"no parameter {name!r}; {nearest(name, known)} (or an MJCF address)",
+                f"no parameter {name!r}; {nearest(name, known) or 'the study has none'} (or an "
+                "MJCF address)",
             )
     return edits
