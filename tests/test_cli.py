@@ -19,7 +19,7 @@ import yaml
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
 from bo_sysid.errors import UserError, is_input_error
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Recording, read_recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.runs import Run
 
@@ -393,6 +393,23 @@ def test_record_makes_recordings_and_a_study_on_them(folder: Path, say: Say) -> 
     before = (folder / "made" / "train-1.parquet").read_bytes()
     assert say("record", "arm.yaml", "--set", plant, "--out", "made")[0] == 0
     assert (folder / "made" / "train-1.parquet").read_bytes() == before
+
+
+def test_record_refused_for_want_of_a_range_begins_anew_with_one(folder: Path, say: Say) -> None:
+    (folder / "pendulum.xml").write_text(MODEL.replace(' ctrlrange="-1 1"', ""))
+    plant = ("--set", "plant={record: {train: 1, holdout: 1, seconds: 0.5}}", "--out", "made")
+    code, _, err = say("record", "arm.yaml", *plant)
+    assert code == 2
+    assert "arm.yaml, line 2: model: actuator 'motor' has no control range; give it a" in err
+    assert say("record", "arm.yaml", *plant, "--set", "limits={hinge: {effort: 1}}")[0] == 0
+    assert read_recording("made/train-0.parquet").to_frame()["ctrl.motor"].abs().max() <= 1.0
+
+
+def test_record_refused_once_its_plant_was_told_begins_anew(folder: Path, say: Say) -> None:
+    plant = "plant={record: {train: 1, holdout: 1, seconds: SECONDS}}"
+    for seconds, expected in (("0.001", 2), ("0.5", 0)):
+        made = plant.replace("SECONDS", seconds)
+        assert say("record", "arm.yaml", "--set", made, "--out", "made")[0] == expected
 
 
 def test_record_says_what_broke_off(folder: Path, say: Say) -> None:

@@ -455,6 +455,17 @@ class Hold(base.Task):
 """
 
 
+FREE = """
+<mujoco>
+  <option timestep="0.02"/>
+  <worldbody><body name="pole">
+    <joint name="hinge" axis="0 1 0" damping="0.1"/>
+    <geom type="capsule" size=".04" fromto="0 0 0 0 0 .5" mass="1"/>
+  </body></worldbody>
+  <actuator><motor name="torque" joint="hinge"/></actuator>
+</mujoco>
+"""
+
 OTHER_ACTIONS = {
     "scaled": "    def before_step(self, action, physics):\n"
     "        super().before_step(0.2 * action, physics)\n",
@@ -493,6 +504,28 @@ def test_a_model_without_actuators_is_refused(tmp_path: Path) -> None:
     study = pendulum(**changed, parameters=[mass])
     with pytest.raises(StudyError, match="model: learn needs actuators; the model has none"):
         Scene.of(Study.from_dict(study, tmp_path, trust_code=True))
+
+
+@pytest.mark.parametrize(
+    ("task", "message"),
+    [
+        (
+            {"dm_control": {"domain": "pendulum", "task": "swingup"}},
+            "model: actuator 'torque' has no control range; give it a ctrlrange in the model",
+        ),
+        (
+            {"file": "hold.py", "class": "Hold"},
+            r"task Hold: its action 0 \(actuator 'torque'\) has no bounds .*a ctrlrange",
+        ),
+    ],
+)
+def test_an_actuator_without_a_range_is_named(tmp_path: Path, task, message: str) -> None:
+    (tmp_path / "hold.py").write_text(TASK.replace("REWARD", "1.0"))
+    (tmp_path / "free.xml").write_text(FREE)
+    study = pendulum(model="free.xml", task=task)
+    with pytest.raises(UserError, match=message):
+        learned(tmp_path, study)
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(

@@ -204,6 +204,9 @@ def test_wrong_input_leaves_no_folder(tmp_path: Path) -> None:
         raise StudyError("wrong")
     assert not (tmp_path / "run").exists()
     with pytest.raises(StudyError), opened(tmp_path / "run") as run:
+        write_and_raise(run.path("inputs.json"), StudyError("wrong"))  # of what it would be made
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(StudyError), opened(tmp_path / "run") as run:
         write_and_raise(run.path("evaluations.txt"), StudyError("wrong"))
     assert read_record(tmp_path / "run")["status"] == "failed"
 

@@ -13,7 +13,7 @@ from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
 from bo_sysid.plants.environment import BatchEnvironment, Environment, control_range
-from bo_sysid.plants.limits import limit_edits
+from bo_sysid.plants.limits import limit_edits, require_ranges
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.machine import command_ends
 from bo_sysid.plants.python_environment import PythonMachine
@@ -99,6 +99,8 @@ class Scene:
         )
         first = scene.compiled(scene.candidates.points[0])
         _require_known_commands(scene)
+        if not isinstance(task, PythonTask):
+            require_ranges(study, first)
         scene.environment(first, 1)  # the task must fit
         if study.plant is None and isinstance(task, PythonTask):
             _require_commands(study, task, first)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from bo_sysid.errors import nearest
+from bo_sysid.errors import ModelError, nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import (
     commands_force,
@@ -23,6 +23,7 @@ from bo_sysid.mjcf.commands import (
 from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.mjcf.extremes import actuator_extremes
 from bo_sysid.mjcf.joints import SCALAR
+from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.study import Study
@@ -69,6 +70,22 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
         if np.isfinite([low, high]).all():
             bounds[name] = (low, high)
     return (RangeEdit(bounds, forces),)
+
+
+def require_ranges(study: Study, model: mujoco.MjModel) -> None:
+    """Refuse an actuator of which neither the model nor a limit says how far it may be driven.
+
+    Args:
+        study: for the message.
+        model: its model, with the edits of its limits.
+
+    Raises:
+        StudyError: there is one.
+    """
+    try:
+        control_range(model)
+    except ModelError as error:
+        raise study.error(("model",), str(error)) from None
 
 
 def _require_kept(study: Study, model: Model, compiled: mujoco.MjModel) -> None:

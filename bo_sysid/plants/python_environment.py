@@ -12,6 +12,7 @@ from bo_sysid.plants.machine import TRACED, Applied
 from bo_sysid.plants.python_task import PythonTask, guarded
 from bo_sysid.plants.tasks.base import Start
 
+_BOUND = 1e9  # beyond it a limit of an action is none
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -113,10 +114,22 @@ class PythonMachine:
         Raises:
             UserError: the task's actions are not bounded.
         """
-        if not (np.abs([self._low, self._high]) < 1e9).all():
-            raise UserError(f"task {self._name}: its actions have no bounds to learn within")
+        free = ~(np.abs([self._low, self._high]) < _BOUND).all(axis=0)
+        if free.any():
+            raise UserError(
+                f"task {self._name}: {self._action(int(np.argmax(free)))} has no bounds to learn "
+                "within; give the actuator a ctrlrange in the model or an effort under limits, or "
+                "the task an action_spec with bounds"
+            )
         half = (self._high - self._low) / 2
         return np.asarray((self._low + self._high) / 2 + half * np.clip(actions, -1, 1))
+
+    def _action(self, number: int) -> str:
+        """Return in words which action that is: its actuator, where there is one for each."""
+        model = self.physics.model
+        if self.action_size == model.nu and (name := model.id2name(number, "actuator")):
+            return f"its action {number} (actuator {name!r})"
+        return f"its action {number}"
 
     def present(self) -> dict[str, np.ndarray]:
         """Return "time" and the traced fields now, `1 x ...`."""

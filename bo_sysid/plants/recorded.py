@@ -6,8 +6,8 @@ from pathlib import Path
 import yaml
 
 from bo_sysid.execution import OnProgress, Progress, silent
-from bo_sysid.plants.build import build_plant, record
-from bo_sysid.plants.limits import limit_edits
+from bo_sysid.plants.build import build_plant, driven_within, record
+from bo_sysid.plants.limits import limit_edits, require_ranges
 from bo_sysid.plants.plant import Trajectory
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.recording import read_recording
@@ -42,7 +42,7 @@ def record_into(
 
     Raises:
         StudyError: the study has no plant.
-        UserError: the plant cannot be built or fails.
+        UserError: the plant cannot be built or fails, or an actuator has no control range.
     """
     if study.plant is None:
         raise study.error(("plant",), "record needs this key: it says what the machine is like")
@@ -50,6 +50,9 @@ def record_into(
     names = [f"train-{k}" for k in range(wanted.train)]
     names += [f"holdout-{k}" for k in range(wanted.holdout)]
     plant, model = build_plant(study), load_model(study)
+    limits = limit_edits(study, model)
+    if driven_within(plant) is None:
+        require_ranges(study, model.compile(limits))
     if isinstance(plant.task, PythonTask):
         progress(Progress(0, len(names), plant.task.notice))
     done = _done(run, study, names)
@@ -63,7 +66,7 @@ def record_into(
             excitation=wanted.excitation,
             seed=study.search.seed * _SEEDS + number,
             warmstart=wanted.warmstart,
-            limits=limit_edits(study, model),
+            limits=limits,
         )
         write_recording(recording, run.path(f"{title}.parquet"))
         progress(Progress(number + 1, len(names), title))

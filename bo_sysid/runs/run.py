@@ -46,6 +46,8 @@ Status = Literal["running", "finished", "interrupted", "failed"]
 
 _RECORD = "run.json"
 _STUDY = "study.yaml"
+_MADE_OF = ("inputs.json", "problems.json", "recorded.json")
+"""What `learn`, `compare` and `record` write of their files before they compute anything."""
 
 
 class Run:
@@ -221,7 +223,7 @@ class Run:
 
     def _remove_if_bare(self) -> None:
         """Remove the folder where the input was wrong before anything was computed."""
-        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, LOCK}:
+        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, LOCK, *_MADE_OF}:
             shutil.rmtree(self.folder)
 
 
