@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from bo_sysid.checks.attitude import find_attitudes
 from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
 from bo_sysid.checks.evidence import Laws
 from bo_sysid.checks.flags import Flag
@@ -91,7 +92,9 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     compiled = model.compile()
     wiring = find_wiring(compiled, whole, laws, progress)
     kind = "goal" if laws else "ctrl"
-    right = rewired(whole, wiring.wires, wiring.delay, kind)
+    turned, attitude = find_attitudes(compiled, whole)
+    wires = {**wiring.wires, **turned}
+    right = rewired(whole, wires, wiring.delay, kind)
     motion = excitation(right, compiled)
     noise = _noise(study, right)
     windows = _windows(study, model, right, None)
@@ -104,7 +107,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
     flags = [*slow_flags(read), *bounds_flags(parameters, point), *wrap_flags(wraps)]
     flags += _grid_flags(summary)
-    flags += [*wiring.flags, *excitation_flags(motion), *weak]
+    flags += [*attitude, *wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
     flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
     flags += contact_flags(compiled, right)
@@ -114,7 +117,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         summary,
         tuple(sorted(flags, key=lambda f: _ORDER[f.level])),
         wiring,
-        proposed_columns(written.get("columns", {}), wiring.wires, wraps),
+        proposed_columns(written.get("columns", {}), wires, wraps),
         proposed_clocks(written.get("clocks", {}), kind, wiring.delay),
         motion,
         known,
