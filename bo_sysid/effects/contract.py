@@ -7,6 +7,7 @@ channel (`Reading`). A joint that it adds it names (`Hidden`). Magnitude 0 chang
 Everything else (its signature in the predictions, its fit, its report) follows from the simulator.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
@@ -193,6 +194,8 @@ class Extent:
             for v in vectors:
                 if len(v) != len(self.probe):
                     raise ValueError(f"{name} {v} has another length than probe {self.probe}")
+                if not all(map(math.isfinite, v)) and name not in ("low", "high"):
+                    raise ValueError(f"{name} {v} must be finite numbers")
         for low, high in zip(self.low, self.high, strict=True):
             if not low < high:
                 raise ValueError(f"the bounds {low} and {high} are not in order")

@@ -10,6 +10,7 @@ from typing import Any, get_args
 import pandas as pd
 
 from bo_sysid.effects.contract import Apply, Effect, Extent, Site, SiteKind
+from bo_sysid.effects.guard import guarded
 from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, UserError, nearest
 from bo_sysid.execution.files import run_file
@@ -93,7 +94,7 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
     before = dict(_EFFECTS)
     try:
         run_file(path)
-        made = tuple(e for id, e in _EFFECTS.items() if id not in before)
+        made = tuple(guarded(e, path) for id, e in _EFFECTS.items() if id not in before)
     except StudyError as error:
         raise StudyError(f"{path}: {error}") from error
     except Exception as error:  # whatever it is, it is for the file's author
