@@ -326,6 +326,12 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         frozen = say("report", "run2")[1]
     assert "Nothing is decided yet; fits so far: 1. The same command goes on." in said
     assert "The elbow has dry friction of 0.1 N m.\nThe unseen recordings were not" in frozen
+    with Run.open(folder / "run4", {}, "learn") as run:
+        run.write_frame("trajectories/01.parquet", pd.DataFrame({"time": [0.0]}))
+        said = say("report", "run4")[1]
+    assert (
+        "Real trajectories so far: 1 (trajectories/*.parquet); no policy was learned yet." in said
+    )
     with Run.open(folder / "run3", {}, "compare"):
         (folder / "run3" / "records" / "small" / "greedy").mkdir(parents=True)
         for name in ("000.json", "001.json", "plan.json"):

@@ -45,6 +45,12 @@ def run_text(folder: str | Path) -> str:
             f"{head}\nIterations so far: {rounds}, each with the policy that it learned "
             "(iterations/*/policy.npz). The same command goes on."
         )
+    real = len(list(folder.glob("trajectories/*.parquet")))
+    if record["command"] == "learn" and real:
+        return (
+            f"{head}\nReal trajectories so far: {real} (trajectories/*.parquet); no policy was "
+            "learned yet. The same command goes on."
+        )
     compared = len(list(folder.glob("records/*/*/[0-9]*.json")))
     if record["command"] == "compare" and compared:
         return f"{head}\nRuns of arms so far: {compared}. The same command goes on."
