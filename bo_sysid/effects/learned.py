@@ -74,7 +74,7 @@ class Feature:
 def features(joint: str, machine: Machine) -> tuple[Feature, ...]:
     """Return the terms of a flexible force law on one joint.
 
-    Bumps over position and speed, friction that changes with position; the controls and the
+    Bumps over position and speed, friction, also as it changes with position; the controls and the
     torque of the joint's actuators; bumps over time, for forces and friction; bumps over the
     positions of the other joints. Features of time read the signal `ELAPSED`.
     """
@@ -190,12 +190,16 @@ def _turning(joint: JointScale) -> tuple[str, Term]:
 
 
 def _own(joint: JointScale, over: Sequence[Shape]) -> list[Feature]:
-    """Bumps over position, over speed, and over position times the direction of motion."""
+    """Bumps over position, over speed with a step at rest, and friction over position.
+
+    Without that step friction of one size was told as friction that changes with time.
+    """
     at, speed, sign = _position(joint), _velocity(joint), _turning(joint)
     speeds = _bumps(_SPEEDS, speed.low, speed.high)
     return [
         *(Feature("position", f"position {k} of {len(over)}", at, f) for k, f in enumerate(over)),
         *(Feature("speed", f"speed {k}", speed, f) for k, f in enumerate(speeds)),
+        Feature("speed", "direction of motion", speed, _direction(joint)),
         *(
             Feature("position", f"friction at position {k} of {len(over)}", at, f, sign)
             for k, f in enumerate(over)

@@ -10,8 +10,9 @@ from jaxtyping import Bool
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.groups import subset
+from bo_sysid.diagnosis.sets.groups import all_but, subset
 from bo_sysid.diagnosis.sets.rules import LOOSE, clean
+from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import first_command
 from bo_sysid.diagnosis.windows.linear import project
 
@@ -66,11 +67,23 @@ def _forgotten(fit: Fit) -> float:
 
 
 def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | None:
-    """Return a set that explains some of the windows, and without its late drives does not."""
+    """Return a set that explains some of the windows, and without its late drives does not.
+
+    Where windows count that nothing explains, delays and what makes up for them may stand for lags.
+    """
     alone = Search.on(search.prepared.rows(rest), search.candidates, search.most, fit.hypothesis)
-    made = alone.fit(fit.members, fit.x, guess=fit.hypothesis)
-    if not clean(made):
-        return None
-    late = _late(fit)
-    members, x = subset(fit, [k for k in range(len(fit.members)) if k not in late])
-    return made if alone.fit(members, x, guess=fit.hypothesis).rms > LOOSE else None
+    lags = _lags(search, fit)
+    for members, x in ((fit.members, fit.x), (lags, [c.probe for c in lags])):
+        made = alone.fit(members, x, guess=fit.hypothesis)
+        if clean(made):
+            prompt = all_but(made, _late(made))
+            needed = alone.fit(*subset(made, prompt), guess=fit.hypothesis).rms > LOOSE
+            return made if needed else None
+    return None
+
+
+def _lags(search: Search, fit: Fit) -> list[Candidate]:
+    """Return lags of the actuators whose drives are late in a set."""
+    sites = {fit.members[k].site.name for k in _late(fit)}
+    lags = (c for c in search.candidates if c.key[0] == "actuator_lag" and not c.secant)
+    return list({c.site.name: c for c in lags if c.site.name in sites}.values())
