@@ -72,6 +72,15 @@ def test_a_magnet_is_flagged_at_its_joint_as_a_force_of_position(magnet) -> None
     assert (unknown.law.joint, unknown.law.depends_on) == ("elbow", ("position",))
 
 
+def test_friction_that_no_name_says_depends_on_speed_alone() -> None:
+    rubbing = [("dry_friction", "joint", "elbow", [0.05])]
+    ready = prepare(posed(record(duration=8.0, missing=rubbing), horizon=150)[0])
+    nominal = refit(ready.linear, (), (), effort=Effort(10, 1.0, final=True))
+    law = examine(ready.problem, settled(nominal)).law
+    assert law is not None
+    assert (law.joint, law.depends_on) == ("elbow", ("speed",))
+
+
 def test_the_learned_law_is_the_force_that_acts(magnet) -> None:
     ready, nominal = magnet
     machine = ready.problem.machine
