@@ -293,6 +293,9 @@ def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
     file.write_text("raise OSError('no')")
     with pytest.raises(StudyError, match=r"mine\.py: OSError: no"):
         load_effects(file)
+    file.write_text("import sys; sys.exit(0)")
+    with pytest.raises(StudyError, match=r"mine\.py ends the program \(SystemExit\(0\)\)"):
+        load_effects(file)
     file.write_text("x = 1")
     with pytest.raises(StudyError, match="registers no effect"):
         load_effects(file)

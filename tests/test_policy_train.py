@@ -182,7 +182,7 @@ def test_a_damaged_or_foreign_file_is_named(cart, tmp_path):
         LearnedPolicy.load(tmp_path / "none.npz")
     bad = tmp_path / "bad.npz"
     bad.write_bytes(b"PK but not really")
-    with pytest.raises(RunError, match=r"bad\.npz: damaged"):
+    with pytest.raises(RunError, match=r"bad\.npz: damaged, or no \.npz"):
         LearnedPolicy.load(bad)
     train(fresh(cart), SMALL, steps=2_000, folder=tmp_path)
     with pytest.raises(RunError, match="not a policy of format 1"):

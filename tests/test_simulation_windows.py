@@ -409,6 +409,8 @@ def test_what_is_no_orientation_is_refused_by_name_and_time() -> None:
     said = r"qpos.wheel.0 to .* length 1.638e\+04 at 2 s; .* {qpos.wheel.0: {scale: 6.10352e-05}}"
     with pytest.raises(RecordingError, match=said):
         tried(pose, 16384 * turns)
+    with pytest.raises(RecordingError, match=r"100 have another\): columns: .*scale: 0.952381"):
+        tried(pose, 1.05 * turns)
 
 
 def test_an_orientation_may_be_told_with_either_sign() -> None:

@@ -13,8 +13,8 @@ def run_file(path: Path) -> ModuleType:
     It stays among the modules, where dataclasses look theirs up, under a name of its own.
 
     Raises:
-        ImportError: it is not a Python file.
-        BaseException: whatever the file raises.
+        ImportError: it is not a Python file, or ends the program.
+        BaseException: whatever else the file raises.
     """
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
     spec = importlib.util.spec_from_file_location(f"bo_sysid_user_{path.stem}_{digest}", path)
@@ -24,6 +24,9 @@ def run_file(path: Path) -> ModuleType:
     sys.modules[spec.name] = module
     try:
         spec.loader.exec_module(module)
+    except SystemExit as error:
+        del sys.modules[spec.name]
+        raise ImportError(f"{path.name} ends the program ({error!r}) while it is read") from None
     except BaseException:
         del sys.modules[spec.name]
         raise

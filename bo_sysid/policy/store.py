@@ -134,6 +134,8 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
     if not path.is_file():
         raise RunError(f"{path}: no such file")
+    if not zipfile.is_zipfile(path):
+        raise RunError(f"{path}: damaged, or no .npz that this package wrote")
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

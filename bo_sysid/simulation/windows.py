@@ -15,6 +15,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation.state import State, Trajectory
 
 _UNIT = 0.1  # by which the length of a quaternion may differ from 1
+_USUALLY = 0.01  # the same, of most of a log: more is a scale
 
 
 @dataclass(frozen=True)
@@ -223,13 +224,14 @@ def require_orientations(
         if not set(names) <= set(channels):
             continue  # not recorded whole
         length = np.linalg.norm(table[:, [channels.index(n) for n in names]], axis=1)
-        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
+        usual = float(np.nanmedian(length)) if np.isfinite(length).any() else 1.0
+        scaled = abs(usual - 1.0) > _USUALLY
+        wrong = np.flatnonzero(np.abs(length - 1.0) > (_USUALLY if scaled else _UNIT))
         if not wrong.size:
             continue
         first, last = names[0], names[-1]
-        usual = float(np.nanmedian(length))
         remedy = "leave such rows out of the log"
-        if usual > 0 and abs(usual - 1.0) > _UNIT:
+        if usual > 0 and scaled:
             remedy = f"columns: {{{first}: {{scale: {1 / usual:.6g}}}}}, and so for all four"
         raise RecordingError(
             f"{name}: {first} to {last} are a quaternion of length {length[wrong[0]]:.4g} at "
