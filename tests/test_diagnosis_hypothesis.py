@@ -121,6 +121,17 @@ def test_laws_of_drives_are_of_what_others_made_of_them() -> None:
         assert law(motion)[0] == pytest.approx(-0.1 * 1.5 * 0.8)
 
 
+def test_an_effect_with_which_no_model_compiles_is_named() -> None:
+    def breaks(spec, site, x, machine):
+        spec.geoms[0].mass = -1.0
+
+    problem, _ = posed(record(duration=2.0), horizon=100)
+    own = replace(CATALOGUE["viscous_damping"], apply=breaks)
+    c = candidates([own], problem.machine)[0]
+    with pytest.raises(ModelError, match=r"negative.*; tried was viscous_damping at"):
+        problem.compiled(Hypothesis((c,), (c.probe,)))
+
+
 def test_an_effect_that_raises_is_named_where_a_law_makes_controls() -> None:
     def fails(spec, site, x, machine):
         raise RuntimeError("of its author")

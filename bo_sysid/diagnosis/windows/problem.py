@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
 from bo_sysid.effects.readings import readings
+from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Loops, Model
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import control_steps
@@ -149,9 +150,17 @@ class Problem:
     def compiled(
         self, hypothesis: Hypothesis, timestep: float | None = None
     ) -> tuple[mujoco.MjModel, list[Part]]:
-        """Return the model of a hypothesis and the parts that MJCF cannot express."""
+        """Return the model of a hypothesis and the parts that MJCF cannot express.
+
+        Raises:
+            ModelError: it does not compile with the effects that the message names.
+        """
         edits, parts = edits_and_parts(hypothesis, self.machine)
-        return self.model.compile(edits, timestep=timestep or self.windows.timestep), parts
+        try:
+            return self.model.compile(edits, timestep=timestep or self.windows.timestep), parts
+        except ModelError as error:
+            tried = ", ".join(f"{c.effect.id} at {c.site}" for c in hypothesis.members)
+            raise ModelError(f"{error}; tried was {tried}" if tried else str(error)) from None
 
     def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
         """Return the windows' controls after the filters among `parts`."""
