@@ -19,7 +19,8 @@ UNDONE: Mapping[str, Units] = {
 ALIKE = 0.8  # correlation from which on a speed belongs to a position
 _CLEAR = 0.03  # by which another position's rate must resemble it more
 _SAME = 1.35  # ratio of a speed to the rate that is no unit
-_EXACT = 1.15  # ratio to a unit's factor within which it is that unit
+EXACT = 1.15
+"""Ratio to a unit's factor within which it is that unit."""
 
 
 def speed_wires(
@@ -70,7 +71,7 @@ def _unit(factor: float, units: Units) -> tuple[str, float]:
     if 1 / _SAME < factor < _SAME:
         return "", 1.0
     name, scale = min(units, key=lambda u: abs(np.log(factor / u[1])))
-    near = abs(np.log(factor / scale)) < np.log(_EXACT)
+    near = abs(np.log(factor / scale)) < np.log(EXACT)
     return (name, scale) if near else ("", 1.0)
 
 

@@ -17,6 +17,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.limits import unlimited
 from bo_sysid.checks.motion import turned_inside
+from bo_sysid.checks.rates import rate_flags
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
 from bo_sysid.checks.speeds import speed_wires
 from bo_sysid.checks.traces import LATEST, Traces, interval
@@ -78,7 +79,7 @@ def find_wiring(
     """
     made = _comparable(model, recordings, laws)
     if isinstance(made, str):
-        return _untested(made)
+        return _untested(made, rate_flags(model, recordings))
     free, traces = made
     coarse, fine = (
         WiringEvidence(copy.copy(free), traces, laws=laws),
@@ -144,10 +145,10 @@ def _score(choice: tuple[mujoco.MjModel, Traces], laws: Laws | None) -> float:
     return float(evidence.scores(h, [h.delay])[0])
 
 
-def _untested(reason: str) -> Wiring:
+def _untested(reason: str, rates: tuple[Flag, ...]) -> Wiring:
     empty = pd.DataFrame({"control": [], "delay": [], "sigma": []})
     balance = pd.DataFrame({"joint": [], "before": [], "after": [], "used": []})
-    return Wiring({}, 0.0, np.inf, empty, balance, (not_tested(reason),))
+    return Wiring({}, 0.0, np.inf, empty, balance, (not_tested(reason), *rates))
 
 
 def _left(
