@@ -21,6 +21,7 @@ _CONSTANTS = 6.0  # of a lag, after which nothing is left of where it began
 _LEAST = 0.1  # [s] looked at, and left out, after a first command
 _FEW = 0.25  # share of the windows, that may begin so early
 _MORE = 2.0  # times what a set leaves of the other windows, that it leaves of those
+_EXPLAINED = 1.1  # [sigma] in the other windows, which may be few
 _TRIED = 3  # sets, those that leave least of the other windows
 
 
@@ -75,7 +76,7 @@ def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | Non
     lags = _lags(search, fit)
     for members, x in ((fit.members, fit.x), (lags, [c.probe for c in lags])):
         made = alone.fit(members, x, guess=fit.hypothesis)
-        if clean(made):
+        if made.rms < _EXPLAINED:
             prompt = all_but(made, _late(made))
             needed = alone.fit(*subset(made, prompt), guess=fit.hypothesis).rms > LOOSE
             return made if needed else None
