@@ -5,8 +5,10 @@ was the log's first command; a machine that was switched on at that moment had n
 time constants it does what no such drive does.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit
@@ -68,13 +70,9 @@ def _forgotten(fit: Fit) -> float:
 
 
 def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | None:
-    """Return a set that explains some of the windows, and without its late drives does not.
-
-    Where windows count that nothing explains, delays and what makes up for them may stand for lags.
-    """
+    """Return a set that explains some of the windows, and without its late drives does not."""
     alone = Search.on(search.prepared.rows(rest), search.candidates, search.most, fit.hypothesis)
-    lags = _lags(search, fit)
-    for members, x in ((fit.members, fit.x), (lags, [c.probe for c in lags])):
+    for members, x in _alike(search, fit):
         made = alone.fit(members, x, guess=fit.hypothesis)
         if made.rms < _EXPLAINED:
             prompt = all_but(made, _late(made))
@@ -83,8 +81,18 @@ def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | Non
     return None
 
 
-def _lags(search: Search, fit: Fit) -> list[Candidate]:
-    """Return lags of the actuators whose drives are late in a set."""
+def _alike(
+    search: Search, fit: Fit
+) -> Iterator[tuple[Sequence[Candidate], Sequence[Float[np.ndarray, " _"]]]]:
+    """Yield a set, the lags of its late drives, and these beside its other members.
+
+    Where windows count that nothing explains, delays and what makes up for them stand for lags.
+    """
+    yield fit.members, fit.x
     sites = {fit.members[k].site.name for k in _late(fit)}
-    lags = (c for c in search.candidates if c.key[0] == "actuator_lag" and not c.secant)
-    return list({c.site.name: c for c in lags if c.site.name in sites}.values())
+    usual = (c for c in search.candidates if c.key[0] == "actuator_lag" and not c.secant)
+    lags = tuple({c.site.name: c for c in usual if c.site.name in sites}.values())
+    begin = tuple(c.probe for c in lags)
+    yield lags, begin
+    others, x = subset(fit, all_but(fit, _late(fit)))
+    yield (*others, *lags), (*x, *begin)

@@ -166,8 +166,10 @@ def _explored_anew(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Evidence, Search, float]:
     """Explore, and once more without the first moments of each log where they alone do not fit."""
-    search, step = _explored(evidence, search, length, step, rounds)
-    found = unheard(search)
+    found = unheard(search)  # of sets from shorter windows
+    if found is None:
+        search, step = _explored(evidence, search, length, step, rounds)
+        found = unheard(search)
     if found is None:
         return evidence, search, step
     seconds, fit = found
