@@ -2,7 +2,7 @@
 
 A lag, a delay or a slow command goes on from what was sent before. As far as anything tells, that
 was the log's first command; a machine that was switched on at that moment had none, and for a few
-time constants it does what no such drive does.
+time constants it moves as no drive makes it that goes on from that command.
 """
 
 from collections.abc import Iterator, Sequence
