@@ -199,7 +199,7 @@ def _own(joint: JointScale, over: Sequence[Shape]) -> list[Feature]:
     return [
         *(Feature("position", f"position {k} of {len(over)}", at, f) for k, f in enumerate(over)),
         *(Feature("speed", f"speed {k}", speed, f) for k, f in enumerate(speeds)),
-        Feature("speed", "direction of motion", speed, _direction(joint)),
+        Feature("speed", "direction of motion", at, np.ones_like, sign),
         *(
             Feature("position", f"friction at position {k} of {len(over)}", at, f, sign)
             for k, f in enumerate(over)
@@ -269,7 +269,7 @@ def _unknown_force(site: Site, x: Magnitudes, machine: Machine) -> Term:
     return learned_force(_own(joint, _bumps(_POSITIONS, at.low, at.high)), x, joint.force)
 
 
-_TERMS = 2 * _POSITIONS + _SPEEDS
+_TERMS = 2 * _POSITIONS + _SPEEDS + 1
 _EXTENT = Extent((0.05,) * _TERMS, (-20.0,) * _TERMS, (20.0,) * _TERMS)
 
 
