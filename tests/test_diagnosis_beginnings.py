@@ -54,6 +54,14 @@ def test_a_missing_lag_is_found_in_a_log_that_begins_with_its_command(on: bool) 
     assert all(r.channels["ctrl.drive"].time[0] == 0 for r in located.evidence.recordings)
 
 
+def test_what_half_of_a_log_would_go_for_stays_whole() -> None:
+    made = evidence(lag=LAG).heard_from(0.24)
+    (log,) = made.recordings
+    assert log.span == (pytest.approx(0.24), pytest.approx(5.998))
+    short = evidence(lag=LAG).recordings[0].between(0.0, 0.4)
+    assert made.heard([short]) == (short,)
+
+
 def test_a_torque_limit_that_is_reached_in_the_first_moments_is_not_left_out() -> None:
     located = locate(evidence(limit=2.2))
     assert [c.key for c in located.decision.best.members] == [("actuator_saturation", "drive")]

@@ -101,10 +101,16 @@ class Evidence:
         return replace(made, recordings=made.heard(self.recordings))
 
     def heard(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-        """Return recordings without the positions that are not compared, all commands in them."""
-        if not self.unheard:
-            return tuple(recordings)
-        return tuple(r.between(first_command(r) + self.unheard, np.inf) for r in recordings)
+        """Return recordings without the positions that are not compared, all commands in them.
+
+        One of which half would go stays whole.
+        """
+        kept = []
+        for recording in recordings:
+            start, (first, last) = first_command(recording) + self.unheard, recording.span
+            cut = self.unheard and start < 0.5 * (first + last)
+            kept.append(recording.between(start, np.inf) if cut else recording)
+        return tuple(kept)
 
     @property
     def rigid(self) -> "Evidence":
