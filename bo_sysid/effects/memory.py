@@ -13,7 +13,8 @@ from bo_sysid.recording import Channel, Recording
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
 _MUSCLE = int(mujoco.mjtDyn.mjDYN_MUSCLE)
 _SHORTEST = 1e-9  # [s] of a time constant: less is none
-_FORGOTTEN = 6.0  # time constants after which nothing is left of where a lag began
+FORGOTTEN = 6.0
+"""Time constants after which nothing is left of where a lag began."""
 _ROUNDS, _ASIDE = 3, 1e-6  # of balancing; a beginning beside another one
 
 
@@ -31,7 +32,7 @@ def forgets_after(compiled: mujoco.MjModel, a: int) -> float:
     kind, constants = int(compiled.actuator_dyntype[a]), compiled.actuator_dynprm[a]
     count = 1 if kind in LAGS else 2 if kind == _MUSCLE else 0  # one up, one down
     constant = max(constants[:count], default=0.0)
-    return float(compiled.actuator_delay[a]) + _FORGOTTEN * max(float(constant), 0.0)
+    return float(compiled.actuator_delay[a]) + FORGOTTEN * max(float(constant), 0.0)
 
 
 def activation(

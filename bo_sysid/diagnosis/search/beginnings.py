@@ -13,13 +13,14 @@ from jaxtyping import Bool, Float
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import all_but, subset
+from bo_sysid.diagnosis.sets.meshing import LATE
 from bo_sysid.diagnosis.sets.rules import LOOSE, clean
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import first_command
 from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.effects.memory import FORGOTTEN
 
-_REMEMBERING = ("actuator_lag", "actuator_delay", "command_rate")
-_CONSTANTS = 6.0  # of a lag, after which nothing is left of where it began
+_REMEMBERING = (*LATE, "command_rate")
 _LEAST = 0.1  # [s] looked at, and left out, after a first command
 _FEW = 0.25  # share of the windows, that may begin so early
 _MORE = 2.0  # times what a set leaves of the other windows, that it leaves of those
@@ -63,7 +64,7 @@ def _forgotten(fit: Fit) -> float:
     times = [_LEAST]
     for c, x in zip(fit.members, fit.x, strict=True):
         if c.effect.id == "actuator_lag":
-            times.append(_CONSTANTS * float(x[0]))
+            times.append(FORGOTTEN * float(x[0]))
         elif c.effect.id == "actuator_delay":
             times.append(float(x[0]))
     return max(times)
