@@ -6,7 +6,7 @@ import pytest
 
 from bo_sysid.diagnosis.search.ground import slide
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.window_lengths import windows_of
+from bo_sysid.diagnosis.search.window_lengths import contact_decides, windows_of
 from bo_sysid.diagnosis.sets.refit import FINAL
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
@@ -83,3 +83,41 @@ def test_nothing_is_tried_where_nothing_rubs_at_what_touches(slid) -> None:
     before = set(search.fits)
     slide(search, leader)
     assert set(search.fits) == before
+
+
+BOX = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><geom name="floor" type="plane" size="20 20 .1" friction="{}"/>
+<body name="box" pos="0 0 .05"><freejoint name="root"/>
+<geom name="box" type="box" size=".1 .07 .05" mass="1" friction="{}"/></body></worldbody></mujoco>"""
+
+
+def thrown(seed: int) -> Recording:
+    """A box that slides over a floor of friction .25 and turns, until it sticks."""
+    model = mujoco.MjModel.from_xml_string(BOX.format(0.25, 0.25))
+    model.opt.timestep = 0.0005
+    data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+    data.qvel[[0, 1, 5]] = rng.uniform(-3, 3, 3)
+    time, rows = np.arange(0, 1.5, 0.01), []
+    for _ in time:
+        pose = data.qpos + np.concatenate([1e-4 * rng.standard_normal(3), np.zeros(4)])
+        mujoco.mju_quatIntegrate(pose[3:], 1e-4 * rng.standard_normal(3), 1.0)
+        rows.append(pose)
+        mujoco.mj_step(model, data, 20)
+    return Recording.from_arrays(
+        time, qpos={f"root.{k}": v for k, v in enumerate(np.array(rows).T)}
+    )
+
+
+def test_a_contact_that_slips_by_chance_decides_as_impacts_do(slid) -> None:
+    made = make_evidence(
+        Model.from_xml(BOX.format(0.6, 0.6)), [thrown(0), thrown(1)],
+        effects=[CATALOGUE["contact_friction"]], threads=1,
+    )  # fmt: skip
+    assert not made.machine.impacts  # the box is never lifted
+    assert contact_decides(made)
+    sled = make_evidence(
+        Model.from_xml(SLED), [slid], effects=[CATALOGUE["contact_friction"]],
+        noise={"qpos": SIGMA}, threads=1,
+    )  # fmt: skip
+    assert not sled.machine.impacts
+    assert not contact_decides(sled)

@@ -183,7 +183,7 @@ def diagnose(
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
     located = locate(evidence, tell, tell.doing)
-    evidence = evidence.heard_from(located.evidence.unheard)
+    evidence = replace(located.evidence, candidates=evidence.candidates)  # a search may leave some
     tell.doing("what stays unexplained, and forecasts of the training recordings where any does")
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)

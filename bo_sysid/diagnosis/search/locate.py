@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
+    contact_decides,
     lengthened,
     stable,
     telling,
@@ -70,6 +71,9 @@ def locate(
         tell: told when a stage is done.
         doing: told after every fit how far a stage is.
     """
+    if contact_decides(evidence):
+        evidence = evidence.with_impacts()
+        doing("a contact that lasts decides by chance: windows are short")
     located = _located(evidence, tell, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
     if follows_anything(leading) or follows_anything(located.decision.best):

@@ -4,11 +4,12 @@ import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.cutting import cut_problem
-from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.evidence import CONTACT_WINDOW, Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import linearise, project
 from bo_sysid.diagnosis.windows.problem import Problem
-from bo_sysid.diagnosis.windows.windowing import Prepared, nothing, prepare
+from bo_sysid.diagnosis.windows.windowing import Prepared, chaos, in_contact, nothing, prepare
+from bo_sysid.mjcf.touching import can_touch
 
 LEAST = 6
 """Instants in the shortest window."""
@@ -21,6 +22,7 @@ _GROWTH, _ALMOST = 2.2, 2.6  # of the windows; times their length that are full 
 _UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
 _LESS = 3  # times shorter at most: what acts slowly is not seen in less
 _OFTEN = 0.9  # quantile of λ over the recordings
+_BY_CHANCE = 2.0  # [sigma] that the noise of a start changes in half of the windows
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number at most in the final fits
 _MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
@@ -54,6 +56,23 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         laws=evidence.laws,
         kept=evidence.kept,
     )
+
+
+def contact_decides(evidence: Evidence) -> bool:
+    """Whether a contact that lasts decides as impacts do.
+
+    Where a wheel rolls on the edges of a cylinder, or a box slips or not, noise of a start changes
+    what follows by more than its slopes say. Most that rolls or slides moves smoothly.
+    """
+    machine = evidence.machine
+    if machine.impacts or not can_touch(machine.model):
+        return False
+    instants = max(round(CONTACT_WINDOW / machine.sampling), LEAST)
+    prepared = prepare(windows_of(evidence, instants, machine.model.opt.timestep))
+    if not in_contact(prepared.problem):
+        return False
+    changed = np.sqrt(chaos(prepared.linear).mean(axis=(1, 2)))
+    return bool(np.median(changed) > _BY_CHANCE)
 
 
 def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None = None) -> int:

@@ -19,9 +19,11 @@ from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
+CONTACT_WINDOW = 0.1
+"""Length in [s] of a window where contact decides."""
+
 _WINDOW = 0.3  # [s]
 _OTHER_RATE = 1.5  # times an interval between samples, which is another rate
-_CONTACT_WINDOW = 0.1  # [s] of a window where impacts decide
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,11 @@ class Evidence:
         whole = replace(self.machine, model=self.given.compile(), impacts=impacts)
         return replace(self, model=self.given, machine=whole)
 
+    def with_impacts(self) -> "Evidence":
+        """Return the same in short windows, where a contact decides as impacts do."""
+        machine = replace(self.machine, impacts=True)
+        return replace(self, machine=machine, window=CONTACT_WINDOW)
+
     def heard_from(self, seconds: float) -> "Evidence":
         """Return the same, compared from some time in [s] after the logs' first commands on."""
         made = replace(self, unheard=seconds)
@@ -144,7 +151,7 @@ def rates_note(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]
 
 def _window(machine: Machine) -> float:
     """Return the length of a window: short where impacts soon decide, else long."""
-    return _CONTACT_WINDOW if machine.impacts else _WINDOW
+    return CONTACT_WINDOW if machine.impacts else _WINDOW
 
 
 def make_evidence(

@@ -159,9 +159,17 @@ def meets_impacts(problem: Problem) -> bool:
 def noise_with_chaos(linear: Linear) -> Problem:
     """Return the problem with less weight where contact decides.
 
-    The start is moved within its own uncertainty; what of the change of the predictions is not
-    linear is a variance of every sample, added to the sensor's. Windows in which a contact is made
-    or not by chance lose their weight by themselves.
+    What of a start's noise is not linear is a variance of every sample, added to the sensor's.
+    Windows in which a contact is made or not by chance lose their weight by themselves.
+    """
+    light = 1.0 / np.sqrt(1.0 + chaos(linear))
+    return replace(linear.problem, weight=linear.problem.weight * light)
+
+
+def chaos(linear: Linear) -> Float[np.ndarray, "W H c"]:
+    """Return the variance of each prediction that slopes at the start do not tell, in sigma².
+
+    The start is moved within its own uncertainty.
     """
     problem, at, start = linear.problem, linear.hypothesis, linear.start
     nv, r = problem.machine.model.nv, problem.residual(at, start)
@@ -175,8 +183,7 @@ def noise_with_chaos(linear: Linear) -> Problem:
         move = np.einsum("wij,wj->wi", root, rng.normal(size=(len(start), 2 * nv)))
         moved = problem.residual(at, problem.moved(start, move))
         squares += (moved - r + np.einsum("wri,wi->wr", J, move)) ** 2
-    variance = (squares / _DRAWS).reshape(problem.weight.shape)
-    return replace(problem, weight=problem.weight / np.sqrt(1.0 + variance))
+    return np.asarray(squares / _DRAWS).reshape(problem.weight.shape)
 
 
 def _weighted_by_step(
