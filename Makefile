@@ -30,12 +30,12 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# the tests run in two processes, one thread each
+# the tests run in two processes, one thread each, and what a module prepares is prepared once
 test: export BO_SYSID_THREADS = 1
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: lint
-	$(BIN)/python -m pytest --numprocesses 2 --quiet
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope --quiet
 
 bench: setup
 	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
