@@ -88,7 +88,8 @@ def test_nothing_is_tried_where_nothing_rubs_at_what_touches(slid) -> None:
 BOX = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><geom name="floor" type="plane" size="20 20 .1" friction="{}"/>
 <body name="box" pos="0 0 .05"><freejoint name="root"/>
-<geom name="box" type="box" size=".1 .07 .05" mass="1" friction="{}"/></body></worldbody></mujoco>"""
+<geom name="box" type="box" size=".1 .07 .05" mass="1" friction="{}"/></body>
+</worldbody></mujoco>"""
 
 
 def thrown(seed: int) -> Recording:
