@@ -402,3 +402,14 @@ def test_an_excitation_needs_no_control_range_where_an_effort_is_stated(tmp_path
 def test_wrong_limits_are_told(tmp_path, limits, message):
     with pytest.raises(StudyError, match=message):
         limit_edits(study(tmp_path, limits), Model.from_xml(ARM))
+
+
+def test_a_limit_of_no_joint_is_told_before_a_task_keeps_it():
+    data = {
+        "model": {"dm_control": {"domain": "cartpole", "task": "swingup"}},
+        "recordings": {"train": "x.csv"},
+        "plant": {},
+        "limits": {"slidr": {"velocity": 3.0}},
+    }
+    with pytest.raises(StudyError, match="no such joint; did you mean 'slider'"):
+        build_plant(Study.from_dict(data))

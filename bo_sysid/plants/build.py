@@ -28,7 +28,8 @@ def study_task(study: Study, model: Model) -> Task | None:
     """Return the task of a study: its own, else that of its dm_control model, else None.
 
     Raises:
-        StudyError: there is no such task, or a user's class is none of dm_control's kind.
+        StudyError: there is no such task, a user's class is none of dm_control's kind, or a limit
+            is of a joint that the model does not have.
     """
     task = _unlimited_task(study, model)
     if isinstance(task, PythonTask) or task is None:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from bo_sysid.errors import ModelError, nearest
+from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.mjcf.commands import (
     commands_force,
@@ -27,6 +27,7 @@ from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import Start, VectorTask
 from bo_sysid.study import Study
+from bo_sysid.study.requirements import require_limits
 
 
 def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
@@ -94,9 +95,8 @@ def _require_kept(study: Study, model: Model, compiled: mujoco.MjModel) -> None:
     Raises:
         StudyError: there is one.
     """
+    require_limits(study, model)
     for name, limit in study.limits.items():
-        if name not in model.joints:
-            raise study.error(("limits", name), f"no such joint; {nearest(name, model.joints)}")
         if limit.effort is None:
             continue
         if int(compiled.joint(name).type[0]) not in SCALAR:
@@ -147,6 +147,7 @@ class LimitedTask(VectorTask):
         self.rewarded = task.rewarded  # type: ignore[misc]
         self.beyond = np.zeros(0, bool)
         self._left: np.ndarray | None = None  # in the parts of an action that have earned so far
+        require_limits(study, model)
         compiled = model.compile()
         self._low, self._high = np.full(compiled.nq, -np.inf), np.full(compiled.nq, np.inf)
         self._speed = np.full(compiled.nv, np.inf)
