@@ -308,6 +308,10 @@ def test_a_user_registers_an_effect(tmp_path: Path, arm, machine) -> None:
         ({"shapes": 1}, r"shapes is 1 of 1 components"),
         ({"sentence": "{sit} has {value}"}, r"nothing is called \{sit\}; did you mean 'site'"),
         ({"sentence": "{site has {value}"}, r"sentence: .*; a brace is written twice"),
+        ({"sentence": "{site} has {}"}, r"sentence: .*positional.*; a brace is written twice"),
+        ({"sentence": "{site} has {value:.2f}"}, r"sentence: .*'f'.* what stands for \{value\} is"),
+        ({"sentence": "{site} has {value:{width}}"}, r"nothing is called \{width\}"),
+        ({"sentence": "{site.name} has {value}"}, r"sentence: .*no attribute 'name'"),
     ],
 )
 def test_an_effect_that_cannot_be_is_refused_when_it_is_registered(change, said) -> None:

@@ -1,9 +1,9 @@
 """The catalogue: effects by id, the package's own and those of a study."""
 
 import inspect
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from string import Formatter
 from types import MappingProxyType
 from typing import Any, get_args
 
@@ -68,19 +68,23 @@ def _require_valid(id: str, fields: Mapping[str, Any]) -> None:
 
 
 def _require_placeholders(id: str, fields: Mapping[str, Any]) -> None:
-    """Refuse a sentence that asks for what a finding does not have."""
+    """Refuse a sentence that asks for what a finding does not have, or as text cannot be given."""
     known = ["site", "value", "interval", *(c.name for c in fields.get("components", ()))]
-    try:
-        asked = [name for _, name, *_ in Formatter().parse(str(fields["sentence"])) if name]
-    except ValueError as error:
-        raise StudyError(f"effect {id!r}: sentence: {error}; a brace is written twice") from None
+    words: dict[str, str] = dict.fromkeys(known, "")
     if fields.get("details") is not None:  # it says by itself which details there are
-        return
-    for name in asked:
-        if name not in known:
-            raise StudyError(
-                f"effect {id!r}: sentence: nothing is called {{{name}}}; {nearest(name, known)}"
-            )
+        words = defaultdict(str)
+    try:
+        str(fields.get("sentence", "")).format_map(words)
+    except KeyError as error:
+        name = str(error.args[0])
+        raise StudyError(
+            f"effect {id!r}: sentence: nothing is called {{{name}}}; {nearest(name, known)}"
+        ) from None
+    except (ValueError, LookupError, AttributeError, TypeError) as error:
+        raise StudyError(
+            f"effect {id!r}: sentence: {error}; a brace is written twice, and what stands for "
+            "{value} is text"
+        ) from None
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
