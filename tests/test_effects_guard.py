@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.effects import Extent, Force, Machine, Site, survey
+from bo_sysid.effects import Effect, Extent, Force, Machine, Site, survey
 from bo_sysid.effects.registry import listing, load_effects
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model
-from bo_sysid.recording import Recording
+from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation.lockstep import LawInputs
 
 OWN = Path(__file__).parents[1] / "studies" / "effects" / "my_effect.py"
@@ -96,6 +96,52 @@ def test_an_effect_that_makes_nothing_that_is_known_is_refused(
 ) -> None:
     with pytest.raises(StudyError, match=rf"effect 'worn_spot' at .*slide {message}"):
         part(machine, tmp_path, "    return Force(site.name, law)\n", new)
+
+
+def written(folder: Path, body: str, fields: str = "") -> Effect:
+    """Return an effect whose file has a body of its function and fields of its own."""
+    (folder / "mine.py").write_text(
+        "from bo_sysid.effects import Component, Extent, Filter, effect\n"
+        "@effect('mine', kind='joint', components=(Component('size', 'N m'),), noun='x',\n"
+        "    extent=lambda site, machine: Extent((0.1,), (0.0,), (1.0,)),\n"
+        f"    sentence='', evidence='', separation='', {fields})\n"
+        "def mine(spec, site, x, machine):\n"
+        f"    {body}\n"
+    )
+    (effect,) = load_effects(folder / "mine.py")
+    return effect
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("c.value", r"its filter fails: AttributeError: .*'value' \(mine.py, line 6\)"),
+        ("c.values", r"its filter returns array.* and no channel \(mine.py\)"),
+    ],
+)
+def test_a_filter_that_is_wrong_names_the_effect_and_the_line(
+    machine, tmp_path, change, message
+) -> None:
+    effect = written(tmp_path, f"return Filter('motor', lambda c, dt: {change})")
+    (made,) = effect.parts(mujoco.MjSpec(), SITE, np.ones(1), machine)
+    channel = Channel(np.arange(3.0), np.zeros(3))
+    with pytest.raises(StudyError, match=rf"effect 'mine' at slide: {message}"):
+        made.change(channel, 0.002)
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ("1 / 0", r"its force fails: ZeroDivisionError: .* \(mine.py, line 4\)"),
+        ("lambda motion: 1 / 0", r"its law fails: ZeroDivisionError: .* \(mine.py, line 4\)"),
+    ],
+)
+def test_a_law_beside_an_edit_names_the_effect_and_the_line(
+    machine, tmp_path, force, message
+) -> None:
+    effect = written(tmp_path, "pass", f"force=lambda site, x, machine: {force}")
+    with pytest.raises(StudyError, match=rf"effect 'mine' at slide: {message}"):
+        effect.force(SITE, np.ones(1), machine)(motion(np.zeros(7)))
 
 
 def test_an_extent_has_finite_probes() -> None:

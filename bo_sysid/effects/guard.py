@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeAlias, get_args
 
 import mujoco
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from bo_sysid.effects.contract import (
     Apply,
     Effect,
+    Filter,
     Force,
     Magnitudes,
     Motion,
@@ -23,6 +24,9 @@ from bo_sysid.effects.contract import (
 )
 from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, UserError
+from bo_sysid.recording import Channel
+
+_LawOf: TypeAlias = Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]]
 
 _ABSURD = 1e6  # beyond it a simulation has diverged, and a force that is no number tells nothing
 
@@ -34,40 +38,80 @@ def guarded(effect: Effect, file: Path) -> Effect:
         effect: as the file registers it.
         file: the user's file.
     """
+    written, force = effect.written, effect.force
+    return replace(
+        effect,
+        apply=_apply(effect.apply, effect.id, file),
+        written=None if written is None else _apply(written, effect.id, file),
+        force=None if force is None else _force(force, effect.id, file),
+    )
 
-    def guard(apply: Apply) -> Apply:
-        @wraps(apply)
-        def made(
-            spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
-        ) -> "tuple[Part, ...]":
-            name = f"effect {effect.id!r} at {site}"
-            with _told(name, file):
-                found = apply(spec, site, x, machine)
-            parts = found if isinstance(found, tuple) else () if found is None else (found,)
-            for part in parts:
-                if not isinstance(part, get_args(Part)):
-                    kinds = ", ".join(k.__name__ for k in get_args(Part))
-                    raise StudyError(
-                        f"{name} returns {part!r} ({file.name}); it may return None, or one or "
-                        f"a tuple of {kinds}"
-                    )
-            return tuple(
-                replace(p, law=_law(p.law, name, file)) if isinstance(p, Force) else p
-                for p in parts
-            )
 
+def _apply(apply: Apply, id: str, file: Path) -> Apply:
+    """Return what makes nothing but parts whose laws and filters say that they fail."""
+
+    @wraps(apply)
+    def made(
+        spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
+    ) -> "tuple[Part, ...]":
+        name = f"effect {id!r} at {site}"
+        with told(name, file):
+            found = apply(spec, site, x, machine)
+        parts = found if isinstance(found, tuple) else () if found is None else (found,)
+        for part in parts:
+            if not isinstance(part, get_args(Part)):
+                kinds = ", ".join(k.__name__ for k in get_args(Part))
+                raise StudyError(
+                    f"{name} returns {part!r} ({file.name}); it may return None, or one or "
+                    f"a tuple of {kinds}"
+                )
+        return tuple(_part(p, name, file) for p in parts)
+
+    return made
+
+
+def _force(force: _LawOf, id: str, file: Path) -> _LawOf:
+    """Return what gives the law of an effect, which says that it fails."""
+
+    def made(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
+        name = f"effect {id!r} at {site}"
+        with told(f"{name}: its force", file):
+            law = force(site, x, machine)
+        return _law(law, name, file)
+
+    return made
+
+
+def _part(part: Part, name: str, file: Path) -> Part:
+    """Return a part whose law or filter says that it fails."""
+    if isinstance(part, Force):
+        return replace(part, law=_law(part.law, name, file))
+    if isinstance(part, Filter):
+        return replace(part, change=_change(part.change, name, file))
+    return part
+
+
+def _change(
+    change: Callable[[Channel, float], Channel], name: str, file: Path
+) -> Callable[[Channel, float], Channel]:
+    """Return a change of a control that gives a channel, or says that it fails."""
+
+    def changed(channel: Channel, timestep: float) -> Channel:
+        with told(f"{name}: its filter", file):
+            made = change(channel, timestep)
+        if not isinstance(made, Channel):
+            raise StudyError(f"{name}: its filter returns {made!r} and no channel ({file.name})")
         return made
 
-    written = None if effect.written is None else guard(effect.written)
-    return replace(effect, apply=guard(effect.apply), written=written)
+    return changed
 
 
 def _law(law: Callable[[Motion], Signal], name: str, file: Path) -> Callable[[Motion], Signal]:
     """Return a force law that gives one finite force for each simulation, or says that it fails."""
 
-    def told(motion: Motion) -> Signal:
+    def finite(motion: Motion) -> Signal:
         shape = next(iter(motion.qvel.values())).shape
-        with _told(f"{name}: its law", file):
+        with told(f"{name}: its law", file):
             force = np.broadcast_to(np.asarray(law(motion), float), shape)
         if not np.isfinite(force).all() and _sane(motion, np.isfinite(force)):
             raise StudyError(
@@ -75,7 +119,7 @@ def _law(law: Callable[[Motion], Signal], name: str, file: Path) -> Callable[[Mo
             )
         return force
 
-    return told
+    return finite
 
 
 def _sane(motion: Motion, right: np.ndarray) -> bool:
@@ -85,8 +129,12 @@ def _sane(motion: Motion, right: np.ndarray) -> bool:
 
 
 @contextmanager
-def _told(what: str, file: Path) -> Iterator[None]:
+def told(what: str, file: Path | None = None) -> Iterator[None]:
     """Tell what the code within raises as an error of the study.
+
+    Args:
+        what: fails.
+        file: whose line is told, where it is known.
 
     Raises:
         StudyError: the code within raises anything but a `UserError`.
@@ -95,8 +143,13 @@ def _told(what: str, file: Path) -> Iterator[None]:
         yield
     except UserError:
         raise
-    except Exception as error:
-        frames: Any = traceback.extract_tb(error.__traceback__)
-        lines = [f.lineno for f in frames if Path(f.filename).resolve() == file.resolve()]
-        where = f"{file.name}, line {lines[-1]}" if lines else file.name
-        raise StudyError(f"{what} fails: {type(error).__name__}: {error} ({where})") from error
+    except Exception as error:  # whatever it is, it is for the effect's author
+        where = "" if file is None else f" ({_line(error, file)})"
+        raise StudyError(f"{what} fails: {type(error).__name__}: {error}{where}") from error
+
+
+def _line(error: Exception, file: Path) -> str:
+    """Return a file with its last line on the way to an error."""
+    frames: Any = traceback.extract_tb(error.__traceback__)
+    lines = [f.lineno for f in frames if Path(f.filename).resolve() == file.resolve()]
+    return f"{file.name}, line {lines[-1]}" if lines else file.name

@@ -10,9 +10,9 @@ from typing import Any, get_args
 import pandas as pd
 
 from bo_sysid.effects.contract import Apply, Effect, Extent, Site, SiteKind
-from bo_sysid.effects.guard import guarded
+from bo_sysid.effects.guard import guarded, told
 from bo_sysid.effects.machine import Machine
-from bo_sysid.errors import StudyError, UserError, nearest
+from bo_sysid.errors import StudyError, nearest
 from bo_sysid.execution.files import run_file
 
 _FEW = 4  # components that a table names
@@ -193,14 +193,8 @@ def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
     Raises:
         StudyError: the effect's function raises, or tells of other components than the effect has.
     """
-    try:
+    with told(f"effect {effect.id!r} at {site}: its extent"):
         extent = effect.extent(site, machine)
-    except UserError:
-        raise
-    except Exception as error:  # whatever it is, it is for the effect's author
-        raise StudyError(
-            f"effect {effect.id!r} at {site}: its extent fails: {type(error).__name__}: {error}"
-        ) from error
     if extent is not None and len(extent.probe) != len(effect.components):
         raise StudyError(
             f"effect {effect.id!r} at {site}: its extent has {len(extent.probe)} numbers; it needs "

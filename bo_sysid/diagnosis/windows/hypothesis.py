@@ -1,6 +1,6 @@
 """What is supposed to be missing: candidates, and how large they are."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.effects import Machine, Part
-from bo_sysid.errors import StudyError, UserError
+from bo_sysid.effects.guard import told
 from bo_sysid.mjcf import Edit
 
 _AT_BOUND = 1e-6  # of a parameter's range, within which it is at its end
@@ -70,28 +70,6 @@ class Hypothesis:
         return tuple(pairs)
 
 
-def _made(
-    make: Callable[..., tuple[Part, ...]],
-    c: Candidate,
-    spec: mujoco.MjSpec,
-    x: Float[np.ndarray, " l"],
-    machine: Machine,
-) -> tuple[Part, ...]:
-    """Apply an effect; one of a user's that raises is named.
-
-    Raises:
-        StudyError: the effect's function raises.
-    """
-    try:
-        return make(spec, c.site, c.full(x), machine)
-    except UserError:
-        raise
-    except Exception as error:
-        raise StudyError(
-            f"effect {c.effect.id!r} at {c.site} fails: {type(error).__name__}: {error}"
-        ) from error
-
-
 def edits_and_parts(
     hypothesis: Hypothesis, machine: Machine, *, written: Collection[Candidate] = ()
 ) -> tuple[list[Edit], list[Part]]:
@@ -102,6 +80,8 @@ def edits_and_parts(
         machine: the scales of its sites.
         written: members that are edited as for a model file, where plain MJCF may say more than
             is simulated here.
+
+    The edits raise `StudyError` where the function of an effect raises anything else.
     """
     parts: list[Part] = []
     made: dict[int, tuple[Part, ...]] = {}
@@ -112,7 +92,8 @@ def edits_and_parts(
         def edit(spec: mujoco.MjSpec) -> None:
             if c.tied and not x.any():
                 c.effect.apply(spec, c.site, x, machine)
-            made[number] = _made(make, c, spec, x, machine)  # again, where a model is edited twice
+            with told(f"effect {c.effect.id!r} at {c.site}"):
+                made[number] = make(spec, c.site, c.full(x), machine)  # again, if edited twice
             parts[:] = [part for k in sorted(made) for part in made[k]]
 
         return edit
