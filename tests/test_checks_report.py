@@ -17,6 +17,7 @@ from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
 from bo_sysid.checks.numerics import contact_flags, far_flags
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
+from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import Information, bounds_flags, in_words, information
 from bo_sysid.checks.wiring import find_wiring
@@ -173,6 +174,14 @@ def test_an_angle_that_wraps(period: float, joint: str) -> None:
     (right,) = unwrapped([log], wraps)
     assert np.ptp(right.channels[name].values - true) == pytest.approx(0.0, abs=1e-9 * period)
     assert find_wraps([Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)})]) == {}
+
+
+def test_what_is_corrected_remembers_when_its_log_began() -> None:
+    log = Recording.from_arrays(TIME, qpos={"x": 2 * TIME % 2}).between(4.0, 6.0)
+    whole = unwrapped([log], find_wraps([log]))
+    (right,) = rewired(whole, {"qpos.x": Wire("qpos.x", -1)}, 0.0, "ctrl")
+    assert right.channels["qpos.x"].values[0] == -whole[0].channels["qpos.x"].values[0]
+    assert [r.origin for r in (*whole, right)] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("turn", [1.0, 2 * pi])

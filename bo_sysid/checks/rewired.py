@@ -1,9 +1,10 @@
 """Recordings as they should be read."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from bo_sysid.checks.hypothesis import Wire
-from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording import Recording
 
 
 def rewired(
@@ -27,5 +28,5 @@ def _rewired(recording: Recording, wires: Mapping[str, Wire], delay: float, kind
         c = recording.channels[wire.source]
         time = c.time + delay if name.startswith(f"{kind}.") else c.time
         values = wire.sign * wire.scale * c.values + wire.offset
-        channels[name] = Channel(time, values, own.unit, c.source, own.hold)
-    return Recording(recording.name, channels, recording.notes)
+        channels[name] = replace(c, time=time, values=values, unit=own.unit, hold=own.hold)
+    return replace(recording, channels=channels)

@@ -6,7 +6,7 @@ what holds between the signals then holds between the traces, and sensor noise i
 
 import copy
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -173,8 +173,8 @@ def _every_other(recording: Recording, names: Iterable[str], first: int) -> Reco
     channels = dict(recording.channels)
     for n in names:
         c = channels[n]
-        channels[n] = Channel(c.time[first::2], c.values[first::2], c.unit, c.source, c.hold)
-    return Recording(recording.name, channels, recording.notes)
+        channels[n] = replace(c, time=c.time[first::2], values=c.values[first::2])
+    return replace(recording, channels=channels)
 
 
 def _kernels(sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

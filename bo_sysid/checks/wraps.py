@@ -1,7 +1,7 @@
 """Angles that jump by a turn, and registers read without their sign: found in the samples."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,8 +114,8 @@ def unwrapped(recordings: Sequence[Recording], wraps: Mapping[str, Wrap]) -> tup
         for name, wrap in wraps.items():
             if name in channels:
                 c = channels[name]
-                channels[name] = Channel(c.time, wrap.removed(c.values), c.unit, c.source, c.hold)
-        out.append(Recording(r.name, channels, r.notes))
+                channels[name] = replace(c, values=wrap.removed(c.values))
+        out.append(replace(r, channels=channels))
     return tuple(out)
 
 
