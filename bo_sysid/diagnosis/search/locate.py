@@ -34,7 +34,6 @@ _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
-_CARRIED = 4
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 _RARE = 1.5  # times what the search leaves of its windows, above which it needs others
 
@@ -96,7 +95,7 @@ def _located(
     final = final_fits(evidence, search, horizon, step)
     if final.best.rms > _RARE * search.best.rms:
         tell(f"other windows, since they show more: {_said(final.best)}")
-        search = carried(search, telling(final.prepared, final.best), _CARRIED)
+        search = carried(search, telling(final.prepared, final.best))
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
@@ -207,8 +206,7 @@ def _finer(
     finer = _step_for(search, leader, step)
     if finer == step or not _bends(leader) or leader.rms < _BEND_SHOWS:
         return search, step
-    prepared = prepare(windows_of(evidence, length, finer), leader.hypothesis)
-    return carried(search, prepared, _CARRIED), finer
+    return _carried(evidence, search, leader, length, finer), finer
 
 
 def _step_for(search: Search, leader: Fit, step: float) -> float:
@@ -237,7 +235,7 @@ def with_meshed_sets(evidence: Evidence, search: Search, length: int) -> Search:
     if machine.impacts or not joints:
         return search
     step = float(machine.model.opt.timestep) / _GAP_DIVISION
-    made = carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis), _CARRIED)
+    made = _carried(evidence, search, leader, length, step)
     mesh(made, made.best, joints)
     return search if made.best.names == leader.names else made
 
@@ -249,11 +247,15 @@ def _lengthened(
     leader = search.best
     longer = lengthened(length, horizon)
     for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
-        prepared = prepare(windows_of(evidence, tried, step), leader.hypothesis)
-        made = carried(search, prepared, _CARRIED)
+        made = _carried(evidence, search, leader, tried, step)
         if made.best.rms < ROUGH:
             break
     return made, tried
+
+
+def _carried(evidence: Evidence, search: Search, leader: Fit, length: int, step: float) -> Search:
+    """Carry the best sets to windows of a length in instants and a time step in [s]."""
+    return carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis))
 
 
 def _said(fit: Fit) -> str:

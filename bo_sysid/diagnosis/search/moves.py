@@ -29,6 +29,7 @@ _ELIMINATIONS = 14  # members left out in turn, at most
 _NEARER = 0.97  # far from the recordings a round goes on only if it leaves less than this share
 # a member is needed if without it this many times as much is left, wherever windows start
 _NEEDED = 1.5
+_CARRIED = 4  # sets, the best ones, with which a search on other windows begins
 
 
 def explore(search: Search, rounds: int = 5) -> Fit:
@@ -88,11 +89,11 @@ def _stuck(search: Search, before: Fit) -> bool:
     return explains_little(best, search.nominal) and best.rms > _NEARER * before.rms
 
 
-def carried(search: Search, prepared: Prepared, count: int) -> Search:
+def carried(search: Search, prepared: Prepared) -> Search:
     """Begin on other windows with the best sets found so far."""
     guess = search.best.hypothesis
     new = Search.on(prepared, search.candidates, search.most, guess, search.doing)
-    for f in ranked(search.fits.values(), search.prior)[:count]:
+    for f in ranked(search.fits.values(), search.prior)[:_CARRIED]:
         if f.members:
             new.fit(f.members, f.x, guess=f.hypothesis, across=True)
     return new
