@@ -1,5 +1,7 @@
 """Logs of a motor that lags and was switched on with them, or before: plants by plain MuJoCo."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -60,6 +62,9 @@ def test_what_half_of_a_log_would_go_for_stays_whole() -> None:
     assert log.span == (pytest.approx(0.24), pytest.approx(5.998))
     short = evidence(lag=LAG).recordings[0].between(0.0, 0.4)
     assert made.heard([short]) == (short,)
+    assert any("are not compared: a late drive" in n for n in made.notes)
+    both = replace(made, recordings=(log, replace(short, name="short")))
+    assert any("are not compared, but in short, of which half would go: a" in n for n in both.notes)
 
 
 def test_a_torque_limit_that_is_reached_in_the_first_moments_is_not_left_out() -> None:

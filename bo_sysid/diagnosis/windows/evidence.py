@@ -80,9 +80,11 @@ class Evidence:
         if self.model is not self.given:
             said.append("Nothing touches in the training recordings: contact is left out there.")
         if self.unheard:
+            whole = ", ".join(r.name for r in self.recordings if not self._begins_late(r))
             said.append(
                 f"Positions in the first {self.unheard:.2g} s after a log's first command are not "
-                "compared: a late drive acts there on what was sent before, if anything was."
+                f"compared{f', but in {whole}, of which half would go' if whole else ''}: a late "
+                "drive acts there on what was sent before, if anything was."
             )
         return (*said, *rates_note(self.recordings, self.model))
 
@@ -112,12 +114,15 @@ class Evidence:
 
         One of which half would go stays whole.
         """
-        kept = []
-        for recording in recordings:
-            start, (first, last) = first_command(recording) + self.unheard, recording.span
-            cut = self.unheard and start < 0.5 * (first + last)
-            kept.append(recording.between(start, np.inf) if cut else recording)
-        return tuple(kept)
+        return tuple(
+            r.between(first_command(r) + self.unheard, np.inf) if self._begins_late(r) else r
+            for r in recordings
+        )
+
+    def _begins_late(self, recording: Recording) -> bool:
+        """Whether positions of a recording are compared from later on, and most of them are."""
+        start, (first, last) = first_command(recording) + self.unheard, recording.span
+        return bool(self.unheard and start < 0.5 * (first + last))
 
     @property
     def rigid(self) -> "Evidence":
