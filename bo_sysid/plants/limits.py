@@ -25,7 +25,7 @@ from bo_sysid.mjcf.extremes import actuator_extremes
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.plants.environment import control_range
 from bo_sysid.plants.simulations import Simulations
-from bo_sysid.plants.tasks.base import Start, VectorTask
+from bo_sysid.plants.tasks.base import Start, VectorTask, WrappedTask
 from bo_sysid.study import Study
 from bo_sysid.study.requirements import require_limits
 
@@ -122,7 +122,7 @@ def _leaves_force(machines: Sequence[mujoco.MjModel], actuator: int, most: float
     return all(low < most and high > -most for low, high in own)
 
 
-class LimitedTask(VectorTask):
+class LimitedTask(WrappedTask):
     """A task whose episodes end for good where positions or velocities leave their limits.
 
     They are looked at in `reward`, after every part of an action: a machine that swings out and
@@ -139,12 +139,7 @@ class LimitedTask(VectorTask):
     """
 
     def __init__(self, task: VectorTask, study: Study, model: Model) -> None:
-        self.task = task
-        self.control_timestep, self.time_limit = task.control_timestep, task.time_limit
-        self.repeat = task.repeat
-        self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
-        self.settle_time = task.settle_time  # type: ignore[misc]
-        self.rewarded = task.rewarded  # type: ignore[misc]
+        super().__init__(task)
         self.beyond = np.zeros(0, bool)
         self._left: np.ndarray | None = None  # in the parts of an action that have earned so far
         require_limits(study, model)
@@ -165,10 +160,6 @@ class LimitedTask(VectorTask):
         """Draw where an episode begins, as the task does, within the limits."""
         start = self.task.draw_start(model, rng)
         return Start(np.clip(start.qpos, self._low, self._high), start.qvel, start.goal)
-
-    def get_observation(self, sims: Simulations) -> np.ndarray:
-        """Return the task's observations."""
-        return self.task.get_observation(sims)
 
     def get_reward(self, sims: Simulations) -> np.ndarray:
         """Return the task's rewards; 0 where an earlier part of the action left the limits."""

@@ -70,6 +70,37 @@ class VectorTask(ABC):
         return np.zeros(len(sims), bool)
 
 
+class WrappedTask(VectorTask):
+    """A task around another one, which does what this one does not say otherwise.
+
+    Args:
+        task: the task within.
+    """
+
+    def __init__(self, task: VectorTask) -> None:
+        self.task, self.repeat = task, task.repeat
+        self.control_timestep, self.time_limit = task.control_timestep, task.time_limit
+        self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
+        self.settle_time = task.settle_time  # type: ignore[misc]
+        self.rewarded = task.rewarded  # type: ignore[misc]
+
+    def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
+        """Draw where an episode begins, as the task does."""
+        return self.task.draw_start(model, rng)
+
+    def get_observation(self, sims: Simulations) -> np.ndarray:
+        """Return the task's observations."""
+        return self.task.get_observation(sims)
+
+    def get_reward(self, sims: Simulations) -> np.ndarray:
+        """Return the task's rewards."""
+        return self.task.get_reward(sims)
+
+    def is_terminated(self, sims: Simulations) -> np.ndarray:
+        """Return which episodes the task has ended."""
+        return self.task.is_terminated(sims)
+
+
 _TASKS: dict[tuple[str, str], VectorTask] = {}
 
 
