@@ -345,6 +345,33 @@ def test_a_rotor_that_the_model_lacks_is_no_constant_of_a_motor() -> None:
     assert list(scaled(evidence, evidence.identity(), [0.0])) == []
 
 
+class Told(WiringEvidence):
+    """What a log says of two encoders that turn the other way, the second hardly felt."""
+
+    def __init__(self, late: float) -> None:
+        self.joints, self.hinges, self.inputs, self.motors = ["a", "b"], {"a", "b"}, set(), set()
+        self.stated, self.weights, self.late = {"qpos.a": "", "qpos.b": ""}, np.ones(2), late
+
+    def scores(self, h: WiringHypothesis, delays) -> np.ndarray:
+        felt = {"qpos.a": 3.0, "qpos.b": 0.85}
+        wrong = sum(size for n, size in felt.items() if h.wires[n] != Wire(n, -1))
+        return wrong + 5.0 * np.minimum(np.abs(np.array(delays) - self.late) / 0.012, 1.0)
+
+    def shares(self, h: WiringHypothesis, delays) -> np.ndarray:
+        return np.repeat(self.scores(h, delays)[:, None] > 0.1, 2, axis=1).astype(float)
+
+    def noise(self, h: WiringHypothesis) -> np.ndarray:
+        return np.zeros(2)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.012])
+def test_what_is_needed_is_kept_whenever_the_controls_act(late: float) -> None:
+    first = WiringHypothesis({n: Wire(n) for n in ("qpos.a", "qpos.b")})
+    found, _ = search(Told(late), first)
+    assert found.delay == pytest.approx(late)
+    assert found.wires == {n: Wire(n, -1) for n in first.wires}
+
+
 def test_a_correction_that_leaves_much_is_not_proposed() -> None:
     """The elbow's command has the wrong sign, and something else pushes that no log has."""
 

@@ -35,6 +35,7 @@ MARGIN = 0.8
 _BEYOND_DOUBT = 3.0  # gain of the score by a sign where nothing is doubted: a twentieth is left
 _FITTED = 0.3  # of the score, that a fitted constant costs beside: a known unit comes first
 _TIE = 0.05  # of the score, within which two hypotheses are alike
+_SPARED = 0.1  # of the score, that a change which is not needed may bring
 _STEPS = (0.012, 0.002, 0.0003)  # [s] of the delays tried; a stiff servo tells 0.3 ms
 _REACH = 9  # steps to either side
 _DELAYS = tuple(_STEPS[0] * np.arange(-_REACH, _REACH + 1))
@@ -81,7 +82,7 @@ def search(
             twins = tuple(h for score, h in beam[1:] if score < best[0] + _TIE)
         elif len(beam[0][1].causes) > len(best[1].causes) + 1:
             break  # two faults more did not help either
-    return _pruned(evidence, best, first), twins
+    return _pruned(evidence, best[1], first), twins
 
 
 def _timed(
@@ -131,17 +132,15 @@ def _doubtful(evidence: WiringEvidence, hypothesis: WiringHypothesis) -> bool:
 
 
 def _pruned(
-    evidence: WiringEvidence, best: tuple[float, WiringHypothesis], first: WiringHypothesis
+    evidence: WiringEvidence, hypothesis: WiringHypothesis, first: WiringHypothesis
 ) -> WiringHypothesis:
     """Return the hypothesis without channels whose change it does not need."""
-    score, hypothesis = best
+    delay = hypothesis.delay
+    most = evidence.scores(hypothesis, [delay])[0] + _SPARED
     for name, wire in sorted(hypothesis.wires.items()):
         if wire.source == name and wire != first.wires[name]:
             simpler = replace(hypothesis, wires={**hypothesis.wires, name: first.wires[name]})
-            if (
-                evidence.scores(simpler, [hypothesis.delay])[0]
-                < score - _paid(evidence, best[1]) + 0.1
-            ):
+            if evidence.scores(simpler, [delay])[0] < most:
                 hypothesis = simpler
     return hypothesis
 
