@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.errors import ModelError, StudyError
+from bo_sysid.errors import ModelError, StudyError, UserError
 from bo_sysid.mjcf import Model, address_edit, parameter_edits
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.plants.effects import realised
@@ -412,4 +412,16 @@ def test_a_limit_of_no_joint_is_told_before_a_task_keeps_it():
         "limits": {"slidr": {"velocity": 3.0}},
     }
     with pytest.raises(StudyError, match="no such joint; did you mean 'slider'"):
+        build_plant(Study.from_dict(data))
+
+
+def test_a_task_that_does_not_fit_is_named_however_it_is_wrapped():
+    data = {
+        "model": {"dm_control": {"domain": "cartpole", "task": "swingup"}},
+        "recordings": {"train": "x.csv"},
+        "task": {"dm_control": {"domain": "reacher", "task": "easy"}, "repeat": 2},
+        "plant": {},
+        "limits": {"slider": {"velocity": 3.0}},
+    }
+    with pytest.raises(UserError, match="task Reacher does not fit the model"):
         build_plant(Study.from_dict(data))

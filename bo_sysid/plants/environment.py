@@ -119,7 +119,7 @@ class BatchEnvironment:
             task.get_reward(self.sims)
             task.is_terminated(self.sims)
         except KeyError as error:
-            raise UserError(f"task {type(task).__name__} does not fit the model: {error}") from None
+            raise UserError(f"task {task.name} does not fit the model: {error}") from None
         self._steps = np.zeros(n, np.int64)
         self._episodes = np.zeros(n, np.int64)
         self._observation = np.zeros((n, self.observation_size))

@@ -47,6 +47,11 @@ class VectorTask(ABC):
     settle_time: ClassVar[float] = 0.0
     rewarded: ClassVar[bool] = True
 
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        return type(self).__name__
+
     @abstractmethod
     def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw where an episode begins."""
@@ -83,6 +88,11 @@ class WrappedTask(VectorTask):
         self.goal_size = task.goal_size  # type: ignore[misc] # a class variable of most tasks
         self.settle_time = task.settle_time  # type: ignore[misc]
         self.rewarded = task.rewarded  # type: ignore[misc]
+
+    @property
+    def name(self) -> str:
+        """What the task is called in messages."""
+        return self.task.name
 
     def draw_start(self, model: mujoco.MjModel, rng: np.random.Generator) -> Start:
         """Draw where an episode begins, as the task does."""
