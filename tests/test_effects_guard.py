@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.effects import Effect, Extent, Force, Machine, Site, survey
+from bo_sysid.effects import Effect, Extent, Force, Machine, Site, extent_at, survey
 from bo_sysid.effects.registry import listing, load_effects
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model
@@ -142,6 +142,32 @@ def test_a_law_beside_an_edit_names_the_effect_and_the_line(
     effect = written(tmp_path, "pass", f"force=lambda site, x, machine: {force}")
     with pytest.raises(StudyError, match=rf"effect 'mine' at slide: {message}"):
         effect.force(SITE, np.ones(1), machine)(motion(np.zeros(7)))
+
+
+@pytest.mark.parametrize(
+    ("field", "what", "order"),
+    [
+        ("nominal", "nominal value", "site, machine"),
+        ("details", "details", "x, machine, site"),
+        ("absolute", "value", "x, machine, site"),
+    ],
+)
+def test_what_is_told_of_an_effect_after_a_search_names_it_and_the_line(
+    machine, tmp_path, field, what, order
+) -> None:
+    effect = written(tmp_path, "pass", f"{field}=lambda {order}: 1 / 0")
+    given = {"site": SITE, "machine": machine, "x": np.ones(1)}
+    message = rf"effect 'mine' at slide: its {what} fails: ZeroDiv.* \(mine.py, line 4\)"
+    with pytest.raises(StudyError, match=message):
+        getattr(effect, field)(*(given[n] for n in order.split(", ")))
+
+
+def test_an_extent_that_fails_names_the_line(machine, tmp_path) -> None:
+    text = OWN.read_text().replace("    joint = machine.joints[site.name]\n    probe", "    probe")
+    (tmp_path / "mine.py").write_text(text)
+    (effect,) = load_effects(tmp_path / "mine.py")
+    with pytest.raises(StudyError, match=r"slide: its extent fails: NameE.*\(mine.py, line 18\)"):
+        extent_at(effect, SITE, machine)
 
 
 def test_an_extent_has_finite_probes() -> None:

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import Any, TypeAlias, get_args
+from typing import Any, TypeAlias, TypeVar, cast, get_args
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, UserError
 from bo_sysid.recording import Channel
 
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 _LawOf: TypeAlias = Callable[[Site, Magnitudes, Machine], Callable[[Motion], Signal]]
 
 _ABSURD = 1e6  # beyond it a simulation has diverged, and a force that is no number tells nothing
@@ -38,13 +39,29 @@ def guarded(effect: Effect, file: Path) -> Effect:
         effect: as the file registers it.
         file: the user's file.
     """
-    written, force = effect.written, effect.force
+    e, id = effect, effect.id
     return replace(
-        effect,
-        apply=_apply(effect.apply, effect.id, file),
-        written=None if written is None else _apply(written, effect.id, file),
-        force=None if force is None else _force(force, effect.id, file),
+        e,
+        apply=_apply(e.apply, id, file),
+        written=None if e.written is None else _apply(e.written, id, file),
+        force=None if e.force is None else _force(e.force, id, file),
+        extent=_named(e.extent, "extent", id, file),
+        nominal=_named(e.nominal, "nominal value", id, file),
+        details=None if e.details is None else _named(e.details, "details", id, file),
+        absolute=None if e.absolute is None else _named(e.absolute, "value", id, file),
     )
+
+
+def _named(function: _Function, what: str, id: str, file: Path) -> _Function:
+    """Return a function of a site, and of other things, that says that it fails."""
+
+    @wraps(function)
+    def made(*args: Any) -> Any:
+        site = next(a for a in args if isinstance(a, Site))
+        with told(f"effect {id!r} at {site}: its {what}", file):
+            return function(*args)
+
+    return cast(_Function, made)
 
 
 def _apply(apply: Apply, id: str, file: Path) -> Apply:
@@ -72,12 +89,10 @@ def _apply(apply: Apply, id: str, file: Path) -> Apply:
 
 def _force(force: _LawOf, id: str, file: Path) -> _LawOf:
     """Return what gives the law of an effect, which says that it fails."""
+    law_of = _named(force, "force", id, file)
 
     def made(site: Site, x: Magnitudes, machine: Machine) -> Callable[[Motion], Signal]:
-        name = f"effect {id!r} at {site}"
-        with told(f"{name}: its force", file):
-            law = force(site, x, machine)
-        return _law(law, name, file)
+        return _law(law_of(site, x, machine), f"effect {id!r} at {site}", file)
 
     return made
 
