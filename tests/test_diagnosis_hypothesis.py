@@ -189,7 +189,7 @@ def test_a_filter_is_read_as_it_was_written_at_a_finer_step(
     repaired = Model.from_file(tmp_path / MODEL)
     assert repaired.compile().opt.timestep == pytest.approx(step / 4)
     (read,) = read_beside(tmp_path / BESIDE, repaired.compile()).parts(repaired)
-    (made,) = late.parts(arm().spec(), x, machine)
+    (made,) = late.effect.parts(arm().spec(), late.site, late.full(x), machine)
     time = np.arange(0.0, 1.0, 0.01)
     command = Channel(time, np.sign(np.sin(20 * time)), "", "", "zero")
     shown, expected = (p.change(command, step / 4).at(time + step / 8) for p in (read, made))

@@ -141,6 +141,6 @@ def test_a_stepper_keeps_the_state_of_slow_filters(
     time = 0.002 * np.arange(2500)
     whole = Channel(time, command, hold="zero")
     for c, v in zip(members, x, strict=True):
-        (acting,) = c.parts(arm().spec(), np.array([v]), machine)
+        (acting,) = c.effect.parts(arm().spec(), c.site, c.full(np.array([v])), machine)
         whole = acting.change(whole, 0.002)
     assert force == pytest.approx(whole.at(time + 1e-9), abs=2e-3)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects import Component, Effect, Extent, Machine, Part, Site, applicable, extent_at
+from bo_sysid.effects import Component, Effect, Extent, Machine, Site, applicable, extent_at
 from bo_sysid.mjcf import Model, address_edit, nominal
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
@@ -147,12 +147,6 @@ class Candidate:
         if self.moved:
             return np.where(np.arange(self.size) < self.effect.acting, x, 0.0)
         return x - self.low if self.bent else x
-
-    def parts(
-        self, spec: mujoco.MjSpec, x: Float[np.ndarray, " l"], machine: Machine
-    ) -> tuple[Part, ...]:
-        """Edit a spec and return what MJCF cannot express."""
-        return self.effect.parts(spec, self.site, self.full(x), machine)
 
     def with_shapes(self, shapes: Float[np.ndarray, " s"]) -> "Candidate":
         """Return the same effect at the same site with other shapes."""
