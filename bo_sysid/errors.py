@@ -76,3 +76,10 @@ def nearest(name: str, valid: Iterable[str]) -> str:
         return ""
     shown = ", ".join(repr(c) for c in choices[:12])
     return f"valid: {shown}" + (f" and {len(choices) - 12} more" if len(choices) > 12 else "")
+
+
+def is_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error is Ctrl-C: a compiled module turns it into an `ImportError`."""
+    while isinstance(error, ImportError):
+        error = error.__cause__ or error.__context__
+    return isinstance(error, KeyboardInterrupt)

@@ -198,6 +198,25 @@ def test_errors_have_exit_codes(
     assert ("Traceback" in err) == isinstance(error, ZeroDivisionError)
 
 
+def test_an_interrupt_in_a_compiled_module_that_is_being_imported_is_no_defect(
+    folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        try:
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as error:  # as pybind11 does, module by module
+                raise ImportError("initialization failed") from error
+        except ImportError as error:
+            raise ImportError("initialization failed") from error
+
+    monkeypatch.setattr("bo_sysid.cli.identify.identify_into", fail)
+    code, _, err = say("identify", "arm.yaml", "--out", str(folder / "run"))
+    assert (code, "Traceback" in err) == (130, False)
+    assert err.endswith("bo-sysid: interrupted; the same command goes on where it was\n")
+    assert json.loads((folder / "run" / "run.json").read_text())["status"] == "interrupted"
+
+
 def test_a_log_that_must_not_be_read_is_wrong_input_a_folder_to_write_to_is_not(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,7 +31,7 @@ from bo_sysid.cli import (
     reveal,
     schema,
 )
-from bo_sysid.errors import BoSysidError, UserError, is_input_error
+from bo_sysid.errors import BoSysidError, UserError, is_input_error, is_interrupt
 
 VERBS = (
     init,
@@ -118,15 +118,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = WRONG_INPUT if is_input_error(error) else DEFECT
         return _say(f"{where}{error.strerror or error}", code)
     except KeyboardInterrupt:
-        goes_on = args is not None and args.verb in RESUMED
-        how = "; the same command goes on where it was" if goes_on else ""
-        return _say(f"interrupted{how}", INTERRUPTED)
+        return _interrupted(args)
     except MemoryError as error:
         return _say(f"there is not enough memory for this: {error}", WRONG_INPUT)
-    except Exception:
+    except Exception as error:
+        if is_interrupt(error):
+            return _interrupted(args)
         traceback.print_exc()
         return _say("this is a defect of bo-sysid: please report the lines above", DEFECT)
     return DONE
+
+
+def _interrupted(args: argparse.Namespace | None) -> int:
+    goes_on = args is not None and args.verb in RESUMED
+    how = "; the same command goes on where it was" if goes_on else ""
+    return _say(f"interrupted{how}", INTERRUPTED)
 
 
 def _say(message: str, code: int) -> int:

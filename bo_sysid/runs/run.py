@@ -16,7 +16,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 import yaml
 
 from bo_sysid import __version__
-from bo_sysid.errors import RunError, UserError
+from bo_sysid.errors import RunError, UserError, is_interrupt
 from bo_sysid.runs.files import (
     UNFINISHED,
     atomic,
@@ -217,7 +217,7 @@ class Run:
         if error is None or (self._untouched and isinstance(error, UserError)):
             self.close("finished")
             return
-        self.close("interrupted" if isinstance(error, KeyboardInterrupt) else "failed")
+        self.close("interrupted" if is_interrupt(error) else "failed")
         if self._created and isinstance(error, UserError):
             self._remove_if_bare()
 
