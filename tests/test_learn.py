@@ -390,6 +390,8 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
         play(whole, policy=tmp_path / "arm.npz")
     with pytest.raises(RunError, match="no such policy"):
         play(whole, policy=tmp_path / "none.npz")
+    with pytest.raises(RunError, match=r"policy.pt: a TorchScript module.*play takes the .npz"):
+        play(whole, policy=whole / "policy.pt")
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,11 @@ def play(
     file = policy or folder / "policy.npz"
     if not file.is_file():
         raise RunError(f"{file}: no such policy" + ("" if policy else "; the run has none yet"))
+    if file.suffix == ".pt":
+        raise RunError(
+            f"{file}: a TorchScript module, for programs without this package; play takes the .npz "
+            f"of the same policy, as {folder / 'policy.npz'}"
+        )
     learned, scene = LearnedPolicy.load(file), Scene.of(study)
     environment = scene.environment(scene.compiled(scene.candidates.points[0]), 1)
     learned.require(environment.observation_size, environment.action_size, str(file))
