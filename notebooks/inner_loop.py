@@ -90,7 +90,9 @@ def on_grid(values: np.ndarray) -> np.ndarray:
 
 
 figure, axis = plt.subplots(figsize=(5.5, 4))
-extent = [*PARAMETERS[0].grid[[0, -1]], *PARAMETERS[1].grid[[0, -1]]]
+ends = np.array([p.grid[[0, -1]] for p in PARAMETERS])
+half = np.diff(ends) / (STEPS - 1) / 2
+extent = np.ravel(ends + half * [-1, 1])  # a candidate is in the middle of its cell
 picture = axis.imshow(
     on_grid(table.deviation), origin="lower", extent=extent, aspect="auto", cmap="viridis"
 )
