@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from bo_sysid.compare.statistics import agreement, costs, paired, summary
-from bo_sysid.report.comparison import comparison_text, conclusions
+from bo_sysid.report.comparison import comparison_text, conclusions, cost_bars
 from bo_sysid.runs import Run
 
 UNITS = ["evaluations"]
@@ -67,3 +67,12 @@ def test_costs_of_runs_that_did_not_get_there_are_bounds(tmp_path: Path) -> None
     assert " 12 [" in text
     assert "unreached" in text
     assert "≥ 12" not in text
+
+
+def test_means_that_are_bounds_are_drawn_hollow(tmp_path: Path) -> None:
+    _, folder = compared(tmp_path / "run", {"a": [10, 12, 14], "b": [30, 99, 99]})
+    figure = cost_bars(pd.read_parquet(folder / "summary.parquet"), "evaluations")
+    (axis,) = figure.axes
+    (hollow,) = [line for line in axis.lines if line.get_color() == "w"]
+    assert hollow.get_xydata().tolist() == [[30.0, 1.0]]
+    assert "hollow: not in all runs, a lower bound" in axis.get_xlabel()

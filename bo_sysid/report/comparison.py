@@ -33,8 +33,8 @@ def comparison_text(told: Mapping[str, Any], folder: Path) -> str:
 
 def sentence(told: Mapping[str, Any]) -> str:
     """Return what was run, in one sentence."""
-    several = "" if len(told["arms"]) == 1 else "s"
-    return f"{told['name']}: {told['runs']} runs of {len(told['arms'])} arm{several}."
+    runs, several = ("" if n == 1 else "s" for n in (told["runs"], len(told["arms"])))
+    return f"{told['name']}: {told['runs']} run{runs} of {len(told['arms'])} arm{several}."
 
 
 def conclusions(told: Mapping[str, Any], folder: Path) -> list[str]:
@@ -210,6 +210,8 @@ def _quartiles(runs: pd.DataFrame, unit: str) -> tuple[pd.Series, pd.Series, pd.
 def cost_bars(means: pd.DataFrame, unit: str) -> "Figure":
     """Return the mean cost of each arm with its interval, one panel a problem, a colour a level.
 
+    A mean with runs that did not get there is a lower bound, and hollow.
+
     Args:
         means: the summary of a comparison.
         unit: of the cost.
@@ -218,13 +220,14 @@ def cost_bars(means: pd.DataFrame, unit: str) -> "Figure":
 
     problems = list(means["problem"].drop_duplicates())
     arms = list(means["arm"].drop_duplicates())
-    height = 0.24 * len(arms) + 0.7
-    figure = Figure(figsize=(_WIDTH, height * len(problems)), layout="constrained")
+    height = 0.28 * len(arms) + 0.5
+    figure = Figure(figsize=(_WIDTH, height * len(problems) + 0.8), layout="constrained")
     axes = figure.subplots(len(problems), 1, squeeze=False)[:, 0]
     for axis, problem in zip(axes, problems, strict=True):
         _bars(axis, means[means["problem"] == problem], arms, unit)
         axis.set_title(problem, fontsize="medium")
-    axes[-1].set_xlabel(f"{unit} until the regret is reached (mean, 95 % interval)")
+    bound = "" if (means["reached"] == 1).all() else "\nhollow: not in all runs, a lower bound"
+    axes[-1].set_xlabel(f"{unit} until the regret is reached (mean, 95 % interval){bound}")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize="x-small", ncols=4, loc="outside upper center")
     return figure
@@ -238,9 +241,11 @@ def _bars(axis: "Axes", part: pd.DataFrame, arms: list[str], unit: str) -> None:
         mean = at[unit]
         error = np.array([mean - at[f"{unit}_low"], at[f"{unit}_high"] - mean])
         axis.errorbar(mean, place, xerr=error, fmt="o", markersize=4, label=f"regret {level:g}")
+        short = at["reached"].to_numpy(float) < 1
+        axis.plot(mean[short], place[short], "o", markersize=2.5, color="w", zorder=3)
     axis.set_yticks(np.arange(len(arms)), arms, fontsize="x-small")
     axis.set_xlim(left=0)
-    axis.set_ylim(len(arms) - 0.5, -0.5)  # the first arm on top
+    axis.set_ylim(len(arms) - 0.4, -0.6)  # the first arm on top
 
 
 def _colours(paths: pd.DataFrame) -> dict[str, Any]:
