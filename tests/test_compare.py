@@ -20,7 +20,7 @@ from test_learn_diagnosis import knowing, lacking
 import bo_sysid.diagnosis
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.cli import main
-from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of
+from bo_sysid.compare.arms import Arm, ComparedProblem, arms_of, problems_of, slug
 from bo_sysid.compare.compare import Comparison, compare, so_far
 from bo_sysid.compare.inner import SearchJob, run_search
 from bo_sysid.compare.outer import LearnJob, run_learn
@@ -339,6 +339,16 @@ def test_what_is_wrong_is_told(tmp_path: Path) -> None:
         problems_of(posed(arms=["greedy"], problems="other.yaml"), trust_code=False)
     with pytest.raises(StudyError, match=r"compare.lop: unknown key; did you mean 'loop'"):
         posed(arms=["greedy"], lop="outer")
+    with pytest.raises(StudyError, match=r"compare.arms.0: the name '∞' has no letter or digit"):
+        arms_of(posed(arms=[{"name": "∞", "acquisition": "greedy"}]))
+
+
+def test_names_in_any_script_and_of_any_length_name_files() -> None:
+    assert slug("Cart-pole, 2 parameters_a") == "cart-pole-2-parameters-a"
+    assert slug("Маятник 1") == "маятник-1"
+    one, other = slug("倒" * 300 + "a"), slug("倒" * 300 + "b")
+    assert one != other
+    assert len(f"{one}.parquet".encode()) < 255
 
 
 def test_problems_may_be_named_by_a_pattern(tmp_path: Path) -> None:

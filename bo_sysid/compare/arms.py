@@ -1,5 +1,6 @@
 """The arms of a comparison, and the problems that they are compared on."""
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,9 +13,11 @@ from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.source import KeyPath
 
 _INSIDE = (0.15, 0.85)  # of the bounds, where the parameters of a drawn plant lie
 _DRAW = 20_181  # keeps the draw of a plant apart from the seeds of the search
+_LONGEST = 60  # letters of a name in the names of files, of 1 to 4 bytes; systems take 255 bytes
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ def arms_of(study: Study) -> tuple[Arm, ...]:
         choose, stop = arm.choose or study.learn.choose, arm.stop or study.learn.stop
         made_of = [acquisition, choose, stop] if settings.loop == "outer" else [acquisition]
         name = arm.name or ", ".join(made_of)
-        if slug(name) in {slug(n) for n in found}:
+        if _slug(study, name, ("compare", "arms", i)) in {slug(n) for n in found}:
             raise study.error(
                 ("compare", "arms", i), f"there is another arm {name!r}; name one of them"
             )
@@ -121,18 +124,19 @@ def problems_of(study: Study, *, trust_code: bool) -> tuple[ComparedProblem, ...
     Raises:
         StudyError: a study is missing or wrong, or two have one name.
     """
-    problems = [ComparedProblem(slug(study.name), study)]
+    problems = [ComparedProblem(_slug(study, study.name, ("name",)), study)]
     for i, pattern in enumerate(study.compare.problems or ()):
         key = ("compare", "problems", i)
         for file in study.files(pattern, key):
             other = Study.load(file, trust_code=trust_code)
-            if slug(other.name) in {p.name for p in problems}:
+            name = _slug(other, other.name, ("name",))
+            if name in {p.name for p in problems}:
                 raise study.error(
                     key,
                     f"{file.name} is called {other.name!r}, as another problem; give it another "
                     "name",
                 )
-            problems.append(ComparedProblem(slug(other.name), other))
+            problems.append(ComparedProblem(name, other))
     for problem in problems:
         _require_uncertain(problem)
     return tuple(problems)
@@ -151,12 +155,22 @@ def remade(data: Mapping[str, Any], folder: str) -> Study:
 
 
 def slug(name: str) -> str:
-    """Return a name as it is used in the names of files.
+    """Return a name as it is used in the names of files: its letters, of any script, and digits.
 
     Raises:
         StudyError: nothing is left of it.
     """
-    made = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.")
+    made = re.sub(r"(?:[^\w.]|_)+", "-", name.lower()).strip("-.")
     if not made:
         raise StudyError(f"the name {name!r} has no letter or digit, and names files")
+    if len(made) > _LONGEST:
+        made = f"{made[:_LONGEST]}-{hashlib.sha256(made.encode()).hexdigest()[:8]}"
     return made
+
+
+def _slug(study: Study, name: str, key: KeyPath) -> str:
+    """Return `slug`, and tell the file and key of a name of which nothing is left."""
+    try:
+        return slug(name)
+    except StudyError as error:
+        raise study.error(key, str(error)) from None
