@@ -110,6 +110,21 @@ def test_a_failed_write_leaves_the_old_file(run: Run) -> None:
     assert names(run.folder) == {"model.xml", "run.json", "study.yaml"}
 
 
+def test_an_error_of_the_disk_names_the_file_that_was_to_be(tmp_path: Path) -> None:
+    def failing(name: str, error: OSError) -> str:
+        try:
+            with atomic(tmp_path / name) as place:
+                write_and_raise(place, error)
+        except OSError as told:
+            return str(told.filename)
+        return "nothing failed"
+
+    full, missing = OSError(28, "No space left"), OSError(2, "No such file", "other.csv")
+    assert failing("figure.png", full) == str(tmp_path / "figure.png")
+    assert failing("figure.png", missing) == "other.csv"
+    assert failing("n" * 250, full) == str(tmp_path / ("n" * 250))  # the temporary one is too long
+
+
 def test_the_ending_is_kept_while_writing(tmp_path: Path) -> None:
     with atomic(tmp_path / "figure.png") as path:
         assert path.suffix == ".png"

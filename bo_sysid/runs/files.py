@@ -24,6 +24,9 @@ def atomic(path: Path) -> Iterator[Path]:
     """Yield a path beside `path` to write to, and move it there when the block has ended well.
 
     No other writer has it, on this machine or another that shares the folder.
+
+    Raises:
+        OSError: the disk is full, or the folder cannot be written to; it names `path`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{path.name}")
@@ -33,8 +36,13 @@ def atomic(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(beside, path)
         _sync_folder(path.parent)
+    except OSError as error:
+        if error.filename is None or str(error.filename) == str(beside):
+            error.filename = str(path)
+        raise
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # as it did not get there
+            beside.unlink()
 
 
 def plain(value: Any, key: str = "value") -> Any:
