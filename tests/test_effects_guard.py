@@ -88,6 +88,10 @@ def test_what_a_law_makes_of_a_simulation_that_diverged_is_no_fault_of_it(
             "    return 3.0\n",
             r"returns 3.0 \(mine.py\); it may return None, or one or a tuple of F",
         ),
+        (
+            "    return Force('slid', law)\n",
+            r"returns a force at 'slid' \(mine.py\); .* no such joint; did you mean 'slide'",
+        ),
         ("    spec.joint('no').damping = 1\n", r"fails: AttributeError: .* \(mine.py, line 52\)"),
     ],
 )
@@ -173,3 +177,11 @@ def test_an_extent_that_fails_names_the_line(machine, tmp_path) -> None:
 def test_an_extent_has_finite_probes() -> None:
     with pytest.raises(ValueError, match=r"probe \(nan,\) must be finite numbers"):
         Extent((np.nan,), (0.0,), (1.0,))
+
+
+def test_an_extent_is_an_extent(machine, tmp_path: Path) -> None:
+    text = OWN.read_text().replace("extent=extent,", "extent=lambda site, machine: 3.0,")
+    (tmp_path / "mine.py").write_text(text)
+    (effect,) = load_effects(tmp_path / "mine.py")
+    with pytest.raises(StudyError, match=r"effect 'worn_spot' .*its extent is 3.0; it must be an"):
+        extent_at(effect, SITE, machine)

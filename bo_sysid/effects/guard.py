@@ -23,7 +23,7 @@ from bo_sysid.effects.contract import (
     Site,
 )
 from bo_sysid.effects.machine import Machine
-from bo_sysid.errors import StudyError, UserError
+from bo_sysid.errors import StudyError, UserError, nearest
 from bo_sysid.recording import Channel
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -81,6 +81,11 @@ def _apply(apply: Apply, id: str, file: Path) -> Apply:
                 raise StudyError(
                     f"{name} returns {part!r} ({file.name}); it may return None, or one or "
                     f"a tuple of {kinds}"
+                )
+            if isinstance(part, Force) and spec.joint(part.joint) is None:
+                raise StudyError(
+                    f"{name} returns a force at {part.joint!r} ({file.name}); the model has no "
+                    f"such joint; {nearest(part.joint, [j.name for j in spec.joints])}"
                 )
         return tuple(_part(p, name, file) for p in parts)
 

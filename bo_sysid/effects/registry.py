@@ -195,6 +195,11 @@ def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
     """
     with told(f"effect {effect.id!r} at {site}: its extent"):
         extent = effect.extent(site, machine)
+    if not isinstance(extent, Extent | None):
+        raise StudyError(
+            f"effect {effect.id!r} at {site}: its extent is {extent!r}; it must be an Extent, or "
+            "None where the effect does not apply"
+        )
     if extent is not None and len(extent.probe) != len(effect.components):
         raise StudyError(
             f"effect {effect.id!r} at {site}: its extent has {len(extent.probe)} numbers; it needs "
