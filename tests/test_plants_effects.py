@@ -83,6 +83,20 @@ def test_a_plant_with_an_effect_moves_as_the_edited_model(effect, address, toler
     np.testing.assert_allclose(plant.evaluate(act, 3, seed=1), same, rtol=20 * tolerance)
 
 
+@pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        ({"noise": {"qpox": 0.1}}, r"plant.noise: noise of 'qpox'; did you mean 'qpos'"),
+        ({"timestep": 0.0033}, r"plant.timestep: 0.0033 s must divide 0.01 s"),
+    ],
+)
+def test_what_is_wrong_with_a_plant_has_its_key(tmp_path, plant, message):
+    (tmp_path / "arm.xml").write_text(SERVO)
+    data = {"model": "arm.xml", "recordings": {"train": ["none.parquet"]}, "plant": plant}
+    with pytest.raises(StudyError, match=message):
+        build_plant(Study.from_dict(data, tmp_path))
+
+
 def test_a_force_that_mjcf_cannot_say_is_stepped(tmp_path):
     (tmp_path / "arm.xml").write_text(SERVO)
     data = {

@@ -10,7 +10,7 @@ from bo_sysid.plants.effects import realised
 from bo_sysid.plants.excitation import Range, multisine, smooth_random
 from bo_sysid.plants.limits import limit_edits, limited
 from bo_sysid.plants.load import Task, compiled, load_task, make_environment
-from bo_sysid.plants.plant import Plant, PlantError
+from bo_sysid.plants.plant import Plant
 from bo_sysid.plants.python_task import PythonTask, class_task
 from bo_sysid.plants.repeat import RepeatedTask
 from bo_sysid.recording import Recording
@@ -123,10 +123,15 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
             seed=study.search.seed if seed is None else seed,
             laws=effects.laws,
         )
-    except (ModelError, PlantError) as error:
-        if plant is None:
+    except StudyError:
+        raise
+    except UserError as error:
+        told = str(error).removeprefix("plant: ")
+        own_step = plant is not None and plant.timestep is not None
+        if plant is None or (told.startswith("timestep: ") and not own_step):
             raise
-        raise study.error(("plant",), str(error).removeprefix("plant: ")) from None
+        key = [name for name in ("noise", "timestep") if told.startswith(name)]
+        raise study.error(("plant", *key), told.removeprefix("timestep: ")) from None
 
 
 def _require_same_observation(
