@@ -90,7 +90,7 @@ def test_what_a_law_makes_of_a_simulation_that_diverged_is_no_fault_of_it(
         ),
         (
             "    return Force('slid', law)\n",
-            r"returns a force at 'slid' \(mine.py\); .* no such joint; did you mean 'slide'",
+            r"\(mine.py\) returns a force at 'slid'; .* no such joint; did you mean 'slide'",
         ),
         ("    spec.joint('no').damping = 1\n", r"fails: AttributeError: .* \(mine.py, line 52\)"),
     ],

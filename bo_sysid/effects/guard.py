@@ -82,14 +82,26 @@ def _apply(apply: Apply, id: str, file: Path) -> Apply:
                     f"{name} returns {part!r} ({file.name}); it may return None, or one or "
                     f"a tuple of {kinds}"
                 )
-            if isinstance(part, Force) and spec.joint(part.joint) is None:
-                raise StudyError(
-                    f"{name} returns a force at {part.joint!r} ({file.name}); the model has no "
-                    f"such joint; {nearest(part.joint, [j.name for j in spec.joints])}"
-                )
+            if isinstance(part, Force):
+                _require_joint(part.joint, spec, machine, f"{name} ({file.name})")
         return tuple(_part(p, name, file) for p in parts)
 
     return made
+
+
+def _require_joint(joint: str, spec: mujoco.MjSpec, machine: Machine, name: str) -> None:
+    """Refuse a force at a joint that neither the model has nor the effect has added.
+
+    Raises:
+        StudyError: there is no such joint.
+    """
+    if spec.joint(joint) is None:
+        joints = [machine.model.joint(j).name for j in range(machine.model.njnt)]
+        if joint not in joints:
+            raise StudyError(
+                f"{name} returns a force at {joint!r}; the model has no such joint; "
+                f"{nearest(joint, joints)}"
+            )
 
 
 def _force(force: _LawOf, id: str, file: Path) -> _LawOf:
