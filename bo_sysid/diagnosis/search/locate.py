@@ -11,6 +11,7 @@ from bo_sysid.diagnosis.search.gaps import mesh
 from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, without_weakest
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
+from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
     contact_decides,
@@ -205,6 +206,9 @@ def _finer(
     """Carry the best sets to a finer step where that tells how friction bends."""
     finer = _step_for(search, leader, step)
     if finer == step or not _bends(leader) or leader.rms < _BEND_SHOWS:
+        return search, step
+    creep(search, leader)
+    if search.best.rms < _BEND_SHOWS:  # it creeps, at the step of a simulated machine
         return search, step
     return _carried(evidence, search, leader, length, finer), finer
 

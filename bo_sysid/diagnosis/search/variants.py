@@ -34,6 +34,18 @@ def reshape(search: Search, base: Fit) -> None:
         search.listed(reshaped(there, begun, effort, friction_alone=True))
 
 
+def creep(search: Search, base: Fit) -> None:
+    """Fit a set with friction that creeps, linearised at itself.
+
+    Where friction holds a joint a start does nothing, and where it creeps it does.
+    """
+    vary(search, base, straight=True)
+    best = search.best
+    if best.key != base.key:
+        there = linearise(search.prepared.problem, best.hypothesis, best.start)
+        search.listed(refit_at(there, best, effort=Effort(rival=search.least)))
+
+
 def _bent(search: Search) -> list[Fit]:
     """Return the nearest set with friction that bends, after the nearest with fewer magnitudes.
 
@@ -50,8 +62,8 @@ def _on_grid(c: Candidate) -> bool:
     return c.bent and any(c.shapes[-1] == v[-1] for v in c.extent.variants)
 
 
-def vary(search: Search, base: Fit) -> None:
-    """Fit a set with other shapes of its effects, all sites alike.
+def vary(search: Search, base: Fit, *, straight: bool = False) -> None:
+    """Fit a set with other shapes of its effects, all sites alike; with `straight` none that bend.
 
     Without the joints that were added where such effects are: what bristles do before they slip
     looks like a compliance, and beside one there is little left for them.
@@ -65,7 +77,7 @@ def vary(search: Search, base: Fit) -> None:
     for effect in dict.fromkeys(c.effect for c in base.members if c.bendable):
         own = [c for c in base.members if c.effect is effect]
         # the site with the fewest shapes, one that does not bend yet, ends the list for all
-        for shapes in zip(*map(_other_shapes, own), strict=False):
+        for shapes in zip(*(_other_shapes(c, straight) for c in own), strict=False):
             changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
             members = [changed.get(c, c) for c in base.members]
             if set_key(members) not in search.fits:
@@ -103,13 +115,14 @@ def _richer(search: Search, c: Candidate) -> list[Candidate]:
     ]
 
 
-def _other_shapes(c: Candidate) -> list[np.ndarray]:
+def _other_shapes(c: Candidate, straight: bool) -> list[np.ndarray]:
     given = np.array(c.extent.variants, float)
     finer = [c.shapes[-1] * f for f in c.extent.refine if c.bent]
-    return [
+    found = [
         *np.where(np.isnan(given), c.shapes, given),
         *(np.array([*c.shapes[:-1], s]) for s in finer),
     ]
+    return [s for s in found if not s[-1]] if straight else found
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
