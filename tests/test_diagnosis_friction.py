@@ -324,9 +324,9 @@ def test_friction_of_a_plant_at_the_step_of_the_model_creeps() -> None:
     """At half that step, where bends are told, no friction was as the plant's (1.17 σ)."""
     light = """<mujoco><option timestep="0.005"/><worldbody><body name="link">
 <joint name="elbow" axis="0 1 0" damping="{}" frictionloss="{}"/>
-<geom type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass=".62"/></body></worldbody>
+<geom name="rod" type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="{}"/></body></worldbody>
 <actuator><motor name="elbow" joint="elbow" ctrlrange="-2 2"/></actuator></mujoco>"""
-    plant = mujoco.MjModel.from_xml_string(light.format(0.05, 0.1))
+    plant = mujoco.MjModel.from_xml_string(light.format(0.05, 0.1, 0.62))
     data, rng = mujoco.MjData(plant), np.random.default_rng(0)
     phase, time, place = rng.uniform(0, 6, 3), 0.005 * np.arange(1600), []
     waves = np.sin(2 * np.pi * np.outer(time, (0.3, 0.7, 1.3)) + phase)
@@ -338,9 +338,12 @@ def test_friction_of_a_plant_at_the_step_of_the_model_creeps() -> None:
     seen = np.array(place) + rng.normal(0, 5e-4, len(time))
     recording = Recording.from_arrays(time, qpos={"elbow": seen}, ctrl={"elbow": torque})
     effects = [CATALOGUE[e] for e in ("dry_friction", "stribeck_friction", "cogging", "backlash")]
-    evidence = make_evidence(
-        Model.from_xml(light.format(0.05, 0)), [recording], effects=effects, threads=1
+    parameters = (
+        Parameter("mass", ("geom[rod].mass",), 0.4, 0.8),
+        Parameter("damping", ("joint[elbow].damping",), 0.0, 0.1),
     )
+    model = Model.from_xml(light.format(0.02, 0, 0.5))
+    evidence = make_evidence(model, [recording], effects=effects, parameters=parameters, threads=1)
     best = locate(evidence).decision.best
     assert [c.key for c in best.members] == [("dry_friction", "elbow")]
     assert best.x[0][0] == pytest.approx(0.1, rel=0.01)
