@@ -127,6 +127,8 @@ def message(folder: Path, text: str, **overrides: object) -> str:
             "actuators.elbow.law: must be <file>.py:<name>, as in servo.py:duty, not 'servo'",
         ),
         ("search: {seed: 1}\nsearch: {seed: 2}", "arm.yaml, line 5: key 'search' is written twice"),
+        ("search: {budget: 017}", "arm.yaml, line 4: YAML reads 017 as 15; write"),
+        ("search: {budget: 1:30}", "arm.yaml, line 4: YAML reads 1:30 as 90; write the number"),
         ("search: {seed: 1, seed: 2}", "arm.yaml, line 4: key 'seed' is written twice, first in"),
         ("search: [1, 2", "arm.yaml, line 4: not YAML: "),
         ("search: &a [*a]", "arm.yaml, line 4: an alias contains itself"),

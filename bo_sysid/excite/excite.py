@@ -138,7 +138,9 @@ def _assumed(study: Study, model: Model, trial: Trial) -> list[str]:
     """Return what a study does not state, and what is assumed instead."""
     notes = []
     if not study.recordings.noise:
-        notes.append(f"Noise of positions taken as {1e3 * NOISE:g} mrad (mm); say it under noise:.")
+        notes.append(
+            f"Noise of positions taken as {1e3 * NOISE:g} mrad (mm); recordings.noise states it."
+        )
     unlimited = [j for j in model.joints if j not in study.limits]
     if unlimited:
         notes.append(f"No limits are stated for: {', '.join(unlimited)}.")

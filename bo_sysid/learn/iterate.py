@@ -59,7 +59,8 @@ def iterate(
     """
     number = before.number + 1 if before else 1
     folder = f"iterations/{number:02d}"
-    tell(number, 1, f"{len(source.trajectories)} real trajectories")
+    count = len(source.trajectories)
+    tell(number, 1, f"{count} real trajector{'y' if count == 1 else 'ies'}")
     known = before.found.rows if before else np.zeros(0, int)
     found = _believed(scene, source, known, before, run, folder)
     evaluations = len(found.rows)  # those of before were evaluated again

@@ -1,5 +1,6 @@
 """The text of a study: YAML with the line of every key, and what --set changes."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,8 @@ from bo_sysid.errors import StudyError, nearest
 KeyPath = tuple[str | int, ...]
 
 _SHOWN = 60  # letters of an argument in a message
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+_OTHER_BASE = re.compile(r"[-+]?0[0-7_]+|.*:.*")  # octal, or counted by 60
 _SHORT: Mapping[tuple[str, ...], str] = {
     ("model",): "file",
     ("recordings", "columns", "*"): "from",
@@ -67,7 +70,7 @@ def read(path: Path, overrides: Mapping[str, Any]) -> Source:
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
         if node is not None:
-            _check_keys(str(path), node, set(), ())
+            _check_nodes(str(path), node, set(), ())
         data = yaml.safe_load(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
@@ -151,8 +154,11 @@ def _text(path: Path) -> str:
         raise StudyError(f"{path}: not a text file in UTF-8; a study is YAML") from None
 
 
-def _check_keys(name: str, node: yaml.Node, done: set[int], inside: tuple[int, ...]) -> None:
-    """Refuse keys that are written twice, and nodes that contain themselves."""
+def _check_nodes(name: str, node: yaml.Node, done: set[int], inside: tuple[int, ...]) -> None:
+    """Refuse keys that are written twice, nodes that contain themselves and numbers of other bases.
+
+    YAML 1.1 reads 017 as 15, and 1:30 as 90.
+    """
     if id(node) in inside:
         raise StudyError(f"{name}, line {node.start_mark.line + 1}: an alias contains itself")
     if id(node) in done:
@@ -161,7 +167,7 @@ def _check_keys(name: str, node: yaml.Node, done: set[int], inside: tuple[int, .
     inside = (*inside, id(node))
     if isinstance(node, yaml.SequenceNode):
         for item in node.value:
-            _check_keys(name, item, done, inside)
+            _check_nodes(name, item, done, inside)
     elif isinstance(node, yaml.MappingNode):
         lines: dict[str, int] = {}
         for key, value in node.value:
@@ -173,7 +179,13 @@ def _check_keys(name: str, node: yaml.Node, done: set[int], inside: tuple[int, .
                         f"{lines[key.value]}"
                     )
                 lines[key.value] = line
-            _check_keys(name, value, done, inside)
+            _check_nodes(name, value, done, inside)
+    elif node.tag in _NUMBERS and _OTHER_BASE.fullmatch(node.value):
+        raise StudyError(
+            f"{name}, line {node.start_mark.line + 1}: YAML reads {node.value} as "
+            f"{yaml.safe_load(node.value)}; write the number without leading zeros and colons, or "
+            "in quotes if it is a text"
+        )
 
 
 def _line(node: yaml.Node, path: KeyPath) -> int:
