@@ -221,7 +221,7 @@ def test_the_law_is_a_force_on_its_joint() -> None:
     law = law_candidate(machine, "elbow", terms)
     weights = np.zeros(len(terms))
     weights[3] = 2.0
-    (part,) = law.parts(arm().spec(), weights, machine)
+    (part,) = law.effect.parts(arm().spec(), law.site, law.full(weights), machine)
     q = np.linspace(-1, 1, 5)
     motion = moving(q)
     expected = 2.0 * machine.joints["elbow"].force * terms[3].value(motion)

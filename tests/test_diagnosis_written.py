@@ -119,7 +119,7 @@ def test_what_reads_a_command_beside_the_file_reads_it_late(
         laws = ()
         h = Hypothesis((lag, law), (*h.x, weights))
     else:
-        laws = force_laws(law.parts(arm().spec(), weights, machine))
+        laws = force_laws(law.effect.parts(arm().spec(), law.site, law.full(weights), machine))
     effect, off = differ(tmp_path, machine, recording, h, laws)
     assert effect > 1.0
     assert off < 1e-6 * effect
