@@ -228,8 +228,8 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
 
 
 def _bends(leader: Fit) -> bool:
-    """Whether friction of a fit bends, or little is left, which may be its bend."""
-    return leader.rms < ROUGH and rubbing(leader, bent=clean(leader))
+    """Whether friction of a fit bends, or what is left may be its bend."""
+    return leader.rms < ROUGH and rubbing(leader, bent=leader.rms < _BEND_SHOWS)
 
 
 def with_meshed_sets(evidence: Evidence, search: Search, length: int) -> Search:
