@@ -267,6 +267,7 @@ class TestOverrides:
             ("budget", "must be key=value"),
             ("a=[1", "the value is not YAML"),
             ("a=2024-13-45", "the value is not YAML"),
+            ("a=017", "--set a=017, line 1: YAML reads 017 as 15"),
             ("a=" + 3000 * "[", "the value is not YAML"),
         ],
     )

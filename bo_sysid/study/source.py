@@ -129,12 +129,15 @@ def parse_override(text: str) -> tuple[str, Any]:
     """Split ``key=value``; the value is read as YAML.
 
     Raises:
-        StudyError: there is no ``=``, or the value is not YAML.
+        StudyError: there is no ``=``, or the value is not YAML or not as `read` takes it.
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise StudyError(f"--set {text}: must be key=value, as in --set search.budget=20")
     try:
+        node = yaml.compose(value, Loader=yaml.SafeLoader)
+        if node is not None:
+            _check_nodes(f"--set {text[:_SHOWN]}", node, set(), ())
         return key.strip(), yaml.safe_load(value)
     except (yaml.YAMLError, ValueError, RecursionError):
         raise StudyError(f"--set {text[:_SHOWN]}: the value is not YAML") from None
