@@ -23,6 +23,7 @@ from bo_sysid.simulation import Engine
 _WINDOW = 0.3  # [s] in which an effect is sized
 _TOUCHING = 0.1  # [s] the same where geoms can touch
 _NO_SIZE = 1e-3  # [sigma]
+_SOFTEST = 0.5  # of the softest gear that is looked for: no softer one is drawn
 _ALIKE = 0.98  # cosine of the differences that two effects make, that is one effect
 
 
@@ -89,6 +90,8 @@ class Sizes:
             x = np.where(sized, x * (np.sqrt(factor) if c.effect.threshold else factor), x)
             if abs(factor - 1) < 0.05:
                 break
-        inside = (x >= c.low).all() and (x <= c.high).all()
+        part = _SOFTEST if c.effect.id == "joint_compliance" else 1.0
+        most = np.where(sized, part * c.high, c.high)
+        inside = (x >= c.low).all() and (x <= most).all()
         near = inside and abs(np.log(max(self.of(c, x), 1e-9) / target)) < 0.3
         return x if near else None

@@ -317,9 +317,10 @@ def test_a_soft_gear_that_leaves_more_than_none_is_fitted_on() -> None:
     assert search.nominal.rms > 1.7
 
 
-def test_a_gear_that_bends_by_a_third_of_what_its_joint_moves_is_named() -> None:
-    soft, loss = 0.2, 0.01
-    recording = record("joint_compliance", [soft, loss, 0.0, 0.0], 3, 4.0)
+@pytest.mark.parametrize("soft", [0.2, 0.3])
+def test_a_gear_that_bends_by_much_of_what_its_joint_moves_is_named(soft: float) -> None:
+    """A third and two thirds of it; half was the most that was looked for."""
+    recording = record("joint_compliance", [soft, 0.01, 0.0, 0.0], 3, 4.0)
     effects = [CATALOGUE[e] for e in ("joint_compliance", "viscous_damping", "joint_spring")]
     model, noise = Model.from_xml(JOINT), {"qpos": SIGMA}
     found = locate(make_evidence(model, [recording], effects=effects, noise=noise, threads=1))

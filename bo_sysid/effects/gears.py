@@ -23,7 +23,7 @@ from bo_sysid.mjcf.strip import stripped
 
 _GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
 _SOFT = (0.003, 0.02, 0.1, 0.3)  # of that spread, by which the typical force bends a joint
-_MOST_SOFT = 0.5  # the same, at most: what gives way further is no gear, and follows any motion
+_MOST_SOFT = 1.0  # the same, at most: what gives way further is no gear, and follows any motion
 _LAG, _LONGEST = 1e-3, 0.05  # [s] damping over stiffness: a probe, and the most
 _ROTOR = 1e-3  # of a joint's inertia: the rotor's, where the model has none
 _MOTOR_SIDE, _LINK_SIDE = 0.0, 1.0

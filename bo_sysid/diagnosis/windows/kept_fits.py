@@ -92,7 +92,7 @@ def digest(inputs: tuple[object, ...]) -> str:
             content = digest(value).encode()
         elif isinstance(value, np.ndarray):
             content = np.ascontiguousarray(value).tobytes()
-            made.update(f"{value.dtype} {value.shape}".encode())
+            made.update(f"{value.dtype.str} {value.shape}".encode())
         elif value is None or isinstance(value, bool | int | float | str):
             content = repr(value).encode()
         else:
