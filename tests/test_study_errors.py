@@ -75,7 +75,14 @@ def message(folder: Path, text: str, **overrides: object) -> str:
         ),
         ("search: 3", "arm.yaml, line 4: search: must be a mapping (key: value), not 3"),
         ("version: 2", "arm.yaml, line 4: version: must be 1, not 2"),
-        ("name: 12", "arm.yaml, line 4: name: must be text (numbers and yes/no need quotes), not"),
+        (
+            "name: 12",
+            "arm.yaml, line 4: name: must be text (numbers, dates and yes/no need quotes), not 12",
+        ),
+        (
+            "name: 2020-01-01",
+            "line 4: name: must be text (numbers, dates and yes/no need quotes), not 2020-01-01",
+        ),
         (
             "parameters:\n- {address: a, low: 0, high: 1}\n- {address: b, low: 2, high: 1}",
             "arm.yaml, line 6: parameters.1: low 2 must be below high 1",

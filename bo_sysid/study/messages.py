@@ -1,6 +1,7 @@
 """One clear message for everything that is wrong with a study."""
 
 from collections.abc import Mapping
+from datetime import date
 from typing import Any, get_args, get_origin
 
 from pydantic import ValidationError
@@ -16,7 +17,7 @@ _RULES = {
     "dict_type": "must be a mapping (key: value)",
     "mapping_type": "must be a mapping (key: value)",
     "tuple_type": "must be a list",
-    "string_type": "must be text (numbers and yes/no need quotes)",
+    "string_type": "must be text (numbers, dates and yes/no need quotes)",
     "string_too_short": "must not be empty",
     "too_short": "must not be empty",
 }
@@ -95,6 +96,7 @@ def _rule(detail: ErrorDetails, path: KeyPath, root: type[Section]) -> str:
     if kind == "value_error":
         return str(detail["ctx"]["error"])
     rule = _RULES.get(kind) or detail["msg"].replace("Input should be", "must be")
-    if kind == "missing" or not isinstance(value, str | int | float | bool):
+    if kind == "missing" or not isinstance(value, str | int | float | bool | date):
         return rule
-    return f"{rule.split(', unable to')[0]}, not {value!r}"
+    shown = str(value) if isinstance(value, date) else repr(value)
+    return f"{rule.split(', unable to')[0]}, not {shown}"

@@ -211,7 +211,7 @@ class PlantEffect(Section):
 
     effect: Name
     """Id of the effect."""
-    kind: Literal["joint", "body", "subtree", "geom", "actuator", "channel", "world"] = "world"
+    kind: Literal["joint", "body", "geom", "actuator", "channel", "world"] = "world"
     """Kind of site."""
     site: Name | None = None
     """Name of the site; left out for the world."""
