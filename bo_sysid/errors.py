@@ -14,7 +14,15 @@ class BoSysidError(Exception):
 
 
 class UserError(BoSysidError):
-    """The study, the model or a recording is wrong; the message says what and how to repair it."""
+    """The study, the model or a recording is wrong; the message says what and how to repair it.
+
+    Attributes:
+        key: of the study, or argument, that is wrong; empty where the message itself says which.
+    """
+
+    def __init__(self, message: str, *, key: str = "") -> None:
+        super().__init__(message)
+        self.key = key
 
 
 class StudyError(UserError):
@@ -28,13 +36,8 @@ class RecordingError(UserError):
 class ModelError(UserError):
     """A model is wrong or does not compile, or an address matches nothing in it.
 
-    Attributes:
-        key: of the study, or argument, that named what the model lacks; empty for the file itself.
+    Its key is that which named what the model lacks; empty for the file itself.
     """
-
-    def __init__(self, message: str, *, key: str = "") -> None:
-        super().__init__(message)
-        self.key = key
 
 
 class RunError(UserError):

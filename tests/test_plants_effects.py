@@ -87,7 +87,7 @@ def test_a_plant_with_an_effect_moves_as_the_edited_model(effect, address, toler
     ("plant", "message"),
     [
         ({"noise": {"qpox": 0.1}}, r"plant.noise: noise of 'qpox'; did you mean 'qpos'"),
-        ({"timestep": 0.0033}, r"plant.timestep: 0.0033 s must divide 0.01 s"),
+        ({"timestep": 0.0033}, r"plant.timestep: the time step of 0.0033 s must divide 0.01 s"),
     ],
 )
 def test_what_is_wrong_with_a_plant_has_its_key(tmp_path, plant, message):

@@ -126,12 +126,10 @@ def build_plant(study: Study, *, budget: int | None = None, seed: int | None = N
     except StudyError:
         raise
     except UserError as error:
-        told = str(error).removeprefix("plant: ")
-        own_step = plant is not None and plant.timestep is not None
-        if plant is None or (told.startswith("timestep: ") and not own_step):
-            raise
-        key = [name for name in ("noise", "timestep") if told.startswith(name)]
-        raise study.error(("plant", *key), told.removeprefix("timestep: ")) from None
+        if plant is None or (error.key == "timestep" and plant.timestep is None):
+            raise  # of the model
+        key = ("plant", error.key) if error.key else ("plant",)
+        raise study.error(key, str(error)) from None
 
 
 def _require_same_observation(

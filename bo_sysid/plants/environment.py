@@ -288,7 +288,9 @@ def physics_steps(duration: float, model: mujoco.MjModel) -> int:
     """
     ratio = duration / float(model.opt.timestep)
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise UserError(f"timestep: {model.opt.timestep:g} s must divide {duration:g} s")
+        raise UserError(
+            f"the time step of {model.opt.timestep:g} s must divide {duration:g} s", key="timestep"
+        )
     return round(ratio)
 
 

@@ -43,9 +43,9 @@ class Measuring:
         known = [*KINDS, *(c for kind in KINDS for c in self._columns(kind))]
         for key, sigma in (self.noise or {}).items():
             if key not in known:
-                raise UserError(f"plant: noise of {key!r}; {nearest(key, known)}")
+                raise UserError(f"noise of {key!r}; {nearest(key, known)}", key="noise")
             if not (np.isfinite(sigma) and sigma >= 0):
-                raise UserError(f"plant: noise of {key!r} is {sigma}; it must be at least 0")
+                raise UserError(f"noise of {key!r} is {sigma}; it must be at least 0", key="noise")
 
     def recording(
         self, name: str, number: int, rows: Mapping[str, np.ndarray], *, warmstart: bool
