@@ -1,8 +1,11 @@
 """Effects of a plant: what the study says is what the machine does, or a clear refusal."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
+from bo_sysid.effects.contract import SiteKind
 from bo_sysid.errors import StudyError
 from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.plants.build import build_plant
@@ -10,6 +13,7 @@ from bo_sysid.plants.plant import Plant
 from bo_sysid.plants.tasks import find_task
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
+from bo_sysid.study.outer import PlantEffect
 
 CARTPOLE = {"dm_control": {"domain": "cartpole", "task": "swingup"}}
 SERVO = """
@@ -164,8 +168,39 @@ def test_a_plant_goes_on_after_an_interruption_as_if_there_had_been_none():
             {"effect": "payload", "kind": "body", "site": "pole_1"},
             "7 observations instead of 5",
         ),
+        (
+            {"effect": "dry_friction", "kind": "joint", "site": "slider", "value": -0.1},
+            r"effects\.0\.value: dry_friction: level is -0.1; it must be at least 0$",
+        ),
+        (
+            {
+                "effect": "stribeck_friction",
+                "kind": "joint",
+                "site": "slider",
+                "details": {"coulomb": -0.2},
+            },
+            r"effects\.0\.details: stribeck_friction: coulomb is -0.2; it must be at least 0$",
+        ),
     ],
 )
 def test_what_a_plant_cannot_have_is_said(effect, message):
     with pytest.raises(StudyError, match=message):
         build_plant(study([{"value": 0.1, **effect}]))
+
+
+def test_a_negative_magnitude_may_take_away_what_the_model_has_or_push_the_other_way(tmp_path):
+    (tmp_path / "arm.xml").write_text(SERVO)
+
+    def built(effect, value):
+        asked = {"effect": effect, "kind": "joint", "site": "hinge", "value": value}
+        data = {"recordings": {"train": ["none.csv"]}, "plant": {"effects": [asked]}}
+        return build_plant(Study.from_dict({"model": "arm.xml", **data}, tmp_path))
+
+    built("viscous_damping", -0.1)  # all of the model's own
+    built("constant_force", -100.0)  # a direction; the range of a search binds no plant
+    with pytest.raises(StudyError, match=r"coefficient is -0.11; it must be at least -0.1$"):
+        built("viscous_damping", -0.11)
+
+
+def test_a_study_offers_the_kinds_of_site_that_effects_have():
+    assert get_args(PlantEffect.model_fields["kind"].annotation) == get_args(SiteKind)

@@ -88,7 +88,7 @@ def _one(
         x = magnitudes(effect, site, machine, asked.value, dict(asked.details))
         return realise(model, effect, site, x, machine)
     except UserError as error:
-        raise study.error(key, str(error)) from None
+        raise study.error((*key, error.key) if error.key else key, str(error)) from None
 
 
 def magnitudes(
@@ -100,12 +100,15 @@ def magnitudes(
     component of a vector is given, else 0; a shape that is left out is the catalogue's probe.
 
     Raises:
-        UserError: a detail is no component, or the effect does not apply at the site.
+        UserError: a detail is no component, the effect does not apply at the site, or a negative
+            magnitude is none that is physical.
     """
     names = [c.name for c in effect.components]
     for name in details:
         if name not in names:
-            raise UserError(f"{effect.id} has no component {name!r}; {nearest(name, names)}")
+            raise UserError(
+                f"{effect.id} has no component {name!r}; {nearest(name, names)}", key="details"
+            )
     extent = extent_at(effect, site, machine)
     if extent is None:
         raise UserError(f"{effect.id} does not apply to {site}")
@@ -115,6 +118,13 @@ def magnitudes(
         x[0] = value
     for name, given in details.items():
         x[names.index(name)] = given
+    for name, given, low, high in zip(names, x, extent.low, extent.high, strict=True):
+        directed = low == -high  # either sign is a direction, and a bound only ends the search
+        if given < min(low, 0.0) and not directed:
+            raise UserError(
+                f"{effect.id}: {name} is {given:g}; it must be at least {round(low, 9) + 0.0:g}",
+                key="details" if name in details else "value",
+            )
     return x
 
 
