@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from diagnosis_helpers import candidate
 
+from bo_sysid.diagnosis.answer.tables import traces
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.forecast import fitted, forecast, forecast_problem, noise_floor
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -138,3 +140,52 @@ def test_recordings_of_another_rate_are_forecast_over_the_same_time():
         past=0.1, ahead=0.1, timestep=0.005, engine=Engine(1),
     )  # fmt: skip
     assert (past, problem.weight.shape[1]) == (4, 8)
+
+
+SPINNING = """<mujoco><option timestep="0.005" gravity="0 0 0"/><worldbody>
+<geom type="plane" size="1 1 .1" pos="0 0 -5"/>
+<body><freejoint name="root"/><geom type="box" size=".1 .06 .03" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def spinning(size: str = ".1 .06 .03") -> np.ndarray:
+    """Return the recorded poses of a box that spins freely, by MuJoCo itself."""
+    model = mujoco.MjModel.from_xml_string(SPINNING.replace(".1 .06 .03", size))
+    data, rows = mujoco.MjData(model), []
+    data.qvel[3:] = 2.0, 9.0, 1.0
+    for _ in range(800):
+        rows.append(data.qpos.copy())
+        mujoco.mj_step(model, data)
+    return np.array(rows)
+
+
+def logged(poses: np.ndarray, sigma: float) -> list[Recording]:
+    """Return noisy poses in a row, and the same as a logger writes them that keeps w positive."""
+    seen = poses + sigma * np.random.default_rng(0).standard_normal(poses.shape)
+    turned = seen * np.where((seen[:, 3:4] < 0) & (np.arange(7) > 2), -1.0, 1.0)
+    assert (np.abs(np.diff(turned[:, 3:], axis=0)).max(axis=1) > 0.5).sum() > 4
+    time = SAMPLING * np.arange(len(poses))
+    return [Recording.from_arrays(time, qpos={"root": p}) for p in (seen, turned)]
+
+
+def test_a_quaternion_that_changes_its_sign_in_a_log_has_the_floor_of_one_that_does_not():
+    model, floors = Model.from_xml(SPINNING), []
+    for recording in logged(spinning(), SIGMA):
+        problem, past = posed(model, recording)
+        errors = forecast(problem, past, Hypothesis())
+        floors.append(noise_floor(problem, past, Hypothesis(), errors))
+    assert floors[1] == pytest.approx(floors[0], rel=0.05)
+
+
+def test_traces_of_a_quaternion_are_orientations_with_the_sign_that_was_recorded():
+    _, recording = logged(spinning(".1 .05 .05"), 0.0)  # another box than the model's
+    problem, past = posed(Model.from_xml(SPINNING), recording)
+    table = traces(problem, past, {"nominal": forecast(problem, past, Hypothesis()).residual})
+    rows = ["window", "time"]
+    told = {
+        column: table.pivot_table(index=rows, columns="channel", values=column).to_numpy()[:, 3:]
+        for column in ("recorded", "nominal")
+    }
+    apart = np.linalg.norm(told["recorded"] - told["nominal"], axis=1)
+    assert 0.05 < apart.max() < 1.0
+    np.testing.assert_allclose(np.linalg.norm(told["nominal"], axis=1), 1.0, atol=1e-6)

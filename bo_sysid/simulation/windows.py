@@ -110,19 +110,22 @@ class Windows:
         return replace(self, start=start)
 
     def residual(self, predicted: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
-        """Return observed minus predicted; a quaternion is compared with its nearer sign.
+        """Return observed minus predicted; a quaternion is compared with its nearer sign."""
+        return np.asarray(self.observed * self.signs(predicted) - predicted)
+
+    def signs(self, predicted: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
+        """Return with which sign each observation is nearer to a prediction: 1 but for quaternions.
 
         A body's orientation is q as well as -q, and loggers change over from one to the other.
         """
-        observed = self.observed
+        found = np.ones(self.observed.shape)
         for names in self.quaternions:
             if not set(names) <= set(self.channels):
                 continue  # not recorded whole
-            columns = [self.channels.index(n) for n in names]
-            observed = observed.copy() if observed is self.observed else observed
-            dot = (observed[..., columns] * predicted[..., columns]).sum(axis=-1, keepdims=True)
-            observed[..., columns] *= np.where(dot < 0, -1.0, 1.0)
-        return np.asarray(observed - predicted)
+            own = [self.channels.index(n) for n in names]
+            dot = (self.observed[..., own] * predicted[..., own]).sum(axis=-1, keepdims=True)
+            found[..., own] = np.where(dot < 0, -1.0, 1.0)
+        return found
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,8 @@ class Errors:
     Attributes:
         ahead: root mean square of recorded minus forecast over what was recorded, in sigma.
         channel: the same by channel, in its unit.
-        residual: recorded minus predicted after the past, in sigma.
+        residual: recorded minus predicted after the past, in sigma, quaternions with the sign that
+            they were recorded with.
         start: that was estimated for each window.
     """
 
@@ -90,7 +91,7 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
     plain = _plain(hypothesis)
     channels = len(problem.windows.channels)
     start = estimated(problem.beginning(past), plain, finer, resting=True)
-    r = problem.residual(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
+    r = problem.as_recorded(plain, start, finer).reshape(len(start), -1, channels)[:, past:]
     ahead = np.sqrt((r**2).sum() / max((problem.weight[:, past:] > 0).sum(), 1))
     return Errors(float(ahead), _by_channel(problem, r, past), r, start)
 
@@ -112,7 +113,7 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     finer = finer_step(hypothesis.numerics)
     plain = _plain(hypothesis)
     start = estimated(problem, plain, finer, resting=True)
-    r = problem.residual(plain, start, finer)
+    r = problem.as_recorded(plain, start, finer)
     seen = int((problem.weight > 0).sum())
     n, p = seen / len(r), problem.start_size
     spare = np.sqrt(max(n - p, 1) / n)
@@ -128,7 +129,7 @@ def _plain(hypothesis: Hypothesis) -> Hypothesis:
 def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
     """Return the windows as a hypothesis predicts them, seen through noise."""
     plain, seen = _plain(hypothesis), problem.weight > 0
-    r = problem.residual(plain, start, finer_step(hypothesis.numerics)).reshape(seen.shape)
+    r = problem.as_recorded(plain, start, finer_step(hypothesis.numerics)).reshape(seen.shape)
     noise = np.random.default_rng(0).standard_normal(seen.shape)
     change = np.divide(noise - r, problem.weight, out=np.zeros_like(r), where=seen)
     windows = problem.windows

@@ -294,6 +294,17 @@ class Problem:
             r = r - hypothesis.numerics * self.correction
         return r
 
+    def as_recorded(
+        self, hypothesis: Hypothesis, start: State, finer: int = 1
+    ) -> Float[np.ndarray, "W R"]:
+        """Return the residual of quaternions with the sign that they were recorded with.
+
+        That of `residual` is of the sign nearer to the prediction, so that it moves with this.
+        """
+        s = self.simulate(hypothesis, start, finer)
+        signs = s.windows.signs(observe(self.layout, s.windows, s.trajectory, s.parts))
+        return np.asarray(self.residual(hypothesis, start, finer) * signs.reshape(len(signs), -1))
+
     def seen(self, parts: Sequence[Part]) -> Bool[np.ndarray, "W H c"]:
         """Return which observations count: none of what a delayed reading has from before its log.
 
