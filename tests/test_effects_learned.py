@@ -147,6 +147,17 @@ def turned(rod: Bench, turns: float) -> Machine:
     return replace(rod.machine, joints={"hinge": joint})
 
 
+def test_the_unknown_does_not_jump_where_a_hinge_that_winds_comes_round() -> None:
+    effect, machine = CATALOGUE["unknown"], turned(pendulum(), 40.0)
+    x = np.random.default_rng(0).standard_normal(len(effect.components))
+    (part,) = effect.parts(mujoco.MjSpec(), Site("joint", "hinge"), x, machine)
+    q = 0.7 + np.pi + np.array([-1e-6, 1e-6, 2 * np.pi])  # where its positions begin again
+    before, after, later = part.law(LawInputs(0 * q, {"hinge": q}, {"hinge": 0 * q}, {}, {}, 0.001))
+    near = 1e-3 * machine.joints["hinge"].force
+    assert after == pytest.approx(before, abs=near)
+    assert later == pytest.approx(before, abs=near)
+
+
 @pytest.mark.parametrize("turns", [0.4, 1.5, 40.0])
 def test_a_narrow_place_is_seen_however_far_a_hinge_turned(turns) -> None:
     machine = turned(pendulum(), turns)

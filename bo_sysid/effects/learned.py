@@ -264,9 +264,12 @@ def _of_others(joint: JointScale, machine: Machine) -> list[Feature]:
 
 
 def _unknown_force(site: Site, x: Magnitudes, machine: Machine) -> Term:
+    """Return the law of one joint's position and speed; of as many weights however far it moved."""
     joint = machine.joints[site.name]
     at = _position(joint)
-    return learned_force(_own(joint, _bumps(_POSITIONS, at.low, at.high)), x, joint.force)
+    around = _winds(joint)
+    over = _round_bumps(_POSITIONS) if around else _bumps(_POSITIONS, at.low, at.high)
+    return learned_force(_own(joint, over), x, joint.force)
 
 
 _TERMS = 2 * _POSITIONS + _SPEEDS + 1
