@@ -358,6 +358,25 @@ QUADROTOR = """<mujoco><worldbody><body name="frame" pos="0 0 1"><freejoint name
   <motor name="right" site="right" gear="0 0 1 0 0 -.016"/></actuator></mujoco>"""
 
 
+GRIPPER = """<mujoco><worldbody>
+<body><joint name="left" type="{kind}" axis="0 1 0"/><geom size=".1"/></body>
+<body pos="1 0 0"><joint name="right" type="{kind}" axis="0 1 0"/><geom size=".1"/></body>
+</worldbody><tendon><fixed name="split"><joint joint="left" coef=".5"/>
+<joint joint="right" coef=".5"/></fixed></tendon>
+<actuator><motor name="grip" tendon="split"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("slide", "N"), ("hinge", "N m")])
+def test_what_pulls_at_a_tendon_of_slides_is_a_force_and_at_one_of_hinges_a_torque(
+    kind: str, unit: str
+) -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    moved = {"left": np.sin(time), "right": np.cos(time)}
+    log = Recording.from_arrays(time, qpos=moved, ctrl={"grip": np.sin(9 * time)})
+    machine = survey(mujoco.MjModel.from_xml_string(GRIPPER.format(kind=kind)), [log])
+    assert unit_at("N m", Site("actuator", "grip"), machine) == unit
+
+
 def test_a_propeller_can_be_weak_late_and_limited() -> None:
     """It acts at a site, on no joint; its forces are in N, and a weak one tilts the frame."""
     spec = mujoco.MjSpec.from_string(QUADROTOR)

@@ -139,14 +139,17 @@ def _driven(model: mujoco.MjModel, a: int) -> str | None:
 def _pushes(model: mujoco.MjModel, a: int) -> bool:
     """Whether an actuator makes a force in [N] and no torque.
 
-    On a slide, through a crank, along a spatial tendon, at a site, a body or a free joint.
+    On a slide or along a tendon of slides, through a crank, along a spatial tendon, at a site, a
+    body or a free joint.
     """
     at, k = int(model.actuator_trntype[a]), int(model.actuator_trnid[a, 0])
     if at in ALONG_JOINT and int(model.jnt_type[k]) in (*SCALAR, BALL):
         return int(model.jnt_type[k]) == SLIDE
     if at == int(mujoco.mjtTrn.mjTRN_TENDON):
         first = model.tendon_adr[k]
-        return int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT)
+        if int(model.wrap_type[first]) == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            return int(model.jnt_type[model.wrap_objid[first]]) == SLIDE
+        return True
     if at == int(mujoco.mjtTrn.mjTRN_SLIDERCRANK):
         return True
     return bool(np.any(model.actuator_gear[a, :3]))
