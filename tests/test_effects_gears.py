@@ -146,3 +146,19 @@ def test_a_repaired_model_is_stepped_with_its_loop_closed_at_the_link(tmp_path) 
         stepper.data.ctrl[:] = 0.3
         stepper.step()
     np.testing.assert_allclose(stepper.data.qpos, simulated, atol=1e-9)
+
+
+def test_no_joint_of_the_model_is_taken_for_the_one_between_motor_and_link() -> None:
+    """An arm whose other joint bears the name that the added one would have."""
+    xml = GEARED.replace(
+        "</body>",
+        '<body pos="1 0 0"><joint name="hinge_{}" axis="0 0 1"/><geom size=".1"/></body></body>',
+    )
+    time = np.arange(0, 2, 0.01)
+    for what, effect in (("flex", "joint_compliance"), ("play", "backlash")):
+        moved = {"hinge": np.sin(time), f"hinge_{what}": np.cos(time)}
+        log = Recording.from_arrays(time, qpos=moved, ctrl={"motor": np.cos(time)})
+        machine = survey(Model.from_xml(xml.format(what)).compile(), [log])
+        other = {"joint_compliance", "backlash"} - {effect}
+        found = candidates([CATALOGUE[id] for id in (effect, *other)], machine)
+        assert {c.effect.id for c in found if c.site.name == "hinge"} == other

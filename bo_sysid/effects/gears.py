@@ -39,16 +39,23 @@ _RINGING = 0.02  # least damping ratio of an end
 _EXPLICIT = (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_RK4)
 
 
-def _sides(site: Site, machine: Machine) -> tuple[float, ...]:
+def _added(site: Site, what: str) -> str:
+    """Return the name of the joint that is added to one."""
+    return f"{site.name}_{what}"
+
+
+def _sides(site: Site, machine: Machine, what: str) -> tuple[float, ...]:
     """Return where the encoder may be: (), where the joint has no drive that it could tell from.
 
-    A servo closes its loop where the encoder is.
+    A servo closes its loop where the encoder is. Nor is anything added where a joint of the model
+    bears the name already: it would be taken for the one between motor and link.
     """
     model, joint = machine.model, machine.joints[site.name]
     number = model.joint(site.name).id
     body = model.jnt_bodyid[number]
     last = number == model.body_jntadr[body] + model.body_jntnum[body] - 1
-    if not (joint.actuators and last):
+    taken = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, _added(site, what)) >= 0
+    if not (joint.actuators and last) or taken:
         return ()
     return (_MOTOR_SIDE, _LINK_SIDE)
 
@@ -104,7 +111,7 @@ def _limited(spec: mujoco.MjSpec, site: Site, machine: Machine) -> list[Actuator
 
 
 def _second_joint(
-    spec: mujoco.MjSpec, site: Site, machine: Machine, name: str, on_link: float
+    spec: mujoco.MjSpec, site: Site, machine: Machine, what: str, on_link: float
 ) -> mujoco.MjsJoint:
     """Add a joint on the axis of a driven one, and leave that one with the motor's inertia.
 
@@ -121,7 +128,7 @@ def _second_joint(
     play: mujoco.MjsJoint = add_plain(
         joint.parent,
         "joint",
-        name=f"{site.name}_{name}",
+        name=_added(site, what),
         type=joint.type,
         axis=joint.axis,
         pos=joint.pos,
@@ -129,7 +136,7 @@ def _second_joint(
     if joint.frame is not None:
         play.set_frame(joint.frame)
     if np.any(joint.damping):
-        link = add_plain(spec, "tendon", name=f"{site.name}_{name}_link")
+        link = add_plain(spec, "tendon", name=f"{play.name}_link")
         for turned in (joint, play):
             link.wrap_joint(turned.name, 1.0)
         link.damping = on_link * np.array(joint.damping)
@@ -155,7 +162,7 @@ def _resolved(site: Site, machine: Machine) -> bool:
 
 
 def _backlash_extent(site: Site, machine: Machine) -> Extent | None:
-    sides = _sides(site, machine)
+    sides = _sides(site, machine, "play")
     if not sides:
         return None
     if not _resolved(site, machine):
@@ -209,7 +216,7 @@ def backlash(
     """
     if not x[0]:
         return None
-    name = f"{site.name}_play"
+    name = _added(site, "play")
     play = spec.joint(name)
     there = play is not None  # in a repaired model: what stands beside it is wanted
     if not there:
@@ -241,7 +248,7 @@ def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
 
 
 def _compliance_extent(site: Site, machine: Machine) -> Extent | None:
-    sides = _sides(site, machine)
+    sides = _sides(site, machine, "flex")
     if not sides:
         return None
     joint = machine.joints[site.name]
@@ -288,7 +295,7 @@ def joint_compliance(
         return None
     compliance = float(x[0])
     hidden = Hidden(
-        f"{site.name}_flex", site.name, float(x[3]), lambda torque: -compliance * torque
+        _added(site, "flex"), site.name, float(x[3]), lambda torque: -compliance * torque
     )
     if spec.joint(hidden.joint) is not None:
         return _closed(spec, hidden, site, machine)
