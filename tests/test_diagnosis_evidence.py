@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
+from bo_sysid.diagnosis.windows.law_controls import driven
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
+from bo_sysid.simulation import Controller
 
 TWO = """<mujoco><worldbody>
 <geom name="wall" type="box" pos=".31 0 0" size=".02 .2 .1"/>
@@ -79,3 +81,15 @@ def test_recordings_of_different_rates_are_told_of(every: int) -> None:
     notes = [n for n in evidence_of(SWING + NOISE[0], NOISE[1], other).notes if "sampled" in n]
     assert len(notes) == (every > 1)
     assert all("slow every 0.01 s: windows have as many samples" in n for n in notes)
+
+
+def test_a_law_sees_all_joints_and_lags_before_anything_is_simulated() -> None:
+    """As it does in every simulation: a joint that was not recorded, what lags behind a control."""
+    xml = TWO.replace(
+        "</actuator>", '<general name="late" joint="b" dyntype="filter" dynprm=".1"/></actuator>'
+    ).replace('name="b" axis', 'name="b" ref="30" axis')
+    recording = Recording.from_arrays(TIME, qpos={"a": SWING}, ctrl={"late": np.cos(TIME)})
+    law = Controller("m", lambda see: see.qpos["b"] + see.qvel["b"] + see.act["late"])
+    (made,) = driven(Model.from_xml(xml).compile(), [recording], [law])
+    told = made.channels["ctrl.m"].values
+    np.testing.assert_allclose(told, np.radians(30) + np.cos(TIME), atol=1e-12)
