@@ -635,11 +635,27 @@ def test_where_the_hold_out_goes_and_no_training_recording_went_is_said(after: f
         )
         for amplitude in (1.0, 2.0)
     )
-    shares = beyond([known], [unseen], ["elbow", "shoulder"])
+    shares = beyond([known], [unseen], survey(arm().compile(), [known]).joints)
     assert shares == {"elbow": pytest.approx(50 / 101)}
     said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), beyond=shares).sentences[1:]
     told = "The unseen recording goes where no training recording was: the elbow in 50% of it."
     assert (told in said) == (after > 2)
+
+
+@pytest.mark.parametrize(("kind", "turned", "told"), [
+    ("hinge", 1.2, {}), ("hinge", 0.8, {"wheel": 1.0}), ("slide", 1.2, {"wheel": 1.0}),
+])  # fmt: skip
+def test_a_wheel_that_has_gone_round_comes_to_no_new_place(kind, turned, told) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><body><joint name="wheel" type="{kind}"/><geom size=".1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    time = np.linspace(0.0, 1.0, 101)
+    known, unseen = (
+        Recording.from_arrays(time, qpos={"wheel": 2 * np.pi * turned * (time + begin)})
+        for begin in (0.0, 1.01)  # it turns on
+    )
+    assert beyond([known], [unseen], survey(model, [known]).joints) == told
 
 
 def test_a_machine_without_hinges_and_slides_has_no_missing_force_at_joints(friction) -> None:

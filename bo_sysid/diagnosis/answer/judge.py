@@ -1,6 +1,6 @@
 """The proof on recordings that were never used."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,10 +25,12 @@ from bo_sysid.diagnosis.windows.forecast import (
 )
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.effects.machine import JointScale
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
 from bo_sysid.recording.alignment import instants_in
 
+_TURN = 2 * np.pi  # [rad]
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
 _SPARE = 1.1  # times the length of a window, that a recording has at least
 _FREE = (1.0, 5.0)  # [s] length of a free run
@@ -90,13 +92,18 @@ def _lasts(recording: Recording, seconds: float) -> bool:
 
 
 def beyond(
-    known: Sequence[Recording], unseen: Sequence[Recording], joints: Collection[str]
+    known: Sequence[Recording], unseen: Sequence[Recording], joints: Mapping[str, JointScale]
 ) -> dict[str, float]:
-    """Return the joints that leave the range of their known positions, and how much of the time."""
+    """Return the joints that leave the range of their known positions, and how much of the time.
+
+    A hinge that has gone round, as wheels do, comes to no place where it was not.
+    """
     found = {}
-    for joint in joints:
+    for joint, scale in joints.items():
         seen, new = _positions(known, joint), _positions(unseen, joint)
-        if seen.size and new.size:
+        each = (_positions([r], joint) for r in known)
+        round_ = scale.hinge and any(q.size and np.ptp(q) > _TURN for q in each)
+        if seen.size and new.size and not round_:
             found[joint] = float(np.mean((new < np.nanmin(seen)) | (new > np.nanmax(seen))))
     return {joint: share for joint, share in found.items() if share > _BEYOND}
 
