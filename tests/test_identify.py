@@ -19,7 +19,7 @@ from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
 from bo_sysid.identify.discretisation import step_notes, step_shift
-from bo_sysid.identify.errors import compared, remarks, side_by_side
+from bo_sysid.identify.errors import compared, remarks, side_by_side, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
@@ -630,3 +630,29 @@ def test_what_the_time_step_does_to_a_parameter_is_told(tmp_path: Path, timestep
     notes = step_notes(problem, best, found)
     assert (len(notes) == 1) == (timestep == 0.01)
     assert all("time step of 10 ms moves damping by about +" in n for n in notes)
+
+
+def test_traces_of_a_quaternion_follow_the_sign_that_was_recorded(tmp_path: Path) -> None:
+    """A box that turns half a round about x, in a log that keeps w positive."""
+    xml = """<mujoco><option timestep=".01" gravity="0 0 0"/><worldbody>
+    <body><freejoint name="root"/><geom name="box" type="box" size=".1 .06 .03" mass="1"/></body>
+    </worldbody></mujoco>"""
+    (tmp_path / "box.xml").write_text(xml)
+    time = np.arange(0.0, 4.0, 0.01)
+    turned, rates = np.zeros((len(time), 7)), np.zeros((len(time), 6))
+    turned[:, 3], turned[:, 4], rates[:, 3] = np.cos(time), np.sin(time), 2.0
+    turned[turned[:, 3] < 0] *= -1
+    log = Recording.from_arrays(time, qpos={"root": turned}, qvel={"root": rates})
+    log.to_frame().to_parquet(tmp_path / "box.parquet")
+    data = {
+        "model": "box.xml",
+        "recordings": {"train": ["box.parquet"]},
+        "deviation": {"horizon": 20},
+        "parameters": [{"address": "geom[box].mass", "low": 0.5, "high": 2.0, "steps": 3}],
+    }
+    problem = make_problem(Study.from_dict(data, tmp_path), threads=1)
+    table = traces(problem, problem.nominal, [log])
+    own = table[table["channel"].isin(["qpos.root.3", "qpos.root.4"])]
+    assert (own["recorded"].diff().abs() > 0.5).any()
+    for model in ("nominal", "identified"):
+        np.testing.assert_allclose(own[model], own["recorded"], atol=1e-6)

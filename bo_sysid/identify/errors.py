@@ -144,13 +144,13 @@ def traces(problem: Problem, best: Point, recordings: Sequence[Recording]) -> pd
     Returns:
         Columns time [s], begin (the recording's first stamp), window, channel, recorded, nominal,
         identified, in the channels' units; NaN where a model's simulation of the window diverged.
+        Quaternions have the sign that is nearer to what was recorded.
     """
     deviation = problem.on(recordings[:1])
     windows = deviation.windows
     keep = slice(0, max(_TRACED // windows.observed.shape[1], 1))
-    nominal, identified = (
-        _survived(deviation.prediction(point))[keep] for point in (problem.nominal, best)
-    )
+    predicted = (_survived(deviation.prediction(point)) for point in (problem.nominal, best))
+    nominal, identified = ((p * windows.signs(p))[keep] for p in predicted)
     observed = windows.observed[keep]
     instants = (windows.step + windows.fraction)[keep] * windows.timestep
     time = windows.time[keep][:, None] + instants
