@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -21,12 +22,12 @@ from bo_sysid.cli import main
 from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.learn.identified import evaluated_again, identified
 from bo_sysid.learn.learn import learn
-from bo_sysid.learn.play import play
+from bo_sysid.learn.play import play, render
 from bo_sysid.learn.scene import Scene
-from bo_sysid.mjcf import address_edit
+from bo_sysid.mjcf import Model, address_edit
 from bo_sysid.plants.build import build_plant
 from bo_sysid.policy.store import LearnedPolicy
-from bo_sysid.recording import read_recording
+from bo_sysid.recording import Recording, read_recording
 from bo_sysid.recording.writers import write_recording
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -360,6 +361,34 @@ def test_play_evaluates_and_records(
     assert played.pictures is None
     assert "MUJOCO_GL" in played.not_rendered
     np.testing.assert_array_equal(play(whole, episodes=3, out=tmp_path).returns, played.returns)
+
+
+def test_pictures_leave_joints_that_were_not_recorded_where_the_model_puts_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Renderer:
+        """Stands for MuJoCo's, which needs OpenGL: what it renders is the pose."""
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def __enter__(self) -> "Renderer":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def update_scene(self, data: mujoco.MjData, camera: int) -> None:
+            self.shown = data.qpos.copy()
+
+        def render(self) -> np.ndarray:
+            return self.shown.reshape(2, 1, 1)
+
+    monkeypatch.setattr(mujoco, "Renderer", Renderer)
+    model = Model.from_xml("""<mujoco><worldbody><body><joint name="a"/><geom size=".1"/>
+    <body><joint name="b" ref="90"/><geom size=".1"/></body></body></worldbody></mujoco>""")
+    seen = Recording.from_arrays([0.0, 1.0], qpos={"a": [0.2, 0.2]})
+    np.testing.assert_allclose(render(model, seen)[:, 0, 0], [0.2, np.pi / 2])
 
 
 def test_play_without_working_graphics_says_so(whole: Path, tmp_path: Path) -> None:

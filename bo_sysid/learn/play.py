@@ -128,8 +128,8 @@ def render(model: Model, recording: Recording, goal: np.ndarray | None = None) -
     """Return eight pictures of a recording side by side, `height x (8 width) x 3`.
 
     Args:
-        model: drawn at the recorded positions.
-        recording: with every joint's position.
+        model: drawn at the recorded positions; other joints stay where it puts them.
+        recording: with joints' positions.
         goal: where the geom named target was, its first coordinates; see `Plant.goal`.
     """
     compiled = model.compile(visuals=True)
@@ -142,7 +142,8 @@ def render(model: Model, recording: Recording, goal: np.ndarray | None = None) -
     with mujoco.Renderer(compiled, _HEIGHT, _WIDTH) as renderer:
         for time in np.linspace(start, stop, _PICTURES):
             for k, name in enumerate(model.qpos_channels):
-                data.qpos[k] = recording.channels[name].at(np.array([time]))[0]
+                if name in recording.channels:
+                    data.qpos[k] = recording.channels[name].at(np.array([time]))[0]
             mujoco.mj_forward(compiled, data)
             renderer.update_scene(data, camera=0 if compiled.ncam else -1)
             frames.append(renderer.render())
