@@ -426,3 +426,16 @@ def test_a_body_that_only_bears_the_name_of_a_load_is_left_alone(load: str, offe
     machine = survey(model.compile(), [Recording.from_arrays(time, qpos=moved)])
     sites = applicable(CATALOGUE["payload"], machine)
     assert (Site("body", "hand") in sites) == offered
+
+
+def test_a_body_that_no_force_moves_has_no_mass_to_be_wrong() -> None:
+    """A mocap body, with what is welded to it, and a table."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="table"><geom size=".1"/></body><body name="target" '
+        'mocap="true" pos="1 0 0"><geom size=".1"/><body name="flag"><geom size=".1"/></body>'
+        '</body><body name="arm" pos="2 0 0"><joint name="j" axis="0 1 0"/><geom size=".1"/>'
+        '<body name="hand" pos=".3 0 0"><geom size=".05"/></body></body></worldbody></mujoco>'
+    )
+    time = np.arange(300) * 0.01
+    machine = survey(model, [Recording.from_arrays(time, qpos={"j": np.sin(3 * time)})])
+    assert set(machine.bodies) == {"arm", "hand"}

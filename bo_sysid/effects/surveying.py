@@ -53,7 +53,7 @@ def survey(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Machine:
     bodies = {
         b.name: b
         for b in (_body(model, i) for i in range(1, model.nbody))
-        if b.name and b.mass > 1e-9 and model.body_weldid[model.body(b.name).id] > 0
+        if b.name and b.mass > 1e-9 and model.body_treeid[model.body(b.name).id] >= 0
     }
     known = _predicted(model)
     times = [c.time for r in recordings for c in r.of_kind("qpos").values()]
