@@ -111,7 +111,8 @@ class Windows:
 
     def residual(self, predicted: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
         """Return observed minus predicted; a quaternion is compared with its nearer sign."""
-        return np.asarray(self.observed * self.signs(predicted) - predicted)
+        observed = self.observed * self.signs(predicted) if self.quaternions else self.observed
+        return np.asarray(observed - predicted)
 
     def signs(self, predicted: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W H c"]:
         """Return with which sign each observation is nearer to a prediction: 1 but for quaternions.
