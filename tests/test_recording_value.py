@@ -77,7 +77,7 @@ def test_parts_and_frames_of_a_sampled_input_keep_what_lies_between():
     recording = Recording("r", channels)
     part = recording.between(0.4, 0.8)
     assert part.channels["aux.i"].hold == "linear"
-    at = np.array([0.4, 0.5])
+    at = np.array([0.4, 0.5, 0.7])
     np.testing.assert_allclose(part.channels["aux.i"].at(at), channels["aux.i"].at(at))
     np.testing.assert_allclose(recording.to_frame()["aux.i"], channels["aux.i"].at(time))
 

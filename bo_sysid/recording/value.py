@@ -220,13 +220,15 @@ class Recording:
     def between(self, start: float, stop: float) -> "Recording":
         """Return the part from `start` to before `stop`, in [s], and all inputs before it.
 
-        What has a memory, as a lag or friction that warms up, goes on from where it was.
+        What has a memory, as a lag or friction that warms up, goes on from where it was. Of an
+        input that is interpolated the sample at or after `stop` is kept, too: it says what acted
+        until then.
         """
         channels = {}
         for name, c in self.channels.items():
             first, last = np.searchsorted(c.time, [start, stop])
             if c.continuous:  # a command that did not change within the part brings a neighbour
-                first, last = 0, max(int(last), 2)
+                first, last = 0, max(int(last) + (c.hold == "linear"), 2)
             if last - first < 2:
                 raise RecordingError(
                     f"{self.name}: channel {name!r} has fewer than 2 samples from {start:g} s to "
