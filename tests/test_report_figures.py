@@ -12,7 +12,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.report import interactive
 from bo_sysid.report.check_figures import recording_figure
 from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
-from bo_sysid.report.figures import predictions, save
+from bo_sysid.report.figures import marginals, predictions, save
 from bo_sysid.report.look import COLOURS, worst_channels
 from bo_sysid.report.robot import Posed, find_site
 
@@ -230,3 +230,16 @@ def test_a_dollar_in_a_name_begins_no_formula(tmp_path) -> None:
         save(figure, tmp_path / "drawn.png")
     assert (tmp_path / "drawn.png").stat().st_size > 1000
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [wrong]
+
+
+@pytest.mark.parametrize("value", [5.0, -2e-6, 0.0])
+def test_a_parameter_with_one_value_has_a_bar_that_can_be_seen(value: float) -> None:
+    """As one that a search zooms in on until the recordings tell no more."""
+    belief = pd.DataFrame({"mass": [value] * 3, "P": [0.2, 0.3, 0.5], "P_boot": [0.1, 0.2, 0.7]})
+    told = {"nominal": value, "value": value, "low95": value, "high95": value}
+    axis = marginals(belief, pd.DataFrame([{"name": "mass", "unit": "kg", **told}])).axes[0]
+    bars = [p for p in axis.patches if 0 < p.get_width() and p.get_height() == pytest.approx(1.0)]
+    low, high = axis.get_xlim()
+    assert any(bar.get_width() > 0.2 * (high - low) for bar in bars)
+    assert low < value < high
+    assert high - low > 0.01 * abs(value)

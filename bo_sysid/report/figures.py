@@ -37,6 +37,7 @@ _WIDTH = 7.2  # inches
 _CHANNELS = 6
 _SHOWN = 3_000
 _LEVELS = 41  # of a grid that have a bar each
+_ALONE = 0.1  # of a value that is the only one, between the edges about it
 _LINES: dict[str, dict[str, Any]] = {
     "nominal": {"color": NOMINAL, "linewidth": 1.8},
     "identified": {"color": IDENTIFIED, "linewidth": 1.1, "linestyle": (0, (3, 3))},
@@ -158,6 +159,9 @@ def _label(name: str, unit: str) -> str:
 def _edges(values: np.ndarray) -> np.ndarray:
     """Return bin edges: between the levels of a grid, or even where there are many values."""
     levels = np.unique(values)
+    if len(levels) == 1:
+        half = 0.5 * _ALONE * (abs(float(levels[0])) or 1.0)
+        return np.array([levels[0] - half, levels[0] + half])
     if 2 <= len(levels) <= _LEVELS:
         between = (levels[:-1] + levels[1:]) / 2
         ends = levels[0] - (between[0] - levels[0]), levels[-1] + (levels[-1] - between[-1])
