@@ -49,6 +49,24 @@ def test_jitter_is_kept_and_said():
     assert any("jitter" in n for n in recording.notes)
 
 
+def test_rows_of_commands_in_a_merged_log_are_no_gaps_between_measurements():
+    """A log with a row for each message: positions every 10 ms, commands every 20 ms."""
+    stamps = np.sort(np.concatenate([TIME, TIME[::2] + 0.003]))
+    is_position = np.isin(stamps, TIME)
+    columns = {name: {"missing": "skip"} for name in ("qpos.a", "ctrl.m")}
+    positions = np.where(is_position, np.sin(stamps), np.nan)
+    recording = read(
+        stamps,
+        columns,
+        qpos__a=positions,
+        ctrl__m=np.where(is_position, np.nan, stamps),
+    )
+    assert not any("gap" in n or "jitter" in n for n in recording.notes)
+    positions[np.flatnonzero(is_position)[20:22]] = np.nan
+    recording = read(stamps, columns, qpos__a=positions, ctrl__m=np.where(is_position, np.nan, 1.0))
+    assert any("1 gap longer" in n and "about 2 samples missing" in n for n in recording.notes)
+
+
 @pytest.mark.parametrize(
     ("time", "match"),
     [

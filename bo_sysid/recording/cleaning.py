@@ -8,7 +8,7 @@ backwards, a value that is not finite and an empty cell that no rule explains ar
 from 0.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,17 +144,19 @@ def _first_filled(values: np.ndarray, first: np.ndarray) -> np.ndarray:
     return filled[np.unique(runs, return_index=True)[1]]
 
 
-def clock_flaws(clock: Clock, dropped: np.ndarray, *, measured: bool) -> list[str]:
+def clock_flaws(clock: Clock, dropped: np.ndarray, measured: Iterable[np.ndarray]) -> list[str]:
     """Return a sentence for each thing that is messy about a clock.
 
-    A clock of held channels only may repeat stamps and pause: a command was not sent again.
+    A clock of held channels only may repeat stamps and pause: a command was not sent again. In a
+    merged log the rows of commands say nothing about how steadily positions were sampled.
 
     Args:
         clock: the clock.
         dropped: rows with a sample that was dropped, for it repeats a stamp.
-        measured: whether a measured channel has this clock.
+        measured: rows of its measured channels, those once that several channels share.
     """
-    if not measured:
+    sampled = [Sampling.of(clock.stamps[rows]) for rows in measured]
+    if not sampled:
         return []
     sentences = []
     name = f"Clock {clock.column!r}"
@@ -163,18 +165,18 @@ def clock_flaws(clock: Clock, dropped: np.ndarray, *, measured: bool) -> list[st
             f"{name}: {_counted(dropped.size, 'duplicate stamp')}; the first sample of each was "
             f"kept (dropped: rows {_listed(dropped)})."
         )
-    s = Sampling.of(clock.stamps[clock.rows])
-    if s.gaps:
-        sentences.append(
-            f"{name}: {_counted(s.gaps, 'gap')} longer than {GAP:g} x {s.median_dt:.4g} s, the "
-            f"longest {s.longest:.4g} s, about {_counted(s.missing, 'sample')} missing; nothing "
-            "was filled in."
-        )
-    if s.jitter > JITTER * s.median_dt:
-        sentences.append(
-            f"{name}: intervals jitter by {s.jitter:.2g} s about {s.median_dt:.4g} s; samples are "
-            "used at their own stamps."
-        )
+    for s in sampled:
+        if s.gaps:
+            sentences.append(
+                f"{name}: {_counted(s.gaps, 'gap')} longer than {GAP:g} x {s.median_dt:.4g} s, "
+                f"the longest {s.longest:.4g} s, about {_counted(s.missing, 'sample')} missing; "
+                "nothing was filled in."
+            )
+        if s.jitter > JITTER * s.median_dt:
+            sentences.append(
+                f"{name}: intervals jitter by {s.jitter:.2g} s about {s.median_dt:.4g} s; samples "
+                "are used at their own stamps."
+            )
     return sentences
 
 

@@ -100,7 +100,7 @@ class _Mapper:
         self.notes: list[str] = []
         self._clocks: dict[ColumnRule, Clock] = {}
         self._dropped: dict[ColumnRule, np.ndarray] = {}
-        self._measured: set[ColumnRule] = set()
+        self._measured: dict[ColumnRule, dict[bytes, np.ndarray]] = {}
         self._outliers: list[str] = []
         for key in clock_rules:
             if not any(channel == key or kind_of(channel) == key for channel in rules):
@@ -125,7 +125,7 @@ class _Mapper:
         if hold == "none":
             if stated not in self._measured:
                 self._require_fast(stated, clock)
-            self._measured.add(stated)
+            self._measured.setdefault(stated, {})[rows.tobytes()] = rows
         self.notes += [f"{name}: {note}." for note in notes]
         values, si = self._converted(name, rule, column, raw[rows], where)
         position = hold == "none" and kind_of(name) == "qpos"
@@ -139,7 +139,9 @@ class _Mapper:
         clocks = [
             sentence
             for key, clock in self._clocks.items()
-            for sentence in clock_flaws(clock, self._dropped[key], measured=key in self._measured)
+            for sentence in clock_flaws(
+                clock, self._dropped[key], self._measured.get(key, {}).values()
+            )
         ]
         return [*clocks, *self._outliers]
 
