@@ -665,6 +665,24 @@ def test_a_control_without_a_column_is_to_be_filled_in(tmp_path: Path) -> None:
     assert "its sign is not told: not all that moves boom_joint is known" in guess.reason
 
 
+def test_a_cable_at_one_joint_is_not_said_to_drive_several(tmp_path: Path) -> None:
+    """A finger with a spring that the model lacks: its forces are not explained."""
+    finger = """<mujoco><worldbody><body>
+        <joint name="knuckle" axis="0 1 0" damping=".01" stiffness="{spring}" armature=".0005"/>
+        <geom type="capsule" fromto="0 0 0 .08 0 0" size=".01" mass=".07"/>
+        </body></worldbody>
+        <tendon><fixed name="cable"><joint joint="knuckle" coef="0.01"/></fixed></tendon>
+        <actuator><motor name="winch" tendon="cable"/></actuator></mujoco>"""
+    (tmp_path / "plant.xml").write_text(finger.format(spring=0.3))
+    (tmp_path / "finger.xml").write_text(finger.format(spring=0))
+    time, qpos, _, ctrl = moved(tmp_path / "plant.xml", 14.0)
+    log = pd.DataFrame({"time": time, "knuckle": qpos[:, 0], "pull": ctrl[:, 0]})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "finger.xml", [tmp_path / "log.csv"], tmp_path / "finger.yaml")
+    told = "its sign is not told: no joint shows it whose forces the model explains"
+    assert told in started.rules.guesses["ctrl.winch"].reason
+
+
 @pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 0.0), (1, -2.2)])
 def test_a_sign_that_the_range_asks_for_stands_unless_the_motion_disagrees(
     tmp_path: Path, sign: int, zero: float

@@ -97,7 +97,7 @@ def _why(evidence: WiringEvidence, name: str, shares: np.ndarray) -> str:
     """Return why the motion does not tell a sign."""
     joint = evidence.driven(name) if name in evidence.inputs else name.removeprefix("qpos.")
     if not joint:
-        return "it drives more than one joint"
+        return "no joint shows it whose forces the model explains"
     if not evidence.weights[evidence.joints.index(joint)]:
         return f"not all that moves {joint} is known"
     share = float(shares[evidence.joints.index(joint)])
