@@ -38,6 +38,18 @@ def said(effect: str, made: Machine, change: float) -> str:
     return sentence(found, quantity, before, before)
 
 
+def test_a_place_is_told_without_what_rounding_leaves() -> None:
+    """The end of a capsule that was turned onto the x axis lies at -1e-17 in z."""
+    text = """<mujoco><worldbody><body name="hand"><joint name="hinge" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 .1 0 0" size=".02" mass=".3"/></body></worldbody></mujoco>"""
+    time = np.arange(0.0, 4.0, 0.01)
+    recorded = [Recording.from_arrays(time, qpos={"hinge": np.sin(time)})]
+    made = survey(mujoco.MjSpec.from_string(text).compile(), recorded)
+    assert "It is taken to lie at (0.1, 0, 0) m in the frame of the hand." in said(
+        "payload", made, 0.15
+    )
+
+
 def test_compensation_that_a_model_has_is_told_as_what_it_is() -> None:
     assert said("gravity_compensation", machine(1.0), -0.2) == (
         "Gravity compensation at body bob is 0.80 ± 0.03, not 1 as in the model."

@@ -64,7 +64,7 @@ def sentence(
     if candidate.moved:
         text += f" {_place_sentence(candidate, details)}"
     elif candidate.extent.place:
-        at = ", ".join(f"{d:.3g}" for d in candidate.shapes)
+        at = ", ".join(f"{round(d, 6) or 0.0:.3g}" for d in candidate.shapes)  # in whole um
         text += f" It is taken to lie at ({at}) m in the frame of {site}."
     return text[0].upper() + text[1:]
 
