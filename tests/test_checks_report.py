@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import yaml
 
 from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
 from bo_sysid.checks.check import check
+from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
 from bo_sysid.checks.numerics import contact_flags, far_flags
@@ -22,6 +24,7 @@ from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import Information, bounds_flags, in_words, information
 from bo_sysid.checks.wiring import find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
+from bo_sysid.cli.check import write
 from bo_sysid.effects import Site, survey
 from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import RecordingError
@@ -519,3 +522,24 @@ def test_geoms_that_overlap_at_a_joint_are_to_be_looked_at(parent: str, level: s
     (flag,) = contact_flags(model, [Recording.from_arrays(TIME, qpos=still)])
     assert (flag.level, flag.channels, flag.evidence) == (level, ("drum", "foot"), {"share": 1.0})
     assert ('<exclude body1="base" body2="turret"/>' in flag.sentence) == (level == "look")
+
+
+def test_the_file_of_a_check_has_all_notes(tmp_path: Path) -> None:
+    """On the screen stand the first twelve; the rest has to be somewhere."""
+    wave = np.sin(2 * TIME)
+    log = Recording.from_arrays(TIME, qpos={"x": wave}, ctrl={"m": wave})
+    log.to_frame().to_csv(tmp_path / "a.csv", index=False)
+    (tmp_path / "slide.xml").write_text(SLIDE)
+    study = Study.from_dict({"model": "slide.xml", "recordings": {"train": "a.csv"}}, tmp_path)
+    found = check(study)
+    notes = tuple(f"Note {k}." for k in range(20))
+    flags = tuple(Flag("note", "sampling", ("qpos.x",), f"Remark {k}.", {}) for k in range(20))
+    found = replace(found, summary=replace(found.summary, notes=notes), flags=flags)
+    shown = checked_text(found)
+    assert "Note 11." in shown
+    assert "Note 12." not in shown
+    assert "- and 8 more" in shown
+    write(found, tmp_path / "checked")
+    written = (tmp_path / "checked" / "check.txt").read_text()
+    assert all(f"- {n}" in written for n in (*notes, *(f.sentence for f in flags)))
+    assert "more" not in written

@@ -83,7 +83,7 @@ def write(found: "Checked", folder: Path) -> None:
     from bo_sysid.runs import atomic
 
     with atomic(folder / "check.txt") as place:
-        place.write_text(checked_text(found) + "\n", encoding="utf-8")
+        place.write_text(checked_text(found, whole=True) + "\n", encoding="utf-8")
     tables = {
         "motion": found.motion,
         "delays": found.wiring.delays,

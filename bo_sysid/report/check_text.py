@@ -16,9 +16,14 @@ _TITLES = {
 _MOST = 12  # remarks of one level that are shown
 
 
-def checked_text(found: Checked) -> str:
-    """Return all that was checked, the most serious last, where the eye is."""
-    parts = [overview_text(found.summary)]
+def checked_text(found: Checked, *, whole: bool = False) -> str:
+    """Return all that was checked, the most serious last, where the eye is.
+
+    Args:
+        found: what the check found.
+        whole: with every note and remark, for a file.
+    """
+    parts = [overview_text(found.summary, most=None) if whole else overview_text(found.summary)]
     if len(found.motion):
         parts += ["", "How the joints moved (speed: root mean square):", table(_motion(found))]
     if len(found.wiring.delays):
@@ -36,7 +41,7 @@ def checked_text(found: Checked) -> str:
     for level in ("note", "look", "wrong"):
         flags = [f for f in found.flags if f.level == level]
         if flags:
-            parts += ["", _TITLES[level], *_listed(flags)]
+            parts += ["", _TITLES[level], *_listed(flags, None if whole else _MOST)]
     if found.proposal:
         indented = "\n".join(f"  {line}" for line in found.proposal.splitlines())
         where = "Put this into the study:"
@@ -62,6 +67,7 @@ def _motion(found: Checked) -> pd.DataFrame:
     return found.motion.drop(columns="net").rename(columns=columns)
 
 
-def _listed(flags: list[Flag]) -> list[str]:
-    more = [f"- and {len(flags) - _MOST} more"] if len(flags) > _MOST else []
-    return [*(f"- {f.sentence}" for f in flags[:_MOST]), *more]
+def _listed(flags: list[Flag], most: int | None) -> list[str]:
+    left = len(flags[most:]) if most is not None else 0
+    more = [f"- and {left} more"] if left else []
+    return [*(f"- {f.sentence}" for f in flags[:most]), *more]

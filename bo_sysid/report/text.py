@@ -182,8 +182,8 @@ def compared_table(errors: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     return frame.drop(columns=shares) if calm else frame
 
 
-def overview_text(found: Overview) -> str:
-    """Return what a study is made of, in words and tables."""
+def overview_text(found: Overview, *, most: int | None = _FEW) -> str:
+    """Return what a study is made of, in words and tables, with `most` notes (None: all)."""
     several = "s" if len(found.recordings) > 1 else ""
     channels = found.channels.rename(columns={"interval": "interval [ms]"})
     parts = [
@@ -202,7 +202,7 @@ def overview_text(found: Overview) -> str:
         ]
     else:
         parts += ["", "Nothing is uncertain: the study names no parameters."]
-    return "\n".join([*parts, *notes_text(found.notes)])
+    return "\n".join([*parts, *notes_text(found.notes, most)])
 
 
 def table(frame: pd.DataFrame) -> str:
@@ -234,10 +234,11 @@ def _shortened(addresses: str, most: int = 2) -> str:
     return ", ".join(parts[:most]) + more
 
 
-def notes_text(notes: Sequence[str]) -> list[str]:
+def notes_text(notes: Sequence[str], most: int | None = _FEW) -> list[str]:
     """Return the lines that say what was done to the data, which column is which at the end."""
     if not notes:
         return []
     notes = sorted(notes, key=lambda note: " is column '" in note)
-    more = [f"- and {len(notes) - _FEW} more"] if len(notes) > _FEW else []
-    return ["", "What was done to the data:", *[f"- {n}" for n in notes[:_FEW]], *more]
+    left = len(notes[most:]) if most is not None else 0
+    more = [f"- and {left} more"] if left else []
+    return ["", "What was done to the data:", *[f"- {n}" for n in notes[:most]], *more]
