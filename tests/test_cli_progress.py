@@ -68,11 +68,33 @@ def test_time_left_is_that_of_the_count_that_goes_on(capsys: pytest.CaptureFixtu
     ]  # fmt: skip
 
 
-def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
+def test_units_of_unlike_length_tell_no_time_left(capsys: pytest.CaptureFixture[str]) -> None:
+    """The stages of a diagnosis: short windows, long ones, final fits, forecasts."""
+    clock = Clock()
+    report = Lines("diagnose", every=5.0, clock=clock)
+    clock.now += 7.0
+    report(Progress(1, 6, "windows of 16 instants", even=False))
+    assert capsys.readouterr().err == "diagnose 1/6: windows of 16 instants\n"
 
+
+@pytest.mark.parametrize("even", [True, False])
+def test_a_bar_tells_time_left_where_units_are_alike(
+    monkeypatch: pytest.MonkeyPatch, even: bool
+) -> None:
+    stream = Terminal()
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("sys.stderr", stream)
+    with shown("diagnose") as report:
+        report(Progress(1, 6, "windows", even=even))
+    assert ("-:--:--" in stream.getvalue().split("1/6")[-1]) == even
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stderr", stream)
@@ -110,9 +132,9 @@ def test_a_long_step_says_that_it_is_still_at_it(capsys: pytest.CaptureFixture[s
     lines.still()
     now[0] = 125.0
     lines.still()
-    assert capsys.readouterr().err.splitlines()[-1:] == ["diagnose: at it for 2:05"]
+    assert capsys.readouterr().err.splitlines()[-1:] == ["diagnose: at this step for 2:05"]
     lines(Progress(1, 6, "34 sets fitted", passing=True))
     assert capsys.readouterr().err == ""  # no line of its own
     now[0] = 190.0
     lines.still()
-    assert capsys.readouterr().err == "diagnose: at it for 3:10: 34 sets fitted\n"
+    assert capsys.readouterr().err == "diagnose: at this step for 3:10: 34 sets fitted\n"

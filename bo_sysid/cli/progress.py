@@ -81,7 +81,9 @@ class Lines:
             return
         self._last, self._said = now, said
         done, ahead = progress.step - self._first, progress.of - progress.step
-        left = f", {_duration((now - self._began) / done * ahead)} left" if done and ahead else ""
+        left = ""
+        if done and ahead and progress.even:
+            left = f", {_duration((now - self._began) / done * ahead)} left"
         message = f": {progress.message}" if progress.message else ""
         print(
             f"{self._title} {progress.step}/{progress.of}{left}{message}",
@@ -94,7 +96,11 @@ class Lines:
         since = self._clock() - self._told
         if since >= STILL:
             at = f": {self._at}" if self._at else ""
-            print(f"{self._title}: at it for {_duration(since)}{at}", file=sys.stderr, flush=True)
+            print(
+                f"{self._title}: at this step for {_duration(since)}{at}",
+                file=sys.stderr,
+                flush=True,
+            )
 
 
 @contextlib.contextmanager
@@ -103,25 +109,34 @@ def _bar(title: str) -> Iterator[OnProgress]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
+        Task,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
     from rich.progress import Progress as Bar
+    from rich.text import Text
+
+    class Left(TimeRemainingColumn):
+        def render(self, task: Task) -> Text:
+            return super().render(task) if task.fields["even"] else Text()
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        Left(),
         TextColumn("{task.fields[message]}", markup=False),
     )
     with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=None, message="")
+        task = bar.add_task(title, total=None, message="", even=True)
 
         def report(progress: Progress) -> None:
-            bar.update(task, completed=progress.step, total=progress.of, message=progress.message)
+            bar.update(
+                task, completed=progress.step, total=progress.of, message=progress.message,
+                even=progress.even,
+            )  # fmt: skip
 
         yield report
 

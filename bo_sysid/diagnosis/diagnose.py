@@ -285,11 +285,11 @@ class _Teller:
 
     def __call__(self, text: str) -> None:
         self._done += 1
-        self._report(Progress(self._done, max(_STAGES, self._done), text))
+        self._report(Progress(self._done, max(_STAGES, self._done), text, even=False))
 
     def doing(self, text: str) -> None:
         """Say how far a stage is."""
-        self._report(Progress(self._done, max(_STAGES, self._done), text, passing=True))
+        self._report(Progress(self._done, max(_STAGES, self._done), text, passing=True, even=False))
 
 
 def _repair(

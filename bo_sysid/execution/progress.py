@@ -13,12 +13,14 @@ class Progress:
         of: units in all.
         message: what is being done or was found, one short sentence.
         passing: whether it is said while a unit is at it, which is worth no line of its own.
+        even: whether units take about as long as one another; where not, no time left is told.
     """
 
     step: int
     of: int
     message: str = ""
     passing: bool = False
+    even: bool = True
 
 
 OnProgress = Callable[[Progress], None]

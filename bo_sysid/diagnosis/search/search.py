@@ -167,8 +167,9 @@ class Search:
         kept = self._not_worse(self._in_turn(fit, effort), effort)
         self.fits[kept.key] = kept
         windows, instants = self.prepared.problem.windows.observed.shape[:2]
+        sets = "set" if len(self.fits) == 1 else "sets"
         self.doing(
-            f"{len(self.fits)} sets fitted to {windows} windows of {instants} instants, the "
+            f"{len(self.fits)} {sets} fitted to {windows} windows of {instants} instants, the "
             f"nearest leaves {self.least:.3f} sigma"
         )
         return kept
