@@ -428,6 +428,8 @@ def test_forces_that_are_not_explained_are_said(
     found = check(
         Study.from_dict({"model": "slide.xml", "recordings": {"train": "log.csv"}}, tmp_path)
     )
+    told = found.summary.channels.set_index("channel")["unit"]
+    assert (told["qpos.x"], told["ctrl.m"]) == ("m", "N")  # the log states none
     text = checked_text(found)
     share = float(found.wiring.balance["after"][0])
     assert found.proposal == ""

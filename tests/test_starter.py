@@ -873,7 +873,9 @@ def test_a_joint_that_never_moves_gets_no_parameters(tmp_path: Path) -> None:
     init(TWO, [tmp_path / "log.csv"], tmp_path / "study.yaml")
     text = (tmp_path / "study.yaml").read_text()
     assert "# elbow never moves in the log" in text
-    addresses = {p.address[0] for p in Study.load(tmp_path / "study.yaml").parameters}
+    parameters = Study.load(tmp_path / "study.yaml").parameters
+    assert [p.unit for p in parameters] == ["N m", "N m s/rad", "kg m²"]
+    addresses = {p.address[0] for p in parameters}
     assert addresses == {f"joint[shoulder].{n}" for n in ("frictionloss", "damping", "armature")}
 
 

@@ -249,6 +249,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
         rows.append(
             {
                 "joint": name,
+                "slides": int(own.type[0]) == SLIDE,
                 "mute": "never moves in the log, which says nothing of it"
                 if name in still
                 else "is how the base floats: nothing rubs there"

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from bo_sysid.checks.proposal import flow
+from bo_sysid.effects.contract import at_slide
 from bo_sysid.recording.table import FILL_IN
 from bo_sysid.starter.guess import Rules
 
@@ -39,9 +40,9 @@ def study_text(
         train: paths of the logs to fit to.
         holdout: paths of the logs to judge by.
         rules: how the logs are read.
-        scales: one row a joint: joint, mute (why it gets no parameters, else empty), friction,
-            damping, armature (upper bounds worth trying), low, high and speed recorded; empty
-            where no joint was found in the logs.
+        scales: one row a joint: joint, slides (or turns), mute (why it gets no parameters, else
+            empty), friction, damping, armature (upper bounds worth trying), low, high and speed
+            recorded; empty where no joint was found in the logs.
         hints: by channel, what is to be known of it, on a line before it.
         base_fixed: whether a floating base is held.
         notes: what else is to be said at the top.
@@ -133,11 +134,13 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
         if row.mute:
             lines.append(f"  # {row.joint} {row.mute!s}")
             continue
-        for what, high in (
-            ("frictionloss", row.friction), ("damping", row.damping), ("armature", row.armature),
+        for what, high, unit in (
+            ("frictionloss", row.friction, "N m"), ("damping", row.damping, "N m s/rad"),
+            ("armature", row.armature, "kg m²"),
         ):  # fmt: skip
             address = json.dumps(f"joint[{row.joint}].{what}", ensure_ascii=False)
-            lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}}}")
+            told = at_slide(unit) if row.slides else unit
+            lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}, unit: {told}}}")
     return lines
 
 

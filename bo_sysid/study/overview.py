@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.mjcf import Model, nominal
+from bo_sysid.mjcf.commands import units
 from bo_sysid.parameters import MOST_CANDIDATES, CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling, kind_of
 from bo_sysid.recording.noise import noise_sigma
@@ -150,7 +151,7 @@ def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
 def _channels(
     model: Model, recordings: Sequence[Recording], unrecorded: Mapping[str, str]
 ) -> pd.DataFrame:
-    known = known_channels(model)
+    known, assumed = known_channels(model), units(model.compile())
     needed = [*known["qpos"], *known["qvel"], *known["ctrl"]]
     recorded = dict.fromkeys(n for r in recordings for n in r.channels)
     rows = []
@@ -169,7 +170,7 @@ def _channels(
                 "interval": 1e3 * float(np.median([Sampling.of(c.time).median_dt for c in found])),
                 "low": min(float(c.values.min()) for c in found),
                 "high": max(float(c.values.max()) for c in found),
-                "unit": found[0].unit,
+                "unit": found[0].unit or assumed.get(name, ""),
             }
             if found[0].hold == "none":
                 row["noise"] = float(np.median([noise_sigma(c.time, c.values) for c in found]))
