@@ -577,6 +577,7 @@ def test_a_delay_is_named_and_nothing_else_is_flagged(late: float) -> None:
     ("parameters", "nominal", "after", "words"),
     [
         (True, 20.0, 1.1, "falls from 20 to 1.1 sensor sigmas"),
+        (True, 20.3, 1.1, "falls from 20.3 to 1.1 sensor sigmas"),  # as the table has it
         (True, 60.0, 1.1, "falls from 60 (20 with the study's parameters fitted) to 1.1 sensor"),
         (False, 60.0, 1.1, "falls from 60 (20 with a finer time step) to 1.1 sensor"),
         (True, 60.0, 20.0, "falls from 60 to 20 sensor sigmas"),

@@ -54,7 +54,7 @@ class Holdout:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
         refitted = nominal > (1 + _ALIKE) * before  # parameters or the time step do some of it
-        told = nominal if refitted else before
+        told = before if before > (1 + _ALIKE) * nominal else nominal
         verb, first = "falls" if after < (1 - _ALIKE) * told else "goes", _figure(told)
         if refitted and after != before:
             done = "the study's parameters fitted" if self.parameters else "a finer time step"
