@@ -18,6 +18,7 @@ from chromium import ask, needs_chromium
 
 from bo_sysid.errors import RunError
 from bo_sysid.report import interactive, interactive_search
+from bo_sysid.report.marked import said
 from bo_sysid.report.page import page, write_page
 from bo_sysid.report.serve import make_server, version
 from bo_sysid.runs import Run
@@ -55,6 +56,24 @@ def diagnosis(joint: str) -> dict[str, object]:
         "next_experiment": None, "model": "model_repaired.xml", "study": "study_repaired.yaml",
         "sha256": "",
     }  # fmt: skip
+
+
+def test_the_robot_says_what_the_sentences_say_and_what_is_a_change() -> None:
+    """A camera of 0.75 kg to which 0.149 kg were added was labelled "link mass 0.149 kg"."""
+    camera = {
+        "effect": "link_mass", "kind": "body", "site": "camera", "value": 0.1493, "unit": "kg",
+        "interval": [0.1417, 0.1568], "before": 0.75, "after": 0.8993,
+    }  # fmt: skip
+    motor = {
+        "effect": "actuator_gain", "kind": "actuator", "site": "tilt", "value": 0.0794,
+        "unit": "relative", "interval": [0.0706, 0.0882], "before": 0.0, "after": 0.0794,
+    }  # fmt: skip
+    found = {"findings": [camera, motor, finding("elbow")], "unexplained": {"kind": None}}
+    assert said(found) == [
+        ("body", "camera", "camera:\nlink mass +0.149 ± 0.008 kg"),
+        ("actuator", "tilt", "tilt:\nactuator gain +7.9 ± 0.9 %"),
+        ("joint", "elbow", "elbow:\ndry friction 0.150 ± 0.010 N m"),
+    ]
 
 
 def traces(joint: str, seconds: float, joints: int) -> pd.DataFrame:

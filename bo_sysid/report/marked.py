@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from bo_sysid.diagnosis.answer.quantities import Quantity, amount
 from bo_sysid.mjcf import Model
 from bo_sysid.report.robot import Posed, Site, find_site
 
@@ -30,9 +31,11 @@ def said(diagnosis: Mapping[str, object]) -> list[tuple[str, str, str]]:
     assert isinstance(findings, list) and isinstance(unexplained, dict)  # noqa: S101, PT018
     words: dict[tuple[str, str], list[str]] = {}
     for f in findings:
-        half = 0.5 * (f["interval"][1] - f["interval"][0])
-        amount = f"{f['effect'].replace('_', ' ')} {f['value']:.3g} ± {half:.2g} {f['unit']}"
-        words.setdefault((f["kind"], f["site"]), []).append(amount.removesuffix(" –"))
+        told = amount(Quantity(f["value"], f["unit"], tuple(f["interval"])))
+        more = f["value"] > 0 and f["after"] != f["value"]  # than the model has
+        sign = "+" if more and not told.startswith("+") else ""
+        line = f"{f['effect'].replace('_', ' ')} {sign}{told}"
+        words.setdefault((f["kind"], f["site"]), []).append(line)
     if unexplained["kind"] is not None:
         key = (unexplained["kind"], unexplained["site"])
         words.setdefault(key, []).append("a force of unknown origin")
