@@ -9,6 +9,7 @@ that leave least of it.
 """
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
@@ -47,12 +48,15 @@ class PredictionError:
         count = _WINDOWS if self._touching else _MORE_WINDOWS
         self._problem = problem.rows(problem.windows.evenly(count))
         self._kept = evidence.kept
+        self._told: WeakKeyDictionary[Hypothesis, float] = WeakKeyDictionary()  # asked for again
 
     def __call__(self, hypothesis: Hypothesis) -> float:
         """Return what forecasts leave, in sigma; one that took long is found again after a kill."""
-        made_from = ("forecasts", self._problem.identity, hypothesis.identity)
-        found = self._kept.arrays(made_from, lambda: {"left": np.array(self._left(hypothesis))})
-        return float(found["left"])
+        if hypothesis not in self._told:
+            made_from = ("forecasts", self._problem.identity, hypothesis.identity)
+            found = self._kept.arrays(made_from, lambda: {"left": np.array(self._left(hypothesis))})
+            self._told[hypothesis] = float(found["left"])
+        return self._told[hypothesis]
 
     def _left(self, hypothesis: Hypothesis) -> float:
         """Return the rms of a forecast over all windows, in contact its geometric mean, in sigma.
