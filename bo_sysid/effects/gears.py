@@ -19,7 +19,6 @@ from bo_sysid.effects.machine import ActuatorScale, Machine
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.plain import add_plain
-from bo_sysid.mjcf.strip import stripped
 
 _GAPS = (0.01, 0.1)  # of the spread of a joint's position, tried as play
 _SOFT = (0.003, 0.02, 0.1, 0.3)  # of that spread, by which the typical force bends a joint
@@ -243,7 +242,7 @@ def backlash(
 
 
 def _inverse_inertia(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> float:
-    compiled = compile_spec(stripped(spec), f"joint {joint.name!r}", " with play")
+    compiled = compile_spec(spec.copy(), f"joint {joint.name!r}", " with play")
     return float(compiled.dof_invweight0[compiled.joint(joint.name).dofadr[0]])
 
 
