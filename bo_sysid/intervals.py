@@ -1,8 +1,13 @@
-"""How sure a mean of a few samples is."""
+"""How sure numbers are, and how that is said."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
+
+_UNSPOKEN = ("relative", "fraction", "fraction of the load torque", "coefficient", "–")
+"""Units of pure numbers, which sentences say otherwise."""
 
 
 def half_width(error: ArrayLike, count: ArrayLike) -> np.ndarray:
@@ -14,3 +19,26 @@ def half_width(error: ArrayLike, count: ArrayLike) -> np.ndarray:
     """
     freedom = np.maximum(np.asarray(count, float) - 1, 1)
     return np.asarray(student.ppf(0.975, freedom) * error)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number with its 95 % interval."""
+
+    value: float
+    unit: str
+    interval: tuple[float, float]
+
+
+def amount(quantity: Quantity) -> str:
+    """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
+    half = 0.5 * (quantity.interval[1] - quantity.interval[0])
+    spoken_unit = "" if quantity.unit in _UNSPOKEN else f" {quantity.unit}"
+    if half <= 0 or not np.isfinite(half):
+        return f"{quantity.value:.4g}{spoken_unit}"
+    exponent = int(np.floor(np.log10(half)))
+    digits = max(-exponent + (1 if half / 10.0**exponent < 2 else 0), 0)
+    if quantity.unit == "relative":
+        digits = max(digits - 2, 0)
+        return f"{100 * quantity.value:+.{digits}f} ± {100 * half:.{digits}f} %"
+    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{spoken_unit}"

@@ -1,6 +1,7 @@
 """Progress: lines now and then where there is no terminal, a bar where there is one."""
 
 import io
+import time
 
 import pytest
 
@@ -68,25 +69,29 @@ def test_time_left_is_that_of_the_count_that_goes_on(capsys: pytest.CaptureFixtu
     ]  # fmt: skip
 
 
-def test_units_of_unlike_length_tell_no_time_left(capsys: pytest.CaptureFixture[str]) -> None:
+def test_units_of_unlike_length_tell_time_left_by_their_share(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The stages of a diagnosis: short windows, long ones, final fits, forecasts."""
     clock = Clock()
     report = Lines("diagnose", every=5.0, clock=clock)
-    clock.now += 7.0
-    report(Progress(1, 6, "windows of 16 instants", even=False))
-    assert capsys.readouterr().err == "diagnose 1/6: windows of 16 instants\n"
+    clock.now += 20.0
+    report(Progress(1, 4, "windows of 75 instants", share=0.4))
+    assert capsys.readouterr().err == "diagnose 1/4, about 0:30 left: windows of 75 instants\n"
 
 
-@pytest.mark.parametrize("even", [True, False])
-def test_a_bar_tells_time_left_where_units_are_alike(
-    monkeypatch: pytest.MonkeyPatch, even: bool
+@pytest.mark.parametrize("share", [None, 0.001])
+def test_a_bar_tells_time_left_by_a_share_where_there_is_one(
+    monkeypatch: pytest.MonkeyPatch, share: float | None
 ) -> None:
     stream = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr("sys.stderr", stream)
     with shown("diagnose") as report:
-        report(Progress(1, 6, "windows", even=even))
-    assert ("-:--:--" in stream.getvalue().split("1/6")[-1]) == even
+        time.sleep(0.05)  # a thousandth of 50 s
+        report(Progress(1, 4, "windows", share=share))
+        report(Progress(1, 4, "12 sets", passing=True))
+    assert ("about" in stream.getvalue().split("1/4")[-1]) == (share is not None)
 
 
 class Terminal(io.StringIO):

@@ -11,10 +11,10 @@ import yaml
 from diagnosis_helpers import ARM, arm, record
 
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.repaired import MODEL, Written
 from bo_sysid.diagnosis.answer.repaired_study import _parameters, study_text
 from bo_sysid.effects import CATALOGUE, Site, survey
+from bo_sysid.intervals import Quantity
 from bo_sysid.mjcf import Address, Model, make_explicit, parameter_edits
 from bo_sysid.recording import Recording
 from bo_sysid.recording.writers import write_recording

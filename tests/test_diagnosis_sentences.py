@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.quantities import Quantity, details_of
+from bo_sysid.diagnosis.answer.quantities import details_of
 from bo_sysid.diagnosis.answer.sentences import found_sentences
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.answer.wording import sentence
 from bo_sysid.diagnosis.windows.candidate import candidates
 from bo_sysid.effects import CATALOGUE, Component, Extent, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
+from bo_sysid.intervals import Quantity
 from bo_sysid.recording import Recording
 from bo_sysid.report.diagnosis_text import verdict_text
 

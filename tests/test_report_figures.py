@@ -238,7 +238,7 @@ def test_a_parameter_with_one_value_has_a_bar_that_can_be_seen(value: float) -> 
     belief = pd.DataFrame({"mass": [value] * 3, "P": [0.2, 0.3, 0.5], "P_boot": [0.1, 0.2, 0.7]})
     told = {"nominal": value, "value": value, "low95": value, "high95": value}
     axis = marginals(belief, pd.DataFrame([{"name": "mass", "unit": "kg", **told}])).axes[0]
-    bars = [p for p in axis.patches if 0 < p.get_width() and p.get_height() == pytest.approx(1.0)]
+    bars = [p for p in axis.patches if p.get_width() > 0 and p.get_height() == pytest.approx(1.0)]
     low, high = axis.get_xlim()
     assert any(bar.get_width() > 0.2 * (high - low) for bar in bars)
     assert low < value < high

@@ -82,7 +82,9 @@ class Lines:
         self._last, self._said = now, said
         done, ahead = progress.step - self._first, progress.of - progress.step
         left = ""
-        if done and ahead and progress.even:
+        if progress.share and ahead:
+            left = f", about {_duration(_ahead(now - self._began, progress.share))} left"
+        elif done and ahead:
             left = f", {_duration((now - self._began) / done * ahead)} left"
         message = f": {progress.message}" if progress.message else ""
         print(
@@ -119,7 +121,11 @@ def _bar(title: str) -> Iterator[OnProgress]:
 
     class Left(TimeRemainingColumn):
         def render(self, task: Task) -> Text:
-            return super().render(task) if task.fields["even"] else Text()
+            ends = task.fields["ends"]
+            if ends is None:
+                return super().render(task)
+            left = ends - time.monotonic()
+            return Text(f"about {_duration(left)} left" if left > 0 else "")
 
     columns = (
         TextColumn("{task.description}"),
@@ -130,15 +136,20 @@ def _bar(title: str) -> Iterator[OnProgress]:
         TextColumn("{task.fields[message]}", markup=False),
     )
     with Bar(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(title, total=None, message="", even=True)
+        task, began = bar.add_task(title, total=None, message="", ends=None), time.monotonic()
 
         def report(progress: Progress) -> None:
-            bar.update(
-                task, completed=progress.step, total=progress.of, message=progress.message,
-                even=progress.even,
-            )  # fmt: skip
+            bar.update(task, completed=progress.step, total=progress.of, message=progress.message)
+            if progress.share and not progress.passing:
+                now = time.monotonic()
+                bar.update(task, ends=now + _ahead(now - began, progress.share))
 
         yield report
+
+
+def _ahead(elapsed: float, share: float) -> float:
+    """Return the time in [s] that is left of work of which a share took some."""
+    return elapsed * (1.0 / share - 1.0)
 
 
 def _duration(seconds: float) -> str:

@@ -1,5 +1,6 @@
 """The diagnosis: where a simulation differs from recordings, which physics it lacks, the repair."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,9 @@ from bo_sysid.study.requirements import (
     require_scales,
 )
 
-_STAGES = 6
+_STAGES = 4  # short windows, long ones, the final fits, what is said; or more
+# of the work that is done by the ends of the first ones
+_SHARES, _SHARES_IN_CONTACT = (0.03, 0.4, 0.5), (0.02, 0.1, 0.15)
 _CHECK = "`bo-sysid check` says more; a wrong sign or unit is no missing physics."
 _UNMOVED = 1e-6  # of a parameter's range: what its bounds leave beside the model's own value
 
@@ -178,7 +181,8 @@ def diagnose(
     require_holdout(study)
     kept = _kept(study, run, strict)
     evidence = gather(study, load_train(study, strict=strict), kept)
-    tell = _Teller(progress)
+    impacts = evidence.machine.impacts
+    tell = _Teller(progress, _SHARES_IN_CONTACT if impacts else _SHARES)
     outside = [f.sentence for f in range_flags(evidence.machine.model, evidence.recordings)]
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
@@ -219,7 +223,7 @@ def diagnose(
     if run is not None:
         _write(run, result)
         kept.clear()
-    tell(result.verdict)
+    tell.finished(result.verdict)
     return result
 
 
@@ -278,18 +282,29 @@ def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_
 
 
 class _Teller:
-    """Counts the stages of a diagnosis for its progress."""
+    """Counts the stages of a diagnosis for its progress.
 
-    def __init__(self, report: OnProgress) -> None:
-        self._report, self._done = report, 0
+    Args:
+        report: told of each.
+        shares: of the work that is done by the ends of the first stages; the last of them for more.
+    """
+
+    def __init__(self, report: OnProgress, shares: Sequence[float]) -> None:
+        self._report, self._shares, self._done = report, shares, 0
 
     def __call__(self, text: str) -> None:
         self._done += 1
-        self._report(Progress(self._done, max(_STAGES, self._done), text, even=False))
+        share = self._shares[min(self._done, len(self._shares)) - 1]
+        self._report(Progress(self._done, max(_STAGES, self._done + 1), text, share=share))
 
     def doing(self, text: str) -> None:
         """Say how far a stage is."""
-        self._report(Progress(self._done, max(_STAGES, self._done), text, passing=True, even=False))
+        self._report(Progress(self._done, max(_STAGES, self._done + 1), text, passing=True))
+
+    def finished(self, text: str) -> None:
+        """Say what was found."""
+        done = max(_STAGES, self._done + 1)
+        self._report(Progress(done, done, text))
 
 
 def _repair(

@@ -13,14 +13,15 @@ class Progress:
         of: units in all.
         message: what is being done or was found, one short sentence.
         passing: whether it is said while a unit is at it, which is worth no line of its own.
-        even: whether units take about as long as one another; where not, no time left is told.
+        share: of the whole work that is done by then, roughly, in 0 to 1, where units are unlike;
+            None where they are alike.
     """
 
     step: int
     of: int
     message: str = ""
     passing: bool = False
-    even: bool = True
+    share: float | None = None
 
 
 OnProgress = Callable[[Progress], None]

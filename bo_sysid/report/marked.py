@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from bo_sysid.diagnosis.answer.quantities import Quantity, amount
+from bo_sysid.intervals import Quantity, amount
 from bo_sysid.mjcf import Model
 from bo_sysid.report.robot import Posed, Site, find_site
 

@@ -7,11 +7,12 @@ from types import MappingProxyType
 import numpy as np
 
 from bo_sysid.diagnosis.answer.exchanges import Entry, Key
-from bo_sysid.diagnosis.answer.quantities import Quantity, details_of, quantities
+from bo_sysid.diagnosis.answer.quantities import details_of, quantities
 from bo_sysid.diagnosis.answer.wording import after_change, plural, sentence
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.effects import Machine
+from bo_sysid.intervals import Quantity
 
 
 @dataclass(frozen=True)

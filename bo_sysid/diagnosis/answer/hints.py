@@ -5,7 +5,7 @@ from math import hypot, inf, pi, sqrt
 
 import numpy as np
 
-from bo_sysid.diagnosis.answer.quantities import Quantity, amount, quantities
+from bo_sysid.diagnosis.answer.quantities import quantities
 from bo_sysid.diagnosis.answer.sentences import set_words
 from bo_sysid.diagnosis.answer.wording import definite, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
@@ -14,6 +14,7 @@ from bo_sysid.diagnosis.sets.meshing import LATE, meshing
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
+from bo_sysid.intervals import Quantity, amount
 from bo_sysid.mjcf.joints import BALL
 
 _LEFT = 1.0  # excess from which more than noise is left, whatever it is

@@ -1,7 +1,7 @@
 """What a fit says in numbers, with their 95 % intervals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from string import Formatter
 
 import numpy as np
@@ -11,22 +11,12 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.shapes import ranges
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.effects import Machine, unit_at
+from bo_sysid.intervals import Quantity
 
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
 _RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
 _TIME = 0.3e-3  # [s] the same for times
-_UNSPOKEN = ("relative", "fraction", "fraction of the load torque", "coefficient", "–")
-"""Units of pure numbers, which sentences say otherwise."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number with its 95 % interval."""
-
-    value: float
-    unit: str
-    interval: tuple[float, float]
 
 
 def quantities(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
@@ -36,20 +26,6 @@ def quantities(fit: Fit, machine: Machine) -> tuple[Quantity, ...]:
         _value(c, x, fit.covariance[own, own], machine)
         for c, x, own in zip(fit.members, fit.x, slices, strict=True)
     )
-
-
-def amount(quantity: Quantity) -> str:
-    """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
-    half = 0.5 * (quantity.interval[1] - quantity.interval[0])
-    spoken_unit = "" if quantity.unit in _UNSPOKEN else f" {quantity.unit}"
-    if half <= 0 or not np.isfinite(half):
-        return f"{quantity.value:.4g}{spoken_unit}"
-    exponent = int(np.floor(np.log10(half)))
-    digits = max(-exponent + (1 if half / 10.0**exponent < 2 else 0), 0)
-    if quantity.unit == "relative":
-        digits = max(digits - 2, 0)
-        return f"{100 * quantity.value:+.{digits}f} ± {100 * half:.{digits}f} %"
-    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{spoken_unit}"
 
 
 def _value(

@@ -8,11 +8,11 @@ import numpy as np
 import yaml
 
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.quantities import Quantity
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
 from bo_sysid.effects.commands import written_lag
 from bo_sysid.effects.friction import BEND
 from bo_sysid.errors import ModelError
+from bo_sysid.intervals import Quantity
 from bo_sysid.mjcf import Address, Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.study import Study

@@ -7,7 +7,6 @@ import pandas as pd
 from bo_sysid.diagnosis.answer.argmin import ArgminSets
 from bo_sysid.diagnosis.answer.exchanges import irreducible
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.quantities import amount
 from bo_sysid.diagnosis.answer.wording import plural, spoken
 from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
@@ -15,6 +14,7 @@ from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
 from bo_sysid.effects.contract import unit_at
+from bo_sysid.intervals import amount
 
 _RIVALS = 3
 _TOLD = 8  # parameters

@@ -4,9 +4,9 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from bo_sysid.diagnosis.answer.quantities import Quantity, amount
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Site
+from bo_sysid.intervals import Quantity, amount
 
 _SHORT = 3  # letters of a name that needs its kind beside it
 _ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
