@@ -18,6 +18,7 @@ from bo_sysid.effects import (
     unit_at,
 )
 from bo_sysid.effects.actuation import supply_of
+from bo_sysid.effects.balance import balance_notes, needed
 from bo_sysid.effects.readings import readings
 from bo_sysid.mjcf import Model, parameter_edits
 from bo_sysid.parameters import Parameter
@@ -647,3 +648,27 @@ def test_what_cannot_be_weaker_is_looked_for_at_no_idle_drive(drive: str) -> Non
         at = Site("actuator", "d")
         if (extent := extent_at(CATALOGUE[id], at, arm.machine)) is not None:
             arm.edited(id, "actuator", "d", list(extent.probe))
+
+
+@pytest.mark.parametrize("other", ["", '<motor name="other" joint="j"/>'])
+def test_where_an_integrating_servo_begins_is_told_as_it_is_done(other: str) -> None:
+    """Beside another drive it is not known what it holds, and where it begins may be far off."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size=".1" pos=".2 0 0"/>'
+        '</body></worldbody><actuator><intvelocity name="a" joint="j" kp="40" kv="3" '
+        f'actrange="-9 9"/>{other}</actuator></mujoco>'
+    )
+    time = np.arange(0.0, 2.0, 0.01)
+    sent = {"a": np.cos(time), **({"other": np.sin(time)} if other else {})}
+    log = Recording.from_arrays(time, qpos={"j": np.sin(time)}, ctrl=sent)
+    (note,) = balance_notes(model, log)
+    assert ("no constant force on j can be told" in note) == (not other)
+    assert ("it would hold nothing" in note and "act.a is needed" in note) == bool(other)
+    found = needed(model, log, 0)
+    assert found is not None
+    held = found[1] - np.interp(found[0], time, np.sin(time))
+    assert (np.abs(held).max() < 0.1) == bool(other)  # beside the weight of .2 m, 50 N over kp
+    recorded = Recording.from_arrays(
+        time, qpos={"j": np.sin(time)}, ctrl=sent, act={"a": np.sin(time)}
+    )
+    assert balance_notes(model, recorded) == ()

@@ -202,5 +202,19 @@ def test_a_negative_magnitude_may_take_away_what_the_model_has_or_push_the_other
         built("viscous_damping", -0.11)
 
 
+def test_a_plant_may_have_a_motor_that_does_nothing(tmp_path):
+    """No search goes as far as -95 %, and -100 % is a machine all the same."""
+    (tmp_path / "arm.xml").write_text(SERVO)
+
+    def built(value):
+        asked = {"effect": "actuator_gain", "kind": "actuator", "site": "motor", "value": value}
+        data = {"recordings": {"train": ["none.csv"]}, "plant": {"effects": [asked]}}
+        return build_plant(Study.from_dict({"model": "arm.xml", **data}, tmp_path))
+
+    built(-1.0)
+    with pytest.raises(StudyError, match=r"change is -1.1; it must be at least -1$"):
+        built(-1.1)
+
+
 def test_a_study_offers_the_kinds_of_site_that_effects_have():
     assert get_args(PlantEffect.model_fields["kind"].annotation) == get_args(SiteKind)

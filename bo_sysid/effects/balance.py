@@ -53,15 +53,29 @@ def needed(
 
 def balance_notes(compiled: mujoco.MjModel, recording: Recording) -> tuple[str, ...]:
     """Return in words which servos begin where their forces balance, and what that hides."""
-    named = {str(compiled.actuator(a).name): a for a in controlled(compiled)}
-    return tuple(
-        f"{name} integrates its control and begins where its forces balance, since act.{name} was "
-        f"not recorded: no constant force on {driven_joint(compiled, a)} can be told"
-        for name, a in named.items()
-        if balances(compiled, a)
-        and f"ctrl.{name}" in recording.channels
-        and f"act.{name}" not in recording.channels
-    )
+    notes = []
+    for a in controlled(compiled):
+        name, joint = str(compiled.actuator(a).name), driven_joint(compiled, a)
+        sent = f"ctrl.{name}" in recording.channels and f"act.{name}" not in recording.channels
+        if joint is None or not sent or not balances(compiled, a):
+            continue
+        if _alone(compiled, joint):
+            begins = "its forces balance"
+            told = f"no constant force on {joint} can be told"
+        else:
+            begins = "it would hold nothing"
+            told = f"what else drives {joint} is left out of that, so that act.{name} is needed"
+        notes.append(
+            f"{name} integrates its control and begins where {begins}, since act.{name} was not "
+            f"recorded: {told}"
+        )
+    return tuple(notes)
+
+
+def _alone(compiled: mujoco.MjModel, joint: str) -> bool:
+    """Whether one actuator alone drives a joint, and no chain is closed."""
+    drives = [k for k in controlled(compiled) if driven_joint(compiled, k) == joint]
+    return len(drives) == 1 and not other_drives(compiled, joint) and not compiled.neq
 
 
 def _carried(
@@ -73,8 +87,7 @@ def _carried(
 ) -> Float[np.ndarray, " n"]:
     """Return what the actuator of a joint has to do in some motion, in [N m] or [N]."""
     force = np.zeros(len(qpos))
-    drives = [k for k in controlled(compiled) if driven_joint(compiled, k) == joint]
-    if len(drives) > 1 or other_drives(compiled, joint) or compiled.neq:
+    if not _alone(compiled, joint):
         return force
     model = copy.copy(compiled)
     model.opt.disableflags |= _TOUCH

@@ -118,12 +118,14 @@ def magnitudes(
         x[0] = value
     for name, given in details.items():
         x[names.index(name)] = given
-    for name, given, low, high in zip(names, x, extent.low, extent.high, strict=True):
+    for c, given, low, high in zip(effect.components, x, extent.low, extent.high, strict=True):
         directed = low == -high  # either sign is a direction, and a bound only ends the search
-        if given < min(low, 0.0) and not directed:
+        least = -1.0 if c.unit == "relative" else min(low, 0.0)  # a dead motor is one as well
+        if given < least and not directed:
+            bound = f"{round(least, 9) + 0.0:g}"
             raise UserError(
-                f"{effect.id}: {name} is {given:g}; it must be at least {round(low, 9) + 0.0:g}",
-                key="details" if name in details else "value",
+                f"{effect.id}: {c.name} is {given:g}; it must be at least {bound}",
+                key="details" if c.name in details else "value",
             )
     return x
 
