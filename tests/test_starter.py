@@ -18,10 +18,12 @@ from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.simulation import Engine, State
+from bo_sysid.starter import signs
+from bo_sysid.starter.behaviour import _judged
 from bo_sysid.starter.columns import derivatives, describe
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
-from bo_sysid.starter.matching import match
+from bo_sysid.starter.matching import Guess, match
 from bo_sysid.starter.naming import words
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import clock_rule
@@ -681,6 +683,21 @@ def test_a_cable_at_one_joint_is_not_said_to_drive_several(tmp_path: Path) -> No
     started = init(tmp_path / "finger.xml", [tmp_path / "log.csv"], tmp_path / "finger.yaml")
     told = "its sign is not told: no joint shows it whose forces the model explains"
     assert told in started.rules.guesses["ctrl.winch"].reason
+
+
+def test_a_sign_that_a_rough_balance_tells_is_not_laid_to_other_joints() -> None:
+    """The only joint of a gripper had its sign told by "the motion of others"."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="knuckle" axis="0 1 0"/><geom size=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    guess = Guess("qpos.knuckle", "knuckle", "", "the name", 1.0)
+    own, others = (
+        _judged(model, {guess.channel: guess}, signs.Tested(left, {}, {}))[guess.channel].reason
+        for left in ({"knuckle": 0.29}, {})
+    )
+    assert own == "the name; the motion tells its sign; 29 % of the forces there stay unexplained"
+    assert others == "the name; the motion of others tells its sign"
 
 
 @pytest.mark.parametrize(("sign", "zero"), [(1, 0.0), (-1, 0.0), (1, -2.2)])

@@ -102,7 +102,13 @@ def _judged(
                 told += f", as well with {tested.mirrored[n]} and this both turned"
             g = replace(g, reason=f"{g.reason}; {told}", confidence=max(g.confidence, _LIKELY))
         elif n.startswith("qpos.") and driven(model, n) in joints and share > _AGREES:
-            g = replace(g, reason=f"{g.reason}; the motion of others tells its sign")
+            told = "the motion of others tells its sign"
+            if driven(model, n) in tested.left:
+                told = (
+                    f"the motion tells its sign; {100 * share:.0f} % of the forces there stay "
+                    "unexplained"
+                )
+            g = replace(g, reason=f"{g.reason}; {told}")
         out[n] = g
     return out
 
