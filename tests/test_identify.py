@@ -97,6 +97,29 @@ def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None
         assert len(against) == told
 
 
+@pytest.mark.parametrize(("left", "said"), [(0.17, "340 standard deviations"), (6e-4, "")])
+def test_recordings_that_nothing_explains_are_said(
+    grid: CandidateSet, left: float, said: str
+) -> None:
+    """Intervals of a model that lacks a spring looked as sure as those of a right one."""
+    sure = (np.arange(len(grid)) == 0).astype(float)
+    point = grid.points[0]
+    table = pd.DataFrame({"name": ["x", "y"], "low95": point, "high95": point})
+    errors = pd.DataFrame(
+        {
+            "recordings": ["train", "train", "train", "holdout"],
+            "kind": ["fit", "fit", "forecast", "fit"],
+            "channel": ["qpos.a", "qvel.a", "qpos.a", "qpos.a"],
+            "identified": [left, 9.0, 9.0, 9.0],
+        }
+    )
+    found = Identification(
+        "spring", point, table, grid, sure, sure, pd.DataFrame({"deviation": [1.0]}),
+        errors, pd.DataFrame(), "", (), {"qpos.a": 5e-4},
+    )  # fmt: skip
+    assert any(said in s for s in found.unsure) if said else found.unsure == ()
+
+
 def test_what_is_certain_is_tied_to_nothing() -> None:
     """Its spread over P_boot is a rounding, and so is what that has to do with another's."""
     rng, values = np.random.default_rng(0), []

@@ -1,5 +1,6 @@
 """Identification: the inner loop, from a study to the parameters that fit and their belief."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -19,6 +20,7 @@ from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, believe, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
+from bo_sysid.recording import Recording, noise_sigma
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
@@ -78,11 +80,21 @@ def identify(
             *_notes(problem),
             *problem.unscaled(holdout),
         ),
+        noise=_noise(problem.recordings),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)
         run.write_json("identification.json", result.summary())
     return result
+
+
+def _noise(recordings: Sequence[Recording]) -> dict[str, float]:
+    """Return the standard deviation of the noise of each position that was recorded."""
+    found: dict[str, list[float]] = {}
+    for recording in recordings:
+        for name, c in recording.of_kind("qpos").items():
+            found.setdefault(f"qpos.{name}", []).append(noise_sigma(c.time, c.values))
+    return {name: float(np.median(each)) for name, each in found.items()}
 
 
 def _require_long_enough(problem: Problem) -> None:

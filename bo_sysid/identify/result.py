@@ -1,6 +1,7 @@
 """What an identification found."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from bo_sysid.runs import finite
 
 _LITTLE = 0.5  # share of the range from which an interval says little
 _KNOWN = 1e-9  # share of the range: what spreads less has one value, but for rounding
+_EXPLAINED = 3.0  # standard deviations of the noise, beyond which recordings are not explained
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 
@@ -36,6 +38,7 @@ class Identification:
         traces: recorded, nominal and identified over time, for the first recording set aside.
         reason: why the search stopped.
         notes: what was done to the data.
+        noise: standard deviation of each recorded position's noise, by channel.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Identification:
     traces: pd.DataFrame
     reason: str
     notes: tuple[str, ...]
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def belief(self) -> pd.DataFrame:
@@ -87,7 +91,10 @@ class Identification:
 
     @property
     def unsure(self) -> tuple[str, ...]:
-        """What these recordings do not tell about the parameters, in words."""
+        """What these recordings do not tell about the parameters, in words.
+
+        Begins with how far they are from being explained, where they are not.
+        """
         rows = self.identifiability.to_dict(orient="records")
         said = [
             f"These recordings say little about {r['name']}: its interval takes "
@@ -107,7 +114,31 @@ class Identification:
                 f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
                 "combination of the two better than either."
             )
-        return tuple(said)
+        return (*self._unexplained, *said)
+
+    @property
+    def _unexplained(self) -> tuple[str, ...]:
+        """What is left of the training recordings from fitted starts, where that is far from noise.
+
+        Starts that are measured are as noisy as what is predicted from them, and tell nothing.
+        """
+        if not self.noise:
+            return ()
+        fits = self.errors[(self.errors["recordings"] == "train") & (self.errors["kind"] == "fit")]
+        left = {
+            str(channel): float(error) / self.noise[str(channel)]
+            for channel, error in zip(fits["channel"], fits["identified"], strict=True)
+            if self.noise.get(str(channel)) and np.isfinite(error)
+        }
+        worst = max(left, key=left.__getitem__, default="")
+        if not worst or not left[worst] > _EXPLAINED:
+            return ()
+        return (
+            f"The identified model misses {worst} of the training recordings by "
+            f"{left[worst]:,.0f} standard deviations of its noise. Nothing that was tried explains "
+            "them, so do not trust the intervals: more evaluations or candidates may find what "
+            "fits, and diagnose what the model lacks.",
+        )
 
     def summary(self) -> dict[str, Any]:
         """Return the result as plain values, for JSON."""
