@@ -52,6 +52,18 @@ def traces() -> pd.DataFrame:
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("first", [-9.0, 0.0])
+def test_the_nominal_value_is_drawn_at_the_end_of_its_range_and_named(first: float) -> None:
+    """Of a range from 0 a Sobol design has no 0, which is the nominal value of most friction."""
+    belief = pd.DataFrame({"f": np.linspace(0.02, 1.0, 50), "d": np.linspace(0.02, 1.0, 50)})
+    told = {"unit": "N m", "value": 0.3, "low95": 0.2, "high95": 0.4}
+    rows = [{"name": "f", "nominal": first, **told}, {"name": "d", "nominal": 0.5, **told}]
+    figure = marginals(belief.assign(P=0.02, P_boot=0.02), pd.DataFrame(rows))
+    lines = [{line.get_label() for line in axis.lines} for axis in figure.axes]
+    assert ["nominal" in drawn for drawn in lines] == [first == 0.0, True]
+    assert "nominal" in {text.get_text() for text in figure.legends[0].get_texts()}
+
+
 def test_missing_forces_of_several_sessions_stand_one_after_the_other() -> None:
     drawn = forces(pieces()).axes[0]
     dots = next(line for line in drawn.lines if line.get_label() == "nominal model")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter
@@ -44,6 +45,8 @@ _LINES: dict[str, dict[str, Any]] = {
 }
 """Of two curves that are the same both are seen."""
 
+_BESIDE = 0.1  # of the range that is drawn: so far beside it the nominal value is drawn as well
+
 
 def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
     """Return the marginals of P and P_boot, one panel a parameter.
@@ -67,12 +70,18 @@ def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
             axis.bar(middle, mass, width=height, color=colour, alpha=0.85, label=label)
         axis.axvspan(row.low95, row.high95, color=SECOND, alpha=0.15, label="95 % interval")
         axis.axvline(row.value, color=IDENTIFIED, label="identified")
-        if edges[0] <= row.nominal <= edges[-1]:
+        beside = _BESIDE * (edges[-1] - edges[0])  # samples of a range miss its ends
+        if edges[0] - beside <= row.nominal <= edges[-1] + beside:
             axis.axvline(row.nominal, color=NOMINAL, linestyle="--", label="nominal")
         axis.set_xlabel(_label(str(row.name), str(row.unit)))
         axis.set_ylabel("probability")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize="x-small", loc="outside upper center", ncols=2)
+    drawn: dict[str, Artist] = {}
+    for axis in axes:  # the nominal value may be drawn in some of them only
+        handles, labels = axis.get_legend_handles_labels()
+        drawn |= dict(zip(labels, handles, strict=True))
+    figure.legend(
+        drawn.values(), drawn.keys(), fontsize="x-small", loc="outside upper center", ncols=2
+    )
     return figure
 
 
