@@ -441,6 +441,8 @@ def test_a_model_that_diverges_is_not_compared_by_what_it_survived(tmp_path: Pat
     np.testing.assert_allclose(found["nominal_diverged"], 0.25, atol=0.01)
     assert (found["identified_diverged"] == 0).all()
     np.testing.assert_allclose(found["nominal"], found["identified"], rtol=1e-9)
+    told = dict(zip(found["channel"], found["unit"], strict=True))
+    assert told == {"qpos.rail": "m", "qvel.rail": "m/s"}
     speeds = found.loc[found["channel"] == "qvel.rail", "nominal"]  # of the start and of the end
     np.testing.assert_allclose(speeds, 0.02 * np.sqrt(2), rtol=0.2)
 

@@ -64,6 +64,15 @@ def test_the_nominal_value_is_drawn_at_the_end_of_its_range_and_named(first: flo
     assert "nominal" in {text.get_text() for text in figure.legends[0].get_texts()}
 
 
+def test_predictions_have_the_units_of_their_channels() -> None:
+    figure = predictions(
+        traces().rename(columns={"repaired": "identified"}), units={"qpos.boom": "rad"}
+    )
+    assert [a.get_ylabel() for a in figure.axes] == [
+        "qpos.boom\n[rad]", "recorded -\npredicted [rad]",
+    ]  # fmt: skip
+
+
 def test_missing_forces_of_several_sessions_stand_one_after_the_other() -> None:
     drawn = forces(pieces()).axes[0]
     dots = next(line for line in drawn.lines if line.get_label() == "nominal model")

@@ -15,6 +15,7 @@ from bo_sysid.deviation.forecast import (
     prediction_residual,
 )
 from bo_sysid.identify.problem import Problem
+from bo_sysid.mjcf.commands import units
 from bo_sysid.recording import Recording
 from bo_sysid.simulation.simulator import Prediction
 
@@ -34,7 +35,7 @@ def compared(
         recordings: by part (train, holdout).
 
     Returns:
-        Columns recordings, kind, channel; nominal and identified, root mean square in the channel's
+        Columns recordings, kind, channel, unit; nominal and identified, root mean square in that
         unit over the windows in which neither model diverges; nominal_diverged and
         identified_diverged, the shares of windows in which each does. Kinds: "prediction" from
         measured starts; or, where starts are fitted, "fit" inside the windows and "forecast" from
@@ -49,7 +50,11 @@ def compared(
             table.insert(0, "recordings", part)
             table.insert(1, "kind", kind)
             tables.append(table)
-    return pd.concat(tables, ignore_index=True)
+    errors = pd.concat(tables, ignore_index=True)
+    known = units(problem.model.compile())
+    known |= {n: c.unit for r in problem.recordings for n, c in r.channels.items() if c.unit}
+    errors.insert(3, "unit", [known.get(str(name), "") for name in errors["channel"]])
+    return errors
 
 
 def side_by_side(nominal: Residual, identified: Residual) -> pd.DataFrame:

@@ -32,7 +32,7 @@ class Identification:
         bootstrap: `N` P_boot(β): what these recordings say about the machine.
         evaluations: one row an evaluation: level, row, parameters, deviation, diverged, entropy.
         errors: root mean square prediction errors: recordings (train, holdout), kind
-            (prediction, fit, forecast), channel, nominal, identified, in the channel's unit, over
+            (prediction, fit, forecast), channel, unit, nominal, identified, in that unit, over
             windows in which neither diverges; nominal_diverged, identified_diverged, the shares of
             windows in which each does.
         traces: recorded, nominal and identified over time, for the first recording set aside.

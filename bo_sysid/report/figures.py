@@ -1,6 +1,7 @@
 """Figures of a run, as Matplotlib objects; they show what was stored and compute nothing."""
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,11 @@ def progress(evaluations: pd.DataFrame) -> Figure:
     return figure
 
 
-def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Figure:
+def predictions(
+    traces: pd.DataFrame,
+    title: str = "recordings set aside",
+    units: Mapping[str, str] | None = None,
+) -> Figure:
     """Return recorded, nominal and identified over time, and the residuals below.
 
     Of many channels those are drawn that the nominal model predicts worst.
@@ -110,6 +115,7 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
     Args:
         traces: time, begin, window, channel, recorded, nominal, identified.
         title: of the figure.
+        units: of the channels.
     """
     channels = list(dict.fromkeys(traces["channel"]))
     names = [n for n in channels if n in worst_channels(traces)[:_CHANNELS]]
@@ -124,8 +130,9 @@ def predictions(traces: pd.DataFrame, title: str = "recordings set aside") -> Fi
         for column, style in _LINES.items():
             axis.plot(time, part[column], label=column, **style)
             below.plot(time, part["recorded"] - part[column], **style)
-        axis.set_ylabel(in_lines(name))
-        below.set_ylabel("recorded -\npredicted", fontsize="small")
+        unit = (units or {}).get(name, "")
+        axis.set_ylabel(in_lines(name) + (f"\n[{unit}]" if unit else ""))
+        below.set_ylabel(_label("recorded -\npredicted", unit), fontsize="small")
         below.axhline(0, color=RECORDED, linewidth=0.5)
     hidden = len(channels) - len(names)
     axes[0].set_title(f"{title}\n{hidden} channels not shown" if hidden else title)

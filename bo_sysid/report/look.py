@@ -1,7 +1,7 @@
 """What every figure shares: colours, words, and which part of a table is shown."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -86,6 +86,11 @@ def channel_units(pieces: pd.DataFrame) -> dict[str, str]:
     first = pieces.drop_duplicates("joint")
     hinges = zip(first["joint"], first["unit"], strict=True)
     return {f"qpos.{joint}": "rad" if unit == "N m" else "m" for joint, unit in hinges}
+
+
+def error_units(errors: Sequence[Mapping[str, object]]) -> dict[str, str]:
+    """Return the unit of each channel, from an identification's errors; earlier ones have none."""
+    return {str(e["channel"]): str(e.get("unit", "")) for e in errors}
 
 
 def since_start(table: pd.DataFrame) -> pd.DataFrame:

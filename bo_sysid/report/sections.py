@@ -16,7 +16,7 @@ from bo_sysid.report.diagnosis_text import (
     verdict_text,
 )
 from bo_sysid.report.learning import learning_said
-from bo_sysid.report.look import channel_units, top_sets, worst_channels, worst_joints
+from bo_sysid.report.look import channel_units, error_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
 from bo_sysid.report.provenance import again, data
@@ -225,7 +225,9 @@ def predictions(found: Found) -> Section | None:
     if not (found.has("identification.json") and found.has("traces.parquet")):
         return None
     traces = read_frame(found.folder, "traces.parquet")
-    figures = {c: interactive.held_out(traces, c, "") for c in worst_channels(traces)[:_CHANNELS]}
+    units = error_units(read_json(found.folder, "identification.json")["errors"])
+    worst = worst_channels(traces)[:_CHANNELS]
+    figures = {c: interactive.held_out(traces, c, units.get(c, "")) for c in worst}
     words = "Recorded (grey), nominal and identified model on the recording that was set aside."
     return Section("predictions", "Predictions", plots=[Plot(words, figures, "channel")])
 

@@ -162,7 +162,7 @@ def identification_text(summary: Mapping[str, Any]) -> str:
     parts += ["", *unsure] if unsure else []
     parts += [
         "",
-        "Root mean square errors of prediction, in the channel's unit:",
+        "Root mean square errors of prediction:",
         table(compared_table(summary["errors"])),
     ]
     return "\n".join([*parts, *notes_text(summary["notes"])])

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from bo_sysid.mjcf import Model
 from bo_sysid.report import diagnosis_figures, figures
 from bo_sysid.report.animation import write_animation
-from bo_sysid.report.look import channel_units
+from bo_sysid.report.look import channel_units, error_units
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.render import rendered
 from bo_sysid.report.robot_figure import robot
@@ -26,13 +26,16 @@ def write_figures(run: Run) -> list[Path]:
     Raises:
         RunError: a file of the run is missing or damaged.
     """
-    parameters = pd.DataFrame(run.read_json("identification.json")["parameters"])
+    told = run.read_json("identification.json")
+    parameters = pd.DataFrame(told["parameters"])
     return _written(
         run,
         {
             "marginals": figures.marginals(run.read_frame("belief.parquet"), parameters),
             "progress": figures.progress(run.read_frame("evaluations.parquet")),
-            "predictions": figures.predictions(run.read_frame("traces.parquet")),
+            "predictions": figures.predictions(
+                run.read_frame("traces.parquet"), units=error_units(told["errors"])
+            ),
         },
     )
 
