@@ -685,6 +685,12 @@ def test_a_cable_at_one_joint_is_not_said_to_drive_several(tmp_path: Path) -> No
     assert told in started.rules.guesses["ctrl.winch"].reason
 
 
+def test_a_log_that_is_too_short_is_told_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text("time,shoulder,elbow\n0,0,0\n0.01,0.1,0.1\n")
+    with pytest.raises(RecordingError, match=r"two\.csv: 2 samples of qpos\.shoulder"):
+        init(TWO, [tmp_path / "two.csv"], tmp_path / "study.yaml")
+
+
 def test_a_sign_that_a_rough_balance_tells_is_not_laid_to_other_joints() -> None:
     """The only joint of a gripper had its sign told by "the motion of others"."""
     model = mujoco.MjModel.from_xml_string(

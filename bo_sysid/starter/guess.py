@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import mujoco
 
@@ -161,4 +162,6 @@ def _body(compiled: mujoco.MjModel, joint: str) -> str:
 
 def read(table: RawTable, rules: Rules) -> Recording:
     """Return the table as the rules read it."""
-    return to_recording(table, rules.columns, rules.clocks, name=table.name or "log")
+    return to_recording(
+        table, rules.columns, rules.clocks, name=table.name or Path(table.source).name or "log"
+    )
