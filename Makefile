@@ -30,12 +30,13 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# the tests run in two processes, one thread each, and what a module prepares is prepared once
+# the tests run in two processes, one thread each, and what a module prepares is prepared once; in
+# their own order, of which the last are short: else modules of few tests, the longest, come last
 test: export BO_SYSID_THREADS = 1
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: lint
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope --quiet
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadscope --no-loadscope-reorder --quiet
 
 bench: setup
 	for name in $(BENCHMARKS); do $(BIN)/python benchmarks/$$name.py || exit 1; done
