@@ -157,7 +157,7 @@ def test_the_encoder_of_a_link_shows_both_joints() -> None:
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("compliance")
-    for name, seed, duration in (("train", 1, 12.0), ("holdout", 2, 4.0)):
+    for name, seed, duration in (("train", 1, 6.0), ("holdout", 2, 4.0)):
         recording = record("joint_compliance", [COMPLIANCE, LOSS, 0.0, 0.0], seed, duration)
         recording.to_frame().to_parquet(folder / f"{name}.parquet")
     (folder / "joint.xml").write_text(JOINT)
