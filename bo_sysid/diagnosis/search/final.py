@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.ground import slide
+from bo_sysid.diagnosis.search.loads import place_loads
 from bo_sysid.diagnosis.search.moves import eliminate, rubbing
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
@@ -83,6 +84,7 @@ def compare(final: Search, first: Fit) -> None:
         if explains_little(leader, final.nominal):
             return
         substitute(final, leader)
+        place_loads(final, leader, leader)
         slide(final, leader)
         _shaped_alike(final, leader)
         refit_from_nearer(final, leader)

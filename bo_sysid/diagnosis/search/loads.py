@@ -20,13 +20,19 @@ _AFRESH, _NEARER = 4, 0.999  # times a place is fitted anew; each must leave les
 _USUAL = 0.99  # times what a load at its usual place leaves, above which it stays there
 
 
-def place_loads(search: Search, base: Fit) -> None:
+def place_loads(search: Search, base: Fit, nearest: Fit | None = None) -> None:
     """Fit a set with a load, wherever it lies, in the place of what is said of its body's mass.
 
-    Of a set that leaves nothing only where it says two things of one body, which may be one.
+    Where nothing is left only if it says two things of one body, which may be one.
+
+    Args:
+        search: tries it.
+        base: the set.
+        nearest: by what it leaves; the nearest of the search by default.
     """
+    done = clean(nearest or search.best)
     for rest, load in _loads(search, base):
-        if len(base.members) - len(rest) > 1 or not clean(search.best):
+        if len(base.members) - len(rest) > 1 or not done:
             _place(search, base, rest, load)
 
 
