@@ -7,6 +7,7 @@ from math import pi
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
@@ -19,6 +20,7 @@ from bo_sysid.checks.proposal import proposed_columns
 from bo_sysid.checks.search import SUSPICIOUS, moves, search
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
+from bo_sysid.checks.wiring_text import wire_flags
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.touching import touched
 from bo_sysid.recording import Channel, Recording
@@ -746,3 +748,19 @@ def test_a_range_in_radians_is_told_by_motion_many_times_as_wide(reach: float, t
     log = Recording.from_arrays(time, qpos={"a": 0.5 * reach * np.sin(3 * time)})
     (flag,) = range_flags(model.compile(), [log])
     assert ("written in radians" in flag.sentence) is told
+
+
+@pytest.mark.parametrize(
+    ("name", "after", "level"),
+    [("ctrl.m", 0.14, "look"), ("ctrl.m", 0.05, "wrong"), ("qvel.b", 0.14, "wrong")],
+)
+def test_a_fault_that_leaves_every_joint_badly_explained_is_no_more_than_likely(
+    name: str, after: float, level: str
+) -> None:
+    """A spring that the model lacked was told as a reversed cable, to be corrected first of all."""
+    balance = pd.DataFrame(
+        {"joint": ["a", "b"], "before": [0.0, 0.75], "after": [0.0, after], "used": [True, True]}
+    )
+    (flag,) = wire_flags({name: Wire(name, sign=-1)}, balance, {})
+    assert (flag.level, flag.kind) == (level, "sign")
+    assert flag.sentence.startswith("Perhaps: ") == (level == "look")

@@ -12,6 +12,10 @@ from bo_sysid.checks.sensitivity import listed
 from bo_sysid.checks.speeds import ALIKE
 from bo_sysid.recording import kind_of
 
+_DOUBT = (
+    "No joint is explained well with it either, and a force that the model lacks may look like it: "
+    "look at the machine."
+)
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 
 
@@ -20,12 +24,15 @@ def wire_flags(
 ) -> list[Flag]:
     """Return a flag for each fault, with J of the joints that it concerns, before and after.
 
+    Faults that leave every joint badly explained are no more than likely: a force that the model
+    lacks may be what seems to be a sign.
+
     Args:
         wires: what the channels really are.
         balance: one row a joint.
         gives: by control with a constant of its own, what one unit of it gives.
     """
-    support = _support(balance)
+    support, explained = _support(balance), _explained(balance)
     kinds: dict[tuple[str, str], list[str]] = {}
     for name, wire in wires.items():
         for kind, what in _faults(name, wire):
@@ -34,7 +41,11 @@ def wire_flags(
     for (kind, what), names in kinds.items():
         told = "; ".join(gives[n] if kind == "scale" else _told(n, wires[n], kind) for n in names)
         told += _CONSTANT if kind == "scale" else ""
-        flags.append(Flag("wrong", kind, tuple(names), f"{what}: {told}. {support}"))
+        sentence = f"{what}: {told}. {support}"
+        if explained or all(kind_of(n) == "qvel" for n in names):  # a rate needs no forces
+            flags.append(Flag("wrong", kind, tuple(names), sentence))
+        else:
+            flags.append(Flag("look", kind, tuple(names), f"Perhaps: {sentence} {_DOUBT}"))
     return flags
 
 
@@ -50,6 +61,12 @@ def twin_flags(twins: Sequence[WiringHypothesis]) -> list[Flag]:
         )
         for h in twins
     ]
+
+
+def _explained(balance: pd.DataFrame) -> bool:
+    """Whether the forces at a joint that the faults concern are explained once it is corrected."""
+    better = balance[balance["used"].astype(bool) & (balance["after"] < balance["before"])]
+    return len(better) == 0 or float(better["after"].min()) <= SUSPICIOUS
 
 
 def _support(balance: pd.DataFrame) -> str:

@@ -44,7 +44,8 @@ def checked_text(found: Checked, *, whole: bool = False) -> str:
             parts += ["", _TITLES[level], *_listed(flags, None if whole else _MOST)]
     if found.proposal:
         indented = "\n".join(f"  {line}" for line in found.proposal.splitlines())
-        where = "Put this into the study:"
+        sure = any(f.level == "wrong" for f in found.flags)
+        where = "Put this into the study:" if sure else "If so, put this into the study:"
         if found.dataset is not None:
             where = (
                 f"The data set {found.dataset} brings its own rules; in a study of your own files, "
