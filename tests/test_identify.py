@@ -97,6 +97,23 @@ def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None
         assert len(against) == told
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [((0.1, 1.8), (0.3, 2.0), "y: the interval ends"), ((0.0, 0.2), (0.3, 0.4), "")],
+)
+def test_an_interval_that_the_search_cuts_off_is_said(
+    grid: CandidateSet, low: tuple[float, ...], high: tuple[float, ...], said: str
+) -> None:
+    """A rotor of .00098 +- .00006 was told of a search up to .001; less than nothing is none."""
+    sure = (np.arange(len(grid)) == 0).astype(float)
+    table = pd.DataFrame({"name": ["x", "y"], "low95": low, "high95": high})
+    found = Identification(
+        "cut", grid.points[0], table, grid, sure, sure, pd.DataFrame({"deviation": [1.0]}),
+        pd.DataFrame(), pd.DataFrame(), "", (),
+    )  # fmt: skip
+    assert [s[: len(said)] for s in found.unsure] == ([said] if said else [])
+
+
 @pytest.mark.parametrize(("left", "said"), [(0.17, "340 standard deviations"), (6e-4, "")])
 def test_recordings_that_nothing_explains_are_said(
     grid: CandidateSet, left: float, said: str

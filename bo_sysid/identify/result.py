@@ -114,7 +114,27 @@ class Identification:
                 f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
                 "combination of the two better than either."
             )
-        return (*self._unexplained, *said)
+        return (*self._unexplained, *said, *self._cut)
+
+    @property
+    def _cut(self) -> tuple[str, ...]:
+        """Which short intervals end where the search does, of values that are on no bound.
+
+        But for an end at zero: less than no friction is none.
+        """
+        bounds, count = self.candidates.bounds, len(self.parameters)
+        free = ~np.asarray(self.parameters.get("at_bound", np.zeros(count)), bool)
+        free[list(self.candidates.categories)] = False
+        low, high = (self.parameters[c].to_numpy(float) for c in ("low95", "high95"))
+        short = high - low <= _LITTLE * np.ptp(bounds, axis=0)
+        ends = ((low <= bounds[0]) & (bounds[0] != 0)) | ((high >= bounds[1]) & (bounds[1] != 0))
+        names = self.parameters["name"][free & short & ends].astype(str)
+        if not len(names):
+            return ()
+        verb = "interval ends" if len(names) == 1 else "intervals end"
+        return (
+            f"{', '.join(names)}: the {verb} where the search does, and the truth may lie beyond.",
+        )
 
     @property
     def _unexplained(self) -> tuple[str, ...]:
