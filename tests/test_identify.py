@@ -333,6 +333,12 @@ def cart_study(folder: Path, samples: int = 400, **changes: object) -> Study:
     return Study.from_dict({**data, **changes}, folder, trust_code=True)
 
 
+def test_the_noise_that_a_study_states_is_what_counts(tmp_path: Path) -> None:
+    stated = {"train": ["cart.parquet"], "noise": {"qpos": 0.25}}
+    study = cart_study(tmp_path, recordings=stated, search={"budget": 3})
+    assert identify(study).noise == {"qpos.rail": 0.25}
+
+
 @pytest.mark.parametrize("ordered", [True, False])
 def test_a_category_has_nothing_beside_or_beyond_it(tmp_path: Path, ordered: bool) -> None:
     mass = {"name": "mass", "address": "geom[cart].mass", "low": 1.0, "high": 2.0, "steps": 5}

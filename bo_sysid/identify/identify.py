@@ -1,6 +1,6 @@
 """Identification: the inner loop, from a study to the parameters that fit and their belief."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -20,7 +20,7 @@ from bo_sysid.identify.result import Identification
 from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, believe, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
-from bo_sysid.recording import Recording, noise_sigma
+from bo_sysid.recording import Recording, kind_of, sensor_noise, stated_for
 from bo_sysid.runs import Run
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
@@ -80,7 +80,7 @@ def identify(
             *_notes(problem),
             *problem.unscaled(holdout),
         ),
-        noise=_noise(problem.recordings),
+        noise=_noise(problem.recordings, study.recordings.noise),
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)
@@ -88,13 +88,14 @@ def identify(
     return result
 
 
-def _noise(recordings: Sequence[Recording]) -> dict[str, float]:
-    """Return the standard deviation of the noise of each position that was recorded."""
+def _noise(recordings: Sequence[Recording], stated: Mapping[str, float]) -> dict[str, float]:
+    """Return the deviation of the noise of each recorded position: as stated, or as it looks."""
     found: dict[str, list[float]] = {}
     for recording in recordings:
-        for name, c in recording.of_kind("qpos").items():
-            found.setdefault(f"qpos.{name}", []).append(noise_sigma(c.time, c.values))
-    return {name: float(np.median(each)) for name, each in found.items()}
+        for name, sigma in sensor_noise(recording).items():
+            if kind_of(name) == "qpos":
+                found.setdefault(name, []).append(sigma)
+    return {n: stated_for(n, stated, float(np.median(each))) for n, each in found.items()}
 
 
 def _require_long_enough(problem: Problem) -> None:

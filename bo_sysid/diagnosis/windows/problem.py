@@ -301,9 +301,12 @@ class Problem:
 
         That of `residual` is of the sign nearer to the prediction, so that it moves with this.
         """
+        r = self.residual(hypothesis, start, finer)
+        if not self.windows.quaternions:
+            return r
         s = self.simulate(hypothesis, start, finer)
         signs = s.windows.signs(observe(self.layout, s.windows, s.trajectory, s.parts))
-        return np.asarray(self.residual(hypothesis, start, finer) * signs.reshape(len(signs), -1))
+        return np.asarray(r * signs.reshape(len(signs), -1))
 
     def seen(self, parts: Sequence[Part]) -> Bool[np.ndarray, "W H c"]:
         """Return which observations count: none of what a delayed reading has from before its log.
