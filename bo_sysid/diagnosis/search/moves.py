@@ -147,7 +147,7 @@ def eliminate(search: Search) -> None:
             before, nearer = len(search.fits), False
             small = weak(f, search.nominal, search.fits.values())
             if small:
-                simplify(search, f, FINAL)
+                simplify(search, f, replace(FINAL, rival=f.rms))
                 fit_some(search, f, _without_weak(search, f, small))
             else:
                 out = range(len(f.members)) if touching else _by_cost(search, f)
