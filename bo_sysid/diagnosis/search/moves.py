@@ -62,7 +62,7 @@ def _followed(search: Search, rounds: int) -> Fit:
             break
         round_at(search, leader)
         before, leader = leader, search.best
-        if leader.key == before.key or _stuck(search, before):
+        if leader.key == before.key or _stuck(search, before) or _as_before(search, before):
             break
     return leader
 
@@ -87,6 +87,22 @@ def _stuck(search: Search, before: Fit) -> bool:
     """Whether a round has found no more than another set that explains as little."""
     best = search.best
     return explains_little(best, search.nominal) and best.rms > _NEARER * before.rms
+
+
+def _as_before(search: Search, before: Fit) -> bool:
+    """Whether a round near the recordings changed no more than members that are too small.
+
+    What they do together is less than what one effect must do to be told.
+    """
+    best = search.best
+    if before.rms > LOOSE or before.rms**2 - best.rms**2 > MARGIN**2:
+        return False
+    return _needed(search, best) == _needed(search, before)
+
+
+def _needed(search: Search, fit: Fit) -> set[object]:
+    small = weak(fit, search.nominal, search.fits.values())
+    return {c.key for k, c in enumerate(fit.members) if k not in small}
 
 
 def carried(search: Search, prepared: Prepared) -> Search:
