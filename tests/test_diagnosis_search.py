@@ -9,7 +9,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, record
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import refit_from_nearer
 from bo_sysid.diagnosis.search.locate import locate
-from bo_sysid.diagnosis.search.moves import extend_first, without_weakest
+from bo_sysid.diagnosis.search.moves import explore, extend_first, without_weakest
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
@@ -115,6 +115,28 @@ def test_a_set_is_fitted_without_all_its_trifles_at_once() -> None:
     alone = search.fits[set_key([damping])]
     assert alone.x[0] == pytest.approx(DAMPED[0][3], rel=0.02)
     assert alone.rms == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("force", "rounds"), [(0.0, 1), (0.03, 2)])
+def test_a_search_goes_on_from_what_is_needed_and_not_from_a_trifle(
+    monkeypatch: pytest.MonkeyPatch, force: float, rounds: int
+) -> None:
+    pushed = [*DAMPED, ("constant_force", "joint", "shoulder", [force])]
+    missing = evidence("viscous_damping", missing=pushed)
+    search = Search.on(prepare(windows_of(missing, 100, 0.002)), [], 6, None)
+    names = ("viscous_damping", "elbow"), ("constant_force", "shoulder")
+    members = [candidate(missing.machine, effect, site) for effect, site in names]
+    found = [search.fit(members[: k + 1], [np.zeros(1)] * (k + 1)) for k in range(2)]
+    assert (found[1].unique[1] > MARGIN) == (force > 0)
+    leaders, begun = [*found, found[1]], []  # before any round, after the first, after the second
+    monkeypatch.setattr(Search, "best", property(lambda _: leaders[len(begun)]))
+    monkeypatch.setattr(
+        "bo_sysid.diagnosis.search.moves.round_at", lambda _, base: begun.append(base)
+    )
+    monkeypatch.setattr("bo_sysid.diagnosis.search.moves.clean", lambda _: True)
+    monkeypatch.setattr("bo_sysid.diagnosis.search.moves.LOOSE", np.inf)
+    assert explore(search) is found[1]
+    assert begun == found[:rounds]
 
 
 @pytest.mark.parametrize(("share", "times"), [(1.05, 0), (2.0, 1)])
