@@ -15,6 +15,7 @@ from bo_sysid.recording import Recording
 from bo_sysid.simulation import MujocoSimulator, Windows
 
 _WORTH = 1.0  # standard deviations that a step may cost
+_TWICE = 1.5  # from which a ratio is told as a number
 _FAR = 100.0  # standard deviations
 _INSTANTS = 400
 _ALWAYS = 0.95  # of the recordings
@@ -54,14 +55,15 @@ def step_flags(table: pd.DataFrame, noise: dict[str, float], timestep: float) ->
     worst, ratio = _worst(table, "change", noise)
     if ratio < _WORTH:
         return []
+    times = "about" if ratio < _TWICE else f"{ratio:.2g} times"
     return [
         Flag(
             "look",
             "step",
             (worst,),
             f"Half the model's step of {1e3 * timestep:g} ms changes the prediction of {worst} by "
-            f"{ratio:.2g} times what can be told apart: too coarse for small effects. A smaller "
-            "timestep in the model's <option> is what helps; diagnose takes one by itself.",
+            f"{times} what can be told apart: too coarse for small effects. A smaller timestep in "
+            "the model's <option> is what helps; diagnose takes one by itself.",
             {"ratio": ratio},
         )
     ]
