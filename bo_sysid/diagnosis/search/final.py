@@ -15,7 +15,15 @@ from bo_sysid.diagnosis.search.variants import vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort
-from bo_sysid.diagnosis.sets.rules import LOOSE, admissible, clean, explains_little, ranked
+from bo_sysid.diagnosis.sets.rules import (
+    LOOSE,
+    MARGIN,
+    admissible,
+    clean,
+    explains_little,
+    ranked,
+    weak,
+)
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
@@ -34,7 +42,7 @@ _NEAR, _RIVALS = 1.05, 2
 
 def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) -> Search:
     """Fit the leading sets again, on all windows, with the correction taken at the leader."""
-    order = ranked(search.fits.values(), search.prior)
+    order = _without_trifles(search)
     chosen = finalists(order, search.nominal)
     problem = windows_of(evidence, horizon, step, everything=True)
     leader, prepared = order[0], prepare(problem, order[0].hypothesis)
@@ -217,6 +225,23 @@ def _straightened(final: Search) -> None:
     for f in list(final.fits.values()):
         if _effects(f) == _effects(leader) and any(c.bent and c.key in untold for c in f.members):
             del final.fits[f.key]
+
+
+def _without_trifles(search: Search) -> list[Fit]:
+    """Return the fits, best first, but those of sets that add only trifles to an admissible one.
+
+    On all windows trifles cost a fit each, and a share of the leader's residual by which is told
+    whether the time step is fine enough.
+    """
+    fits, nominal = ranked(search.fits.values(), search.prior), search.nominal
+    able = {_effects(f): f for f in reversed(fits) if f.members and admissible(f, nominal)}
+
+    def trifling(f: Fit) -> bool:
+        small = weak(f, nominal, fits)
+        rest = able.get(frozenset(c.key for k, c in enumerate(f.members) if k not in small))
+        return bool(small) and rest is not None and rest.excess - f.excess < MARGIN**2
+
+    return [f for f in fits if not trifling(f)]
 
 
 def _lacks(fit: Fit, leader: Fit) -> bool:
