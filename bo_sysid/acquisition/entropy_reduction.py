@@ -41,13 +41,24 @@ class _Sampled:
     draws: Float[np.ndarray, "b s"]
     place: Int[np.ndarray, " N"]
 
-    def given(self, row: int, outcome: float) -> Float[np.ndarray, " N"]:
-        """Return P of this member if the candidate `row` had the value `outcome`."""
+    def gain(self, row: int) -> Float[np.ndarray, " s"]:
+        """Return by how much the samples move with the value of the candidate `row`.
+
+        That is not at all where this member has excluded it: nothing that it cares for changes.
+        """
         at = self.place[row]
-        if at < 0:  # this member has excluded the candidate: nothing that it cares for changes
-            return self.before
+        if at < 0:
+            return np.zeros(len(self.field.rows))
         covariance = self.field.factor[:, at] @ self.field.factor
-        gain = covariance / covariance[at]
+        return np.asarray(covariance / covariance[at])
+
+    def given(
+        self, row: int, outcome: float, gain: Float[np.ndarray, " s"]
+    ) -> Float[np.ndarray, " N"]:
+        """Return P of this member if the candidate `row`, of this gain, had the value `outcome`."""
+        at = self.place[row]
+        if at < 0:
+            return self.before
         moved = self.draws + (outcome - self.draws[:, [at]]) * gain
         moved[:, at] = outcome
         counts = self.field.tally(moved, len(self.place))
@@ -108,6 +119,7 @@ def _expected_entropy(
     centre = weights @ mean
     spread = np.sqrt(weights @ (std**2 + (mean - centre) ** 2))
     nodes, shares = np.polynomial.hermite_e.hermegauss(NODES)
+    gains = [m.gain(row) for m in members]  # of all outcomes: they cost more than an outcome does
     expected = 0.0
     for node, share in zip(nodes, shares / shares.sum(), strict=True):
         outcome = float(centre + spread * node)
@@ -115,7 +127,9 @@ def _expected_entropy(
         posterior = weights * np.exp(likelihood - likelihood.max())
         posterior = posterior / posterior.sum()
         P = sum(
-            w * m.given(row, outcome) for w, m in zip(posterior, members, strict=True) if w > 1e-6
+            w * m.given(row, outcome, gain)
+            for w, m, gain in zip(posterior, members, gains, strict=True)
+            if w > 1e-6
         )
         expected += share * float(entr(P).sum())
     return expected
