@@ -3,14 +3,20 @@
 import mujoco
 import numpy as np
 import pytest
+from dm_control.suite import base
 
 from bo_sysid.errors import ModelError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.excitation import multisine, smooth_random
 from bo_sysid.plants.plant import Plant, PlantError
+from bo_sysid.plants.python_task import class_task
 from bo_sysid.plants.tasks import Start, find_task
 
-PENDULUM = """
+GENERAL = """
+    <general name="lagged" joint="hinge" dyntype="filter" dynprm="0.05" gainprm="2"
+             ctrlrange="-1 1"/>
+"""
+PENDULUM = f"""
 <mujoco>
   <option timestep="0.01"/>
   <worldbody>
@@ -19,10 +25,7 @@ PENDULUM = """
       <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
     </body>
   </worldbody>
-  <actuator>
-    <general name="lagged" joint="hinge" dyntype="filter" dynprm="0.05" gainprm="2"
-             ctrlrange="-1 1"/>
-  </actuator>
+  <actuator>{GENERAL}</actuator>
 </mujoco>
 """
 
@@ -178,6 +181,29 @@ def test_a_plant_that_diverges_says_when_and_keeps_what_was_recorded(pendulum):
         plant.record(np.ones((1000, 1)))
     kept = caught.value.recording
     assert 2 <= len(kept.channels["qpos.hinge"].values) < 1000
+    assert "diverged" in plant.trajectories[0].fault
+
+
+class Hold(base.Task):
+    control_timestep, time_limit = 0.02, 1.0
+
+    def get_observation(self, physics):
+        return {"q": physics.data.qpos.copy()}
+
+    def get_reward(self, physics):
+        return 1.0
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("in_python", [False, True])
+def test_a_plant_that_diverges_in_its_first_step_has_recorded_nothing(in_python):
+    """MuJoCo restarts it at time zero, from which time goes on as if nothing had happened."""
+    motor = '<motor name="lagged" joint="hinge" gear="1e12" ctrlrange="-1 1"/>'
+    model = Model.from_xml(PENDULUM.replace(GENERAL, motor), name="pendulum")
+    plant = Plant(model, task=class_task(Hold, model.compile()) if in_python else None)
+    with pytest.raises(PlantError, match="simulation diverged at 0 s") as caught:
+        plant.record(np.ones((20, 1)))
+    assert caught.value.recording is None
     assert "diverged" in plant.trajectories[0].fault
 
 

@@ -193,7 +193,7 @@ class Plant:
             reward += given
             done += 1
         columns = {f: np.concatenate([r[f] for r in rows]) for f in rows[0]}
-        return self._tell(columns, stride, done, reward, warmstart=warmstart)
+        return self._tell(columns, stride, done, reward, diverged=diverged, warmstart=warmstart)
 
     def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> np.ndarray:
         """Return the sums of rewards of whole episodes, `episodes`; these are no trajectories.
@@ -243,6 +243,7 @@ class Plant:
         steps: int,
         reward: float,
         *,
+        diverged: bool,
         warmstart: bool,
     ) -> Recording:
         """Count the trajectory and return its recording; raise if the simulation diverged."""
@@ -251,6 +252,8 @@ class Plant:
         # MuJoCo restarts a simulation that diverges: its time stops or falls back to zero
         forward = np.diff(rows["time"], prepend=-1.0) > 0
         good = forward.size if forward.all() else int(np.argmin(forward))
+        if diverged and good == forward.size:
+            good = 1  # in the first step: a restart from zero does not show
         fault = ""
         if good < forward.size:
             fault = f"{name}: the plant's simulation diverged at {rows['time'][good - 1]:g} s"
