@@ -19,7 +19,7 @@ import yaml
 from learning import learned, pendulum
 
 from bo_sysid.cli import main
-from bo_sysid.errors import RunError, StudyError, UserError
+from bo_sysid.errors import RecordingError, RunError, StudyError, UserError
 from bo_sysid.learn.identified import evaluated_again, identified
 from bo_sysid.learn.learn import learn
 from bo_sysid.learn.play import play, render
@@ -172,6 +172,13 @@ def test_the_seeds_rule_needs_no_draft_where_it_may_end(tmp_path: Path) -> None:
     assert log["steps"].max() == 800
 
 
+def test_a_loop_that_only_time_ends_says_so_and_its_policy_names_the_task(tmp_path: Path) -> None:
+    study = pendulum(learn={"trajectories": 1, "episodes": 2, "stop": "timeout"})
+    told = learned(tmp_path, {**study, "task": {**study["task"], "repeat": 2}})
+    assert told.reason == "All 1 trajectories of learn.trajectories are spent."
+    assert told.policy.about["task"] == "PendulumSwingup"
+
+
 def test_a_trajectory_that_would_be_repeated_ends_the_loop(tmp_path: Path) -> None:
     # no value is within r; without noise P settles soon
     rule = {"trajectories": 9, "episodes": 2, "epsilon": 0.2, "r": 1e-9}
@@ -182,17 +189,22 @@ def test_a_trajectory_that_would_be_repeated_ends_the_loop(tmp_path: Path) -> No
     assert "another one would tell no more" in told.reason
 
 
+RUNAWAY = {"effect": "asymmetric_damping", "kind": "joint", "site": "hinge", "value": 150.0}
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_a_plant_that_breaks_off_keeps_what_was_recorded(tmp_path: Path) -> None:
     study = pendulum(learn={"trajectories": 1, "episodes": 2})
-    runaway = {"effect": "asymmetric_damping", "kind": "joint", "site": "hinge", "value": 150.0}
-    study["plant"] = {"effects": [runaway]}
+    study["plant"] = {"effects": [RUNAWAY]}
     told = learned(tmp_path, study)
     (fault,) = told.trajectories["fault"]
     assert "diverged at" in fault
     assert any("what was recorded until then is used" in n for n in told.notes)
     kept = read_recording(tmp_path / "run" / "trajectories" / "01.parquet")
     assert 2 <= len(kept.channels["qpos.hinge"].values) < 1001
+    study["deviation"] = {"horizon": 1000}
+    with pytest.raises(RecordingError, match=r"too few for a window of 1000.*diverged at"):
+        learned(tmp_path, study, "longer")
 
 
 # --- a person's machine ---
@@ -213,6 +225,7 @@ def test_a_persons_machine_is_waited_for(tmp_path: Path) -> None:
     study = machine_study(tmp_path)
     told = learned(tmp_path, study)
     assert "waiting for recording 1" in told.waiting
+    assert any("no hold-out is named; the last quarter" in n for n in told.notes)
     assert "recordings/trajectory-01.parquet" in told.waiting
     assert told.trajectories.empty
     module = torch.jit.load(str(tmp_path / "run" / "policies" / "policy-01.pt"))
@@ -444,7 +457,11 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
         ),
         (
             {"task": {"dm_control": {"domain": "hopper", "task": "stand"}}},
-            "task .* does not fit the model",
+            "^study: task: task HopperStand does not fit the model",
+        ),
+        (
+            {"plant": {"effects": [RUNAWAY]}, "model": "wild.xml"},
+            "plant.effects: the model does not bear .*diverged at 0 s",
         ),
     ],
 )
@@ -453,6 +470,7 @@ def test_wrong_studies_are_told(tmp_path: Path, changed: dict[str, object], mess
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="1"/></body></worldbody></mujoco>'
     )
     study = {k: v for k, v in pendulum(**changed).items() if v is not None}
+    (tmp_path / "wild.xml").write_text(FREE.replace("<motor", '<motor gear="1e12" ctrlrange="0 1"'))
     (tmp_path / "servo.py").write_text("def law(now):\n    return now.signals['goal.torque']\n")
     if "arm.xml" in changed.values():
         study.pop("plant")

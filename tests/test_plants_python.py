@@ -350,7 +350,7 @@ def broken():
         ("get_reward", broken, r"get_reward fails: KeyError: 'slidee' \(\w+\.py, line \d+\)"),
         ("get_reward", lambda: "high", "gave a reward of 'high'; it must be one number"),
         ("get_reward", lambda: np.ones(2), "gave a reward of array.*; it must be one number"),
-        ("get_reward", lambda: np.nan, "gave a reward of nan; it must be finite"),
+        ("get_reward", lambda: np.nan, r"gave a reward of nan after 0\.\d+ s; it must be finite"),
         ("get_termination", lambda: sys.exit(3), r"get_termination fails: SystemExit: 3 \("),
         ("get_observation", broken, "get_observation fails: KeyError: 'slidee'"),
         ("get_observation", lambda: None, "get_observation returned None"),

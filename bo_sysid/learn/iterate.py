@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
+from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
@@ -105,7 +106,11 @@ def _believed(
         def settled(probabilities: np.ndarray) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
 
-    found = identified(scene, source.recordings(scene.study), known, settled, source.noise)
+    try:
+        found = identified(scene, source.recordings(scene.study), known, settled, source.noise)
+    except RecordingError as error:
+        faults = [fault for fault in source.trajectories["fault"] if fault]
+        raise RecordingError("; ".join([str(error), *faults])) from None
     found.write(run, folder, scene.candidates)
     return found
 
@@ -218,19 +223,21 @@ def _judged(
 ) -> Verdict:
     """Return whether the loop ends: by its rule, or because more trajectories are of no use."""
     learn = scene.study.learn
-    verdict = Verdict(False, "The loop goes on until its trajectories are spent.")
-    if STOP_RULES[learn.stop].near:
-        valued = partial(value_candidates, scene, policy)
-        verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
-        if not verdict.stop and _repeats(found, row, policy, before):
-            text = (
-                "The trajectory of this very policy left the belief where it was: another one "
-                "would tell no more."
-            )
-            return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
+    all_spent = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
+    if not STOP_RULES[learn.stop].near:
+        if _spent(scene, source):
+            return Verdict(True, all_spent)
+        return Verdict(False, "The loop goes on until its trajectories are spent.")
+    valued = partial(value_candidates, scene, policy)
+    verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
+    if not verdict.stop and _repeats(found, row, policy, before):
+        text = (
+            "The trajectory of this very policy left the belief where it was: another one "
+            "would tell no more."
+        )
+        return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
     if _spent(scene, source) and not verdict.stop:
-        text = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
-        return Verdict(True, f"{text} {verdict.sentence}", verdict.figures)
+        return Verdict(True, f"{all_spent} {verdict.sentence}", verdict.figures)
     return verdict
 
 

@@ -155,7 +155,7 @@ def _told(
         tuple(r.duration for r in source.given),
         "" if waiting else last.verdict.sentence,
         waiting,
-        _notes(scene, done, source.trajectories),
+        _notes(scene, done, source),
     )
     last.policy.save(run.path("policy.npz"))
     write_commands(last.scene, last.policy, run.path("policy.pt"))
@@ -206,18 +206,20 @@ def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
     return pd.concat([part for part in parts if len(part)], ignore_index=True)
 
 
-def _notes(scene: Scene, done: list[Iteration], trajectories: pd.DataFrame) -> tuple[str, ...]:
+def _notes(scene: Scene, done: list[Iteration], source: Source) -> tuple[str, ...]:
     notes = [s for i in done if i.figures["diagnosis"] for s in i.figures["diagnosis"]]
     notes += doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
     elif foreign := foreign_task(scene.study, scene.model):
         notes.append(foreign)
-    if scene.study.plant and _recorded(scene.study):
+    if not scene.study.plant:
+        notes += [n for r in source.recordings(scene.study) for n in r.notes]
+    elif _recorded(scene.study):
         notes.append("recordings.train: not read, since the study has a plant, which makes its own")
     if scene.study.search.refine:
         notes.append("search.refine zooms in identify; learn keeps to the stated B")
-    faults = trajectories.loc[trajectories["fault"] != "", "fault"]
+    faults = [fault for fault in source.trajectories["fault"] if fault]
     notes += [f"{fault}; what was recorded until then is used" for fault in faults]
     return tuple(dict.fromkeys(notes))
 

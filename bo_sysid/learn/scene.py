@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.arrays import Point
+from bo_sysid.errors import UserError
 from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
@@ -101,7 +102,7 @@ class Scene:
         _require_known_commands(scene)
         if not isinstance(task, PythonTask):
             require_ranges(study, first)
-        scene.environment(first, 1)  # the task must fit
+        _require_fit(scene, first)
         if study.plant is None and isinstance(task, PythonTask):
             _require_commands(study, task, first)
         return scene
@@ -205,6 +206,18 @@ class Scene:
             hidden=policy.hidden,
             region=TrustRegion(kl=policy.kl),
         )
+
+
+def _require_fit(scene: Scene, model: mujoco.MjModel) -> None:
+    """Refuse a task that does not fit the model.
+
+    Raises:
+        StudyError: it does not.
+    """
+    try:
+        scene.environment(model, 1)
+    except UserError as error:
+        raise scene.study.error(("task",), str(error)) from None
 
 
 def _require_a_step(study: Study, task: Task) -> None:

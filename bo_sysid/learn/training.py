@@ -9,7 +9,6 @@ from bo_sysid.errors import RunError
 from bo_sysid.execution import threads
 from bo_sysid.learn.scene import Scene
 from bo_sysid.plants.environment import Environment
-from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.policy.store import LearnedPolicy, read_arrays
 from bo_sysid.policy.train import CHECKPOINT, LOG, Watch, train
 from bo_sysid.runs import Run, atomic
@@ -52,7 +51,6 @@ def train_on(
     """
     folder = run.path(f"iterations/{number:02d}/training")
     before = _taken_over(run, start, folder) * scene.settings.batch
-    task = scene.task.name if isinstance(scene.task, PythonTask) else type(scene.task).__name__
     trained = train(
         environment,
         scene.settings,
@@ -60,7 +58,7 @@ def train_on(
         seed=scene.seed,
         threads=threads(),
         folder=folder,
-        about={"task": task, "model": scene.model.source},
+        about={"task": scene.task.name, "model": scene.model.source},
         watch=watch,
     )
     own = int(trained.log["steps"].iloc[-1]) - before

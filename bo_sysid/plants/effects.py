@@ -16,7 +16,7 @@ from bo_sysid.effects import Effect, Force, Machine, Part, Site, extent_at, surv
 from bo_sysid.errors import UserError, nearest
 from bo_sysid.mjcf import Edit, Model
 from bo_sysid.plants.excitation import smooth_random
-from bo_sysid.plants.plant import Plant
+from bo_sysid.plants.plant import Plant, PlantError
 from bo_sysid.simulation.lockstep import ForceLaw, force_laws
 from bo_sysid.simulation.of_study import recorded_input
 from bo_sysid.study import Study
@@ -49,7 +49,15 @@ def realised(study: Study, model: Model) -> Realised:
     asked = study.plant.effects if study.plant else ()
     if not asked:
         return Realised()
-    machine, effects = survey(model.compile(), [_motion(model)]), study_effects(study)
+    try:
+        motion = _motion(model)
+    except PlantError as error:
+        raise study.error(
+            ("plant", "effects"),
+            f"the model does not bear the {_SURVEY:g} s of random controls that tell how large its "
+            f"forces are ({error}); give it a smaller timestep, ctrlrange or gear",
+        ) from None
+    machine, effects = survey(model.compile(), [motion]), study_effects(study)
     made = [_one(study, model, machine, effects, i) for i in range(len(asked))]
     return Realised(
         tuple(edit for one in made for edit in one.edits),

@@ -178,7 +178,10 @@ class PythonMachine:
                 f"task {self._name} gave a reward of {reward!r}; it must be one number"
             ) from None
         if not np.isfinite(number):
-            raise UserError(f"task {self._name} gave a reward of {number}; it must be finite")
+            raise UserError(
+                f"task {self._name} gave a reward of {number} after "
+                f"{self.physics.data.time:.4g} s; it must be finite"
+            )
         return number
 
 
