@@ -410,6 +410,21 @@ def test_wrong_limits_are_refused(tmp_path: Path) -> None:
         Limits.of(Model.from_xml(ROD), {"hing": LIMIT["hinge"]})
 
 
+def test_noise_is_of_channels_that_there_are_and_what_is_assumed_is_said(tmp_path: Path) -> None:
+    (tmp_path / "rod.xml").write_text(ROD)
+    mass = {"address": "geom[rod].mass", "low": 0.4, "high": 0.6}
+    data = {"model": "rod.xml", "parameters": [mass]}
+
+    def plan(noise: dict[str, float]) -> tuple[str, ...]:
+        study = {**data, "recordings": {"train": ["later.csv"], "noise": noise}}
+        return excite(Study.from_dict(study, tmp_path), seconds=1.0, budget=LEAST).notes
+
+    with pytest.raises(StudyError, match=r"noise.qpos.hing: .* did you mean 'qpos.hinge'"):
+        plan({"qpos.hing": 0.1})
+    assert any("Noise of positions taken as 1 mrad" in note for note in plan({"qvel": 0.1}))
+    assert not any("Noise of" in note for note in plan({"qpos.hinge": 0.1}))
+
+
 def test_a_model_without_actuators_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rod.xml").write_text(ROD.replace(MOTOR, ""))
     mass = {"address": "geom[rod].mass", "low": 0.4, "high": 0.6}

@@ -19,7 +19,7 @@ from bo_sysid.recording import Recording, stated_for
 from bo_sysid.simulation import ForceLaw
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_parts
-from bo_sysid.study.requirements import require_limits
+from bo_sysid.study.requirements import require_limits, require_scales
 
 NOISE = 1e-3  # [rad] or [m], where the study says nothing
 _LONGEST = 3600.0  # [s]
@@ -82,6 +82,7 @@ def excite(
     parameters = _parameters(study, model, effects)
     noise = _noise(study, model)
     require_limits(study, model)
+    require_scales(study, model)
     limits = Limits.of(model, study.limits)
     trial = Trial(
         model, parameters, limits, noise,
@@ -137,9 +138,11 @@ def _noise(study: Study, model: Model) -> dict[str, float]:
 def _assumed(study: Study, model: Model, trial: Trial) -> list[str]:
     """Return what a study does not state, and what is assumed instead."""
     notes = []
-    if not study.recordings.noise:
+    silent = [n for n in model.qpos_channels if not stated_for(n, study.recordings.noise, 0.0)]
+    if silent:
+        what = "positions" if len(silent) == len(model.qpos_channels) else ", ".join(silent)
         notes.append(
-            f"Noise of positions taken as {1e3 * NOISE:g} mrad (mm); recordings.noise states it."
+            f"Noise of {what} taken as {1e3 * NOISE:g} mrad (mm); recordings.noise states it."
         )
     unlimited = [j for j in model.joints if j not in study.limits]
     if unlimited:
