@@ -72,7 +72,8 @@ def test_the_loop_goes_on_with_the_repaired_model(
     told = learned(tmp_path, lacking(trajectories=2, choose="argmax"))
     assert told.iterations["diagnosed"].tolist() == [True, False]
     unseen = "What was unseen is the last quarter by time of the same recordings."
-    assert told.notes == ("It.", unseen)
+    relative = "values of mass, damping are relative to the repaired model"
+    assert told.notes == ("It.", unseen, relative)
     # with the friction in the model, what is left is what B can say
     assert told.chosen["mass"] == pytest.approx(1.2, abs=0.051)
     assert told.chosen["damping"] == pytest.approx(0.8, abs=0.11)

@@ -67,6 +67,9 @@ def compare(
 ) -> Comparison:
     """Compare the arms of a study on its problems, with paired seeds.
 
+    The runs are made in processes of their own: a script that calls this does so under
+    ``if __name__ == "__main__":``, as Python asks of all that start processes.
+
     Args:
         study: its key `compare` names arms, seeds and problems; `execution` says where they run.
         run: folder that keeps every finished run and the tables; a comparison that was interrupted

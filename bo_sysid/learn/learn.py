@@ -208,6 +208,9 @@ def _log(done: list[Iteration], run: Run) -> pd.DataFrame:
 
 def _notes(scene: Scene, done: list[Iteration], source: Source) -> tuple[str, ...]:
     notes = [s for i in done if i.figures["diagnosis"] for s in i.figures["diagnosis"]]
+    relative = [p.name for p in done[-1].scene.parameters if p.apply != "set"]
+    if relative and any(r.study for r in done[-1].repairs):
+        notes.append(f"values of {', '.join(relative)} are relative to the repaired model")
     notes += doubts(done[-1])
     if isinstance(scene.task, PythonTask):
         notes.append(scene.task.notice)
