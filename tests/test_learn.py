@@ -542,6 +542,16 @@ def test_on_a_persons_machine_actions_are_commands(tmp_path: Path, what: str) ->
         Scene.of(made)
 
 
+def test_what_cannot_be_learned_is_refused_before_a_trajectory(tmp_path: Path) -> None:
+    (tmp_path / "hold.py").write_text(TASK.replace("REWARD", "1.0"))
+    study = pendulum(task={"file": "hold.py", "class": "Hold"})
+    study["learn"]["models"] = "bootstrap"
+    with pytest.raises(StudyError, match=r"learn.models: bootstrap needs a vectorised task"):
+        Scene.of(Study.from_dict(study, tmp_path, trust_code=True))
+    with pytest.raises(StudyError, match=r"policy: kl is 1e-10; it must be from 1e-09"):
+        Scene.of(Study.from_dict(pendulum(policy={"kl": 1e-10}), tmp_path))
+
+
 def test_a_model_without_actuators_is_refused(tmp_path: Path) -> None:
     (tmp_path / "hold.py").write_text(TASK.replace("REWARD", "1.0"))
     (tmp_path / "free.xml").write_text(

@@ -1,6 +1,6 @@
 """What a study asks to be learned: the task, the model at any candidate, the settings."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.build import study_task
-from bo_sysid.plants.environment import BatchEnvironment, Environment, control_range
+from bo_sysid.plants.environment import Environment, ModelDraw, control_range
 from bo_sysid.plants.limits import limit_edits, require_ranges
 from bo_sysid.plants.load import Task, compiled, make_environment
 from bo_sysid.plants.machine import command_ends
@@ -76,6 +76,10 @@ class Scene:
                 ("task",), "learn needs a task that ends: a class says its time_limit in s"
             )
         _require_a_step(study, task)
+        if study.learn.models == "bootstrap" and isinstance(task, PythonTask):
+            raise study.error(
+                ("learn", "models"), "bootstrap needs a vectorised task; choose: chosen"
+            )
         if study.actuators:
             raise study.error(
                 ("actuators", next(iter(study.actuators))),
@@ -98,6 +102,7 @@ class Scene:
             limit_edits(study, model),
             simulated_forces(study, model, "a policy cannot be learned"),
         )
+        _ = scene.settings  # their numbers must be within bounds
         first = scene.compiled(scene.candidates.points[0])
         _require_known_commands(scene)
         if not isinstance(task, PythonTask):
@@ -145,23 +150,15 @@ class Scene:
             probabilities: `N`, where every episode shall have a model of its own; None for the
                 chosen candidate alone.
             threads: of the simulation.
-
-        Raises:
-            StudyError: a task in Python cannot have a model for every episode.
         """
-        n, seed, task = self.environments, self.seed, self._training_task
-        if probabilities is None:
-            model = self.compiled(point)
-            return make_environment(
-                task, model, n, seed=seed, threads=threads, stagger=True, laws=self.laws
-            )
-        if isinstance(task, PythonTask):
-            raise self.study.error(
-                ("learn", "models"), "bootstrap needs a vectorised task; choose: chosen"
-            )
-        draw = self._draw(probabilities)
-        return BatchEnvironment(
-            task, draw, n, seed=seed, threads=threads, stagger=True, laws=self.laws
+        return make_environment(
+            self._training_task,
+            self.compiled(point) if probabilities is None else self._draw(probabilities),
+            self.environments,
+            seed=self.seed,
+            threads=threads,
+            stagger=True,
+            laws=self.laws,
         )
 
     @property
@@ -176,7 +173,7 @@ class Scene:
         shorter.time_limit = seconds
         return shorter
 
-    def _draw(self, probabilities: np.ndarray) -> Callable[[np.random.Generator], mujoco.MjModel]:
+    def _draw(self, probabilities: np.ndarray) -> ModelDraw:
         """Return a function that draws a candidate's model; each is compiled once."""
         models: dict[int, mujoco.MjModel] = {}
         edges = np.cumsum(probabilities) / probabilities.sum()

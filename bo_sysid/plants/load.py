@@ -7,7 +7,7 @@ import mujoco
 
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
-from bo_sysid.plants.environment import BatchEnvironment, Environment
+from bo_sysid.plants.environment import BatchEnvironment, Environment, ModelDraw
 from bo_sysid.plants.python_environment import PythonEnvironment
 from bo_sysid.plants.python_task import PythonTask, suite_task
 from bo_sysid.plants.tasks import find_task, registered
@@ -41,7 +41,7 @@ def compiled(
 
 def make_environment(
     task: Task,
-    model: mujoco.MjModel | Sequence[mujoco.MjModel],
+    model: mujoco.MjModel | Sequence[mujoco.MjModel] | ModelDraw,
     n: int,
     *,
     seed: int = 0,
