@@ -46,6 +46,7 @@ class MachineSource:
         self._scene, self._run, self._strict = scene, run, strict
         self._first = _first_recordings(scene, strict)
         self._files: list[Path] = []
+        self._further: list[Recording] = []  # those of policies, as the machine told them
         digest = _digest(corrected(scene.study, self._first))
         if run.has("first_recordings.json"):
             if run.read_json("first_recordings.json")["sha256"] != digest:
@@ -79,6 +80,7 @@ class MachineSource:
         read = read_files(self._scene.study, found, self._strict)
         self._require_used(number, found[0], _digest(read))
         self._files.append(found[0])
+        self._further += read
         return None
 
     def _require_used(self, number: int, file: Path, digest: str) -> None:
@@ -95,11 +97,6 @@ class MachineSource:
     def recordings(self, study: Study) -> tuple[Recording, ...]:
         """The first recordings and those of policies, as a study's model is to see them."""
         return corrected(study, (*self._first, *self._further))
-
-    @property
-    def _further(self) -> tuple[Recording, ...]:
-        """Those of policies, as the machine told them."""
-        return read_files(self._scene.study, self._files, self._strict)
 
     def _copied(self) -> list[str]:
         """A dataset's recordings as files of the run folder: no key names a dataset and files."""
