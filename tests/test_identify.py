@@ -114,6 +114,24 @@ def test_an_interval_that_the_search_cuts_off_is_said(
     assert [s[: len(said)] for s in found.unsure] == ([said] if said else [])
 
 
+@pytest.mark.parametrize(
+    ("y", "sure", "said"),
+    [(1.4, 0.2, True), (1.6, 0.2, False), (2.0, 0.2, True), (1.4, 0.9, False)],
+)
+def test_a_value_outside_its_interval_is_said(
+    grid: CandidateSet, y: float, sure: float, said: bool
+) -> None:
+    """A search of 25 picks at random ended with .58, whose interval was .59 to .69."""
+    best = int(np.abs(grid.points - [0.2, y]).sum(axis=1).argmin())
+    p = np.where(np.arange(len(grid)) == best, sure, (1 - sure) / (len(grid) - 1))
+    table = pd.DataFrame({"name": ["x", "y"], "low95": [0.1, 1.6], "high95": [0.3, 1.9]})
+    found = Identification(
+        "outside", grid.points[best], table, grid, p, p, pd.DataFrame({"deviation": [1.0]}),
+        pd.DataFrame(), pd.DataFrame(), "", (),
+    )  # fmt: skip
+    assert [s[:12] for s in found.unsure] == ["y: the value"] * said
+
+
 @pytest.mark.parametrize(("left", "said"), [(0.17, "340 standard deviations"), (6e-4, "")])
 def test_recordings_that_nothing_explains_are_said(
     grid: CandidateSet, left: float, said: str

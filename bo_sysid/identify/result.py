@@ -15,6 +15,7 @@ from bo_sysid.runs import finite
 _LITTLE = 0.5  # share of the range from which an interval says little
 _KNOWN = 1e-9  # share of the range: what spreads less has one value, but for rounding
 _EXPLAINED = 3.0  # standard deviations of the noise, beyond which recordings are not explained
+_LIKELY = 0.5  # P of the best candidate that was tried, from which it is no stopgap
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 
@@ -114,7 +115,7 @@ class Identification:
                 f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
                 "combination of the two better than either."
             )
-        return (*self._unexplained, *said, *self._cut)
+        return (*self._unexplained, *said, *self._cut, *self._outside)
 
     @property
     def _cut(self) -> tuple[str, ...]:
@@ -134,6 +135,24 @@ class Identification:
         verb = "interval ends" if len(names) == 1 else "intervals end"
         return (
             f"{', '.join(names)}: the {verb} where the search does, and the truth may lie beyond.",
+        )
+
+    @property
+    def _outside(self) -> tuple[str, ...]:
+        """Which values lie outside their intervals, where P expects others to be better."""
+        here = (self.candidates.points == self.best).all(axis=1)
+        if self.probabilities[here].sum() > _LIKELY:
+            return ()
+        slack = _KNOWN * np.ptp(self.candidates.bounds, axis=0)
+        low, high = (self.parameters[c].to_numpy(float) for c in ("low95", "high95"))
+        outside = (self.best < low - slack) | (self.best > high + slack)
+        names = self.parameters["name"][outside].astype(str)
+        if not len(names):
+            return ()
+        return (
+            f"{', '.join(names)}: the value, that of the best candidate that was tried, lies "
+            "outside the interval, where better ones are expected; a larger search.budget, in "
+            "another run folder, tries them.",
         )
 
     @property
