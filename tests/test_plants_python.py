@@ -17,7 +17,7 @@ from bo_sysid.plants.build import record
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.load import compiled, load_task, make_environment
 from bo_sysid.plants.plant import Plant, PlantError
-from bo_sysid.plants.python_environment import PythonEnvironment
+from bo_sysid.plants.python_environment import PythonEnvironment, PythonMachine
 from bo_sysid.plants.python_task import PythonTask, class_task, suite_task
 from bo_sysid.plants.tasks import Start, VectorTask, find_task
 
@@ -259,6 +259,27 @@ def test_machines_of_a_task_with_a_generator_of_its_own_differ():
     first, second = (PythonEnvironment(task, task_model, 4, seed=3).reset() for _ in range(2))
     np.testing.assert_array_equal(first, second)
     assert len(np.unique(first, axis=0)) == 4
+
+
+def test_a_task_with_a_generator_of_its_own_goes_on_with_its_draws():
+    """A trajectory after an interruption began where the very first one had begun."""
+    model = Model.from_dm_control("reacher", "easy")
+    task = class_task(type("Short", (OwnGenerator,), {"time_limit": 0.1}), model.compile())
+    task_model = compiled(model, task)
+    machine, resumed = (PythonMachine(task, task_model, 3) for _ in range(2))
+    starts = [machine.begin() for _ in range(3)]
+    resumed.skip(2)
+    np.testing.assert_array_equal(resumed.begin(), starts[2])
+    for steps in (2, 17):  # within the first episode, and after some
+        whole = PythonEnvironment(task, task_model, 2, seed=3)
+        whole.reset()
+        roll(whole, steps)
+        state = whole.get_state()
+        expected = [s.observation for s in roll(whole, 12, seed=1)]
+        again = PythonEnvironment(task, task_model, 2, seed=3)
+        again.reset()
+        again.set_state(state)
+        np.testing.assert_array_equal([s.observation for s in roll(again, 12, seed=1)], expected)
 
 
 class OneAction(Reach):

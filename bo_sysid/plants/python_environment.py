@@ -56,8 +56,14 @@ class PythonMachine:
         return np.empty(0)
 
     def skip(self, episodes: int) -> None:
-        """Let the next episode be that after the first `episodes`."""
-        self.episodes = episodes
+        """Let the next episode be that after the first `episodes`.
+
+        A task with a generator of its own begins all of them, so that it draws as it did.
+        """
+        if hasattr(self.task, "_random"):
+            self.episodes = episodes
+        while self.episodes < episodes:
+            self.begin()
 
     def begin(self, start: Start | None = None) -> np.ndarray:
         """Begin an episode, drawn by the task or from the given positions and velocities."""
@@ -272,8 +278,9 @@ class PythonEnvironment:
         self._steps[:] = state["steps"]
         rows = zip(self._machines, state["state"], state["episodes"], strict=True)
         for machine, physics, episodes in rows:
-            machine.episodes = int(episodes) - 1
-            machine.begin()  # what the task draws for this episode, such as a target
+            machine.skip(int(episodes) - 1)
+            if machine.episodes < episodes:
+                machine.begin()  # what the task draws for this episode, such as a target
             machine.physics.set_state(physics, _STATE)
             machine.physics.forward()
         self._observation = state["observation"].copy()
