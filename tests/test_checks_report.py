@@ -450,8 +450,38 @@ def test_a_log_without_positions_is_refused(tmp_path: Path, model: object, told:
     speeds.to_frame().to_csv(tmp_path / "log.csv", index=False)
     (tmp_path / "slide.xml").write_text(SLIDE)
     study = Study.from_dict({"model": model, "recordings": {"train": "log.csv"}}, tmp_path)
-    with pytest.raises(RecordingError, match=told):
+    with pytest.raises(RecordingError, match=rf"{told}(?s:.*)sum it up over time"):
         check(study)
+
+
+def test_a_joint_beside_one_that_was_not_recorded_is_not_said_to_lack_physics(
+    tmp_path: Path,
+) -> None:
+    """A belt that its motor drives: the force of the belt follows from neither alone."""
+    belt = """
+    <mujoco><option timestep="0.002"/><worldbody>
+      <body><joint name="drive" damping="3e-3" armature="2e-4"/><geom size=".01" mass=".01"/></body>
+      <body><joint name="pulley" armature="1e-4"/><geom size=".01" mass=".01"/></body>
+    </worldbody>
+    <tendon><fixed name="belt" stiffness=".9" damping="1e-3" springlength="0">
+      <joint joint="drive" coef="1"/><joint joint="pulley" coef="-1"/></fixed></tendon>
+    <actuator><motor name="m" joint="drive"/></actuator></mujoco>"""
+    compiled = Model.from_xml(belt).compile()
+    ctrl = 0.02 * np.sin(3 * TIME) + 0.01 * np.sin(7.7 * TIME)
+    rest = State(np.zeros((1, 2)), np.zeros((1, 2)), np.zeros((1, 0)))
+    run = Engine(1).rollout(compiled, rest, np.repeat(ctrl, 5)[None, :, None])
+    pulley = run.qpos[0, :-1:5, 1] + 1e-5 * np.random.default_rng(0).standard_normal(len(TIME))
+    log = Recording.from_arrays(TIME, qpos={"pulley": pulley}, ctrl={"m": ctrl})
+    log.to_frame().to_csv(tmp_path / "log.csv", index=False)
+    (tmp_path / "belt.xml").write_text(belt)
+    model = {"file": "belt.xml", "unrecorded": {"drive": None}}
+    found = check(Study.from_dict({"model": model, "recordings": {"train": "log.csv"}}, tmp_path))
+    use = found.summary.channels.set_index("channel")["use"]
+    assert (use["qpos.drive"], use["qvel.drive"]) == ("moves unmeasured", "moves unmeasured")
+    assert (use["qpos.pulley"], use["qvel.pulley"]) == ("in the model", "estimated from qpos")
+    (flag,) = (f for f in found.flags if f.kind == "balance" and f.level == "look")
+    assert flag.channels == ("pulley",)
+    assert "What drive did was not recorded" in flag.sentence
 
 
 def test_predictions_of_a_check_have_the_forces_beside_the_model(tmp_path: Path) -> None:

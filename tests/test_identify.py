@@ -76,6 +76,24 @@ def test_a_faint_minimum_is_found_as_fast_as_a_deep_one(grid: CandidateSet, shar
     assert outcome.reason.value == "converged"
 
 
+def test_a_sensor_of_speed_without_any_position_is_refused(tmp_path: Path) -> None:
+    """Starts that nothing measures were sought from rest, and friction was told to be none."""
+    turning = """<mujoco><worldbody><body><joint name="x" armature="1"/><geom size=".1"/></body>
+      </worldbody><actuator><motor name="m" joint="x"/></actuator>
+      <sensor><jointvel name="tacho" joint="x"/></sensor></mujoco>"""
+    (tmp_path / "turning.xml").write_text(turning)
+    time = np.arange(0.0, 4.0, 0.02)
+    columns = {"time": time, "sensor.tacho": np.cos(time), "ctrl.m": np.sin(time)}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    data = {
+        "model": {"file": "turning.xml", "unrecorded": {"x": None}},
+        "recordings": {"train": "log.csv", "holdout": "log.csv"},
+        "parameters": [{"address": "joint[x].frictionloss", "low": 0.0, "high": 1.0}],
+    }
+    with pytest.raises(RecordingError, match="no position was recorded, and identify needs one"):
+        make_problem(Study.from_dict(data, tmp_path))
+
+
 def test_what_recordings_tell_of_a_sum_alone_is_said(grid: CandidateSet) -> None:
     # P_boot along x/1 + y/2 = 1, half of it: the sum is known, neither summand is
     u = grid.points / np.array([1.0, 2.0])

@@ -57,6 +57,18 @@ def test_errors_accelerations_and_temperatures_are_no_positions(
     assert set(rules.unused) == {other.format(j) for j in ANGLES}
 
 
+@pytest.mark.parametrize(("output", "input_"), [("y.{}", "u.{}"), ("y_train.{}", "u_train.{}")])
+def test_outputs_y_beside_inputs_u_are_positions_in_their_order(output: str, input_: str) -> None:
+    """As files of benchmarks have them: they were left to be filled in, though the inputs were
+    found."""
+    columns = {output.format(k): 0.1 * a for k, a in enumerate(ANGLES.values())}
+    columns |= {input_.format(k): f for k, f in enumerate(FORCES.values())}
+    rules = guess_rules(Model.from_xml(ARM), RawTable("log", {"time": TIME, **columns}))
+    assert sources(rules) == {"qpos.elbow": output.format(1), "ctrl.elbow": input_.format(1)}
+    assert rules.guesses["qpos.elbow"].confidence < 0.5
+    assert named("bob_y", "").kind == named("bob_x", "").kind == "other"
+
+
 def test_what_is_told_to_be_another_quantity_is_no_control_that_is_left() -> None:
     """A wheel's acceleration goes with its torque, whatever made that."""
     body = '<body><joint name="wheel"/><geom size=".1"/></body>'

@@ -17,7 +17,6 @@ from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import bounds_flags, in_words, information
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.checks.wraps import find_wraps, unwrapped, wrap_flags
-from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.parameters import MOST_CANDIDATES, Parameter
@@ -28,6 +27,7 @@ from bo_sysid.simulation.of_study import make_simulator, study_law, study_window
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.overview import Overview, overview, too_many
+from bo_sysid.study.requirements import require_position
 
 _WINDOW = 0.3  # [s] of a prediction: long enough for masses and springs, short of chaos
 _WINDOWS = 40  # that are simulated
@@ -85,7 +85,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     summary = overview(study, strict=strict)
     model = load_model(study)
     read = load_train(study, strict=strict)
-    _require_positions(model, read)
+    require_position(model, read, "a check")
     laws: Laws = {name: (study_law(study, name), a.uses) for name, a in study.actuators.items()}
     wraps = find_wraps(read)
     whole = unwrapped(read, wraps)
@@ -124,19 +124,6 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         step,
         right,
         study.recordings.dataset,
-    )
-
-
-def _require_positions(model: Model, recordings: Sequence[Recording]) -> None:
-    """Refuse recordings of which none says where any joint was."""
-    if any(r.of_kind("qpos") for r in recordings):
-        return
-    names, has = ", ".join(r.name for r in recordings), (n for r in recordings for n in r.channels)
-    raise RecordingError(
-        f"{names}: no position was recorded, and a check needs one at least, of "
-        f"{', '.join(model.qpos_channels)}; recorded: {', '.join(dict.fromkeys(has))}. Say which "
-        "column it is, for instance recordings: columns: "
-        f"{{{model.qpos_channels[0]}: {{from: …, unit: deg}}}}"
     )
 
 

@@ -52,6 +52,7 @@ class WiringEvidence:
             n: float(model.actuator_delay[a]) for a, n in zip(ids, self.actuators, strict=True)
         }
         self.dynamics = Dynamics(model, silent)  # clears the delays
+        self.still = [j for j in silent if j not in self.dynamics.loops.joints]  # taken to be
         known = [n for a, n in zip(ids, self.actuators, strict=True) if follows(model, a)]
         self.inputs = {n for n in map(self._input, known) if n in self.recorded}
         self._lags = {

@@ -107,7 +107,7 @@ def find_wiring(
     )
     gives = motors.in_words(fine, found, recordings)
     flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
-    flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance)]
+    flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
 

@@ -120,9 +120,20 @@ def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
     ]
 
 
-def balance_flags(balance: pd.DataFrame) -> list[Flag]:
-    """Return joints whose forces the model does not explain."""
+def balance_flags(balance: pd.DataFrame, still: Sequence[str] = ()) -> list[Flag]:
+    """Return joints whose forces the model does not explain.
+
+    Args:
+        balance: one row a joint.
+        still: joints that were not recorded, and are taken to stand still.
+    """
     bad = balance[balance["used"] & (balance["after"] > SUSPICIOUS)]
+    beside = (
+        f" What {listed(still)} did was not recorded: here it counts as standing still, and the "
+        "forces that it makes as unexplained."
+        if still
+        else ""
+    )
     return [
         Flag(
             "look",
@@ -131,7 +142,7 @@ def balance_flags(balance: pd.DataFrame) -> list[Flag]:
             f"{100 * share:.0f} % of the forces at {joint} are not explained by the model, under "
             "any wiring that was tried: it lacks something (a rotor behind a gear, a spring), a "
             "mass or a motor is far from what it says, it touches something for most of the time, "
-            "or the motion is too small.",
+            f"or the motion is too small.{beside}",
             {"share": share},
         )
         for joint, share in zip(bad["joint"], bad["after"], strict=True)

@@ -19,7 +19,12 @@ from bo_sysid.simulation.of_study import make_simulator, study_windows
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.overview import candidate_set
-from bo_sysid.study.requirements import require_known, require_recorded, require_scales
+from bo_sysid.study.requirements import (
+    require_known,
+    require_position,
+    require_recorded,
+    require_scales,
+)
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 
@@ -145,6 +150,7 @@ def make_problem(
             ("parameters",), "identify needs at least one uncertain parameter; the study has none"
         )
     require_recorded(study, model, recordings)
+    require_position(model, recordings, "identify")
     simulator = make_simulator(study, model, parameters, threads=threads)
     fitted, horizon, notes = _framing(study, model, recordings)
     windows = study_windows(study, model, recordings, horizon)

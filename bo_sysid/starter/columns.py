@@ -89,7 +89,8 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
         raise RecordingError(
             f"{table.source}: no column looks like a clock among "
             f"{', '.join(repr(c.name) for c in found)}; expected one called time, t or stamp, or "
-            "one that rises in equal steps"
+            "one that rises in equal steps; where rows came at a steady rate without stamps, add a "
+            "column time = row number / rate, in s"
             + "".join(f"; {s}" for s in (*spoilt(table), *_unread_clocks(table)))
         )
     return [replace(c, kind="time", reason=BY_STEPS) if c.name == best else c for c in found]

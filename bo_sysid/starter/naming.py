@@ -19,7 +19,7 @@ WORDS: dict[str, frozenset[str]] = {
     ),
     "position": frozenset(
         {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
-         "state", "states", "joint", "x"}
+         "state", "states", "joint", "x", "y"}
     ),
     "velocity": frozenset(
         {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "speeds", "omega",
@@ -42,8 +42,8 @@ WORDS: dict[str, frozenset[str]] = {
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
 }  # fmt: skip
 """Words in the names of columns, by what they say."""
-PLACED = WORDS["position"] - {"state", "states", "joint", "x"}
-"""Words of positions alone; a velocity may be a state as well."""
+PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
+"""Words of positions alone; a velocity may be a state or an output as well."""
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
@@ -173,8 +173,8 @@ def _of_gyroscope(parts: Sequence[str], said: Collection[str]) -> bool:
 
 
 def _said(parts: Sequence[str]) -> set[str]:
-    """Return what the words of a name say; of the letters x and i, only where they come first."""
-    plain = {w for k, w in enumerate(parts) if w != "x" or k == 0}
+    """Return what the words of a name say; of letters x, y and i, only where they come first."""
+    plain = {w for k, w in enumerate(parts) if w not in ("x", "y") or k == 0}
     said = {kind for kind, known in WORDS.items() if known & plain}
     if WORDS["effort"] & plain == {"current"} and (PLACED | WORDS["velocity"]) & plain:
         said = said - {"effort"}  # the present one

@@ -74,7 +74,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
     require_limits(study, model)
     parameters = study.parameter_set(model)
     require_numbers(study, model)
-    unrecorded = unneeded(study, model)
+    unrecorded = _silent(model) | unneeded(study, model)
     require_recorded(study, model, recordings)
     return Overview(
         study.name,
@@ -146,6 +146,16 @@ def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
             "steps": [p.steps for p in parameters],
         }
     )
+
+
+def _silent(model: Model) -> dict[str, str]:
+    """Return the channels of joints that move though nothing measures them, with what they do."""
+    following = set(model.loops.joints)
+    return {
+        f"{kind}.{j}": "follows from others" if j in following else "moves unmeasured"
+        for kind in ("qpos", "qvel")
+        for j in model.unrecorded
+    }
 
 
 def _channels(

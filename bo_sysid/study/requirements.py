@@ -12,6 +12,10 @@ from bo_sysid.study.study import Study
 
 MEASURED = ("qpos", "qvel", "sensor")
 """Kinds of channels that predictions are compared with."""
+_SUMMED = (
+    "Where speed alone was measured, sum it up over time into a column of positions (trapezoids); "
+    "its drift is harmless where nothing depends on the position itself"
+)
 
 
 def require_numbers(study: Study, model: Model) -> None:
@@ -136,6 +140,29 @@ def require_recorded(study: Study, model: Model, recordings: Sequence[Recording]
         _require_all(model, recording, spared)
 
 
+def require_position(model: Model, recordings: Sequence[Recording], what: str) -> None:
+    """Refuse recordings of which none says where any joint was.
+
+    Args:
+        model: the nominal model.
+        recordings: of one machine.
+        what: needs a position.
+
+    Raises:
+        RecordingError: the message says what else there is, and what helps.
+    """
+    if any(r.of_kind("qpos") for r in recordings):
+        return
+    first = model.qpos_channels[0]
+    names, has = ", ".join(r.name for r in recordings), (n for r in recordings for n in r.channels)
+    raise RecordingError(
+        f"{names}: no position was recorded, and {what} needs one at least, of "
+        f"{', '.join(model.qpos_channels)}; recorded: {', '.join(dict.fromkeys(has))}. Say which "
+        f"column it is, for instance recordings: columns: {{{first}: {{from: …, unit: deg}}}}. "
+        f"{_SUMMED}"
+    )
+
+
 def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, str]) -> None:
     silent = {f"qpos.{j}" for j in model.unrecorded}
     for name in (*model.qpos_channels, *model.ctrl_channels):
@@ -147,6 +174,8 @@ def _require_all(model: Model, recording: Recording, unrecorded: Mapping[str, st
             if name.startswith("qpos."):
                 end = "" if said.endswith("?") else "."
                 said += f"{end} {_remedy(model, recording, _joint(model, name))}"
+                if name.replace("qpos.", "qvel.", 1) in recording.channels:
+                    said += f". {_SUMMED}"
             raise RecordingError(said)
 
 
