@@ -69,6 +69,25 @@ def test_outputs_y_beside_inputs_u_are_positions_in_their_order(output: str, inp
     assert named("bob_y", "").kind == named("bob_x", "").kind == "other"
 
 
+@pytest.mark.parametrize("name", ["Vm (V)", "Vm"])
+def test_the_voltage_of_a_motor_is_not_the_speed_that_goes_with_it(name: str) -> None:
+    """Back-EMF holds a geared motor to the speed that its voltage asks for."""
+    hub = """<mujoco><worldbody><body><joint name="theta" damping=".08" armature="2e-3"/>
+      <geom size=".01" mass=".01"/></body></worldbody>
+      <actuator><motor name="Vm" joint="theta" gear=".13"/></actuator></mujoco>"""
+    volts = np.sin(2 * TIME) + np.sin(3.1 * TIME)
+    theta = np.cumsum(0.13 / 0.08 * volts) * 0.01
+    log = {"time": TIME, name: volts, "theta (counts)": np.rint(theta * 4096 / (2 * np.pi))}
+    rules = guess_rules(Model.from_xml(hub), RawTable("log", log))
+    assert {n: r["from"] for n, r in rules.columns.items()} == {
+        "qpos.theta": "theta (counts)",
+        "ctrl.Vm": name,
+    }
+    guess = rules.guesses["qpos.theta"]
+    assert guess.confidence <= 0.5
+    assert "4096 ticks a turn" in guess.reason
+
+
 def test_what_is_told_to_be_another_quantity_is_no_control_that_is_left() -> None:
     """A wheel's acceleration goes with its torque, whatever made that."""
     body = '<body><joint name="wheel"/><geom size=".1"/></body>'

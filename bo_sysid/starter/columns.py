@@ -8,21 +8,25 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
+from bo_sysid.recording.units import is_unit, unit
 from bo_sysid.starter.naming import PLACED, PLACES, Column, named, named_after
 
 _ALIKE = 0.9  # correlation of a column with a rate, from which on it is that rate
 _LATE = 8  # samples that a speed may come late
 _MOST = 20_000
+_FEEDING = ("voltage", "current", "torque", "force")
+"""Quantities that are no rate of a position, though a motor's speed may follow its voltage."""
 BY_STEPS = "it alone rises in equal steps"
 """Why a column that is not called so is the clock."""
 
 
-def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
+def describe(table: RawTable, elements: Sequence[str] = ()) -> tuple[Column, ...]:
     """Return the numeric columns of a table, with what they may be.
 
     Args:
         table: any.
-        joints: names of joints; a column that is called like one, and nothing more, is no rate.
+        elements: names of joints and actuators; a column that is called like one, and nothing more,
+            is no rate.
 
     Raises:
         RecordingError: no column is a clock.
@@ -39,7 +43,7 @@ def describe(table: RawTable, joints: Sequence[str] = ()) -> tuple[Column, ...]:
             found.append(replace(column, kind="other", reason="") if still else column)
     if not any(c.kind == "time" for c in found):
         found = _timed(table, found)
-    return tuple(_behaved(table, _wished(table, found), joints))
+    return tuple(_behaved(table, _wished(table, found), elements))
 
 
 def _stands_still(values: np.ndarray) -> bool:
@@ -119,9 +123,9 @@ def _go_together(table: RawTable, one: Column, other: Column) -> bool:
     return float(np.corrcoef(a, b)[0, 1]) > _ALIKE
 
 
-def _behaved(table: RawTable, found: Sequence[Column], joints: Sequence[str]) -> list[Column]:
+def _behaved(table: RawTable, found: Sequence[Column], elements: Sequence[str]) -> list[Column]:
     """Tell velocities that are called states (or nothing) by the positions they derive from."""
-    doubtful = [c for c in found if _doubtful(c) and not named_after(joints, c)]
+    doubtful = [c for c in found if _doubtful(c) and not named_after(elements, c)]
     places = [c.name for c in found if c.kind in ("position", "other")]
     rates = derivatives(table, places, [c.name for c in doubtful])
     out = []
@@ -138,6 +142,8 @@ def _doubtful(column: Column) -> bool:
     """Whether a name leaves open if a column is a position or a velocity."""
     if column.kind == "position":
         return column.unit not in PLACES and not PLACED & set(column.words)
+    if is_unit(column.unit) and unit(column.unit, column.name).quantity in _FEEDING:
+        return False
     return column.kind == "other"
 
 

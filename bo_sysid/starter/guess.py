@@ -81,7 +81,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     """
     compiled = model.compile()
     joints = [n for n in model.joints if int(compiled.joint(n).type[0]) in SCALAR]
-    columns = describe(table, joints)
+    columns = describe(table, [*joints, *model.controlled])
     pose = {g.channel: g for g in pose_guesses(compiled, table) if g.channel not in table.columns}
     if not joints and not pose and not set(model.qpos_channels) <= set(table.columns):
         raise RecordingError(

@@ -18,6 +18,7 @@ from bo_sysid.starter.naming import Column
 
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
 _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
+_TICK_GUESS = "its scale is a guess, 4096 ticks a turn"
 _FITS = {
     "qpos": ("angle", "length"),
     "qvel": ("angular velocity", "velocity"),
@@ -82,6 +83,8 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
     said = told_unit(guess.unit, guess.column)
     fits = said.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
     if kind == "qpos" and said.quantity == "count":
+        reason = f"{guess.reason}; {_TICK_GUESS}"
+        guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= _TICK_RULE
     elif fits and (said.factor != 1 or said.quantity in _ELECTRIC):
         rule["unit"] = guess.unit
@@ -89,6 +92,7 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
         made, reach = _by_reach(table, compiled, element, guess.column)
         if made:
             reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
+            reason += f"; {_TICK_GUESS}" if made is _TICK_RULE else ""
             guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= made
     return rule, guess
