@@ -136,6 +136,17 @@ def test_saturated_and_frozen_channels() -> None:
     assert channel_flags(Model.from_xml(SLIDE).compile(), [steady]) == []
 
 
+def test_a_command_of_steps_saturates_only_where_it_was_cut_off() -> None:
+    """Each of 32 steps lasts 3 % of the time, the largest as well."""
+    steps = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 32), 25)
+    kinds = []
+    for u in (steps, np.clip(steps, -0.6, 0.6)):
+        log = Recording.from_arrays(TIME, qpos={"x": np.sin(TIME)}, ctrl={"m": u})
+        flags = channel_flags(Model.from_xml(SLIDE).compile(), [log])
+        kinds.append([f.kind for f in flags])
+    assert kinds == [[], ["saturation", "saturation"]]
+
+
 def test_clocks_that_lose_samples() -> None:
     keep = np.ones(len(TIME), bool)
     keep[100:130] = False

@@ -13,6 +13,7 @@ from bo_sysid.recording.outliers import CLEAR, find_outliers
 
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
+_OFTEN = 3.0  # times the share of its typical value, that an extreme one has at a saturation
 _STUCK = 0.25  # [s] of one and the same value while the channel otherwise changes, and
 _RUNS = 15.0  # so many times its typical run
 _THAW = 3.0  # times the usual step, that a frozen channel jumps at least
@@ -44,11 +45,13 @@ def _saturated(
 ) -> list[Flag]:
     values, spent = channel.values[:-1], np.diff(channel.time)
     flags = []
-    if len(np.unique(values)) > 20:  # a command of few levels is meant to stay at them
+    levels, which = np.unique(values, return_inverse=True)
+    if len(levels) > 20:  # a command of few levels is meant to stay at them
+        usual = float(np.median(np.bincount(which, spent)) / spent.sum())  # and one of steps
         for side, extreme in (("largest", values.max()), ("smallest", values.min())):
             held = values == extreme
             share = float(spent[held].sum() / spent.sum())
-            if share > _HELD_AT_LIMIT and held.sum() >= _SEVERAL:
+            if share > max(_HELD_AT_LIMIT, _OFTEN * usual) and held.sum() >= _SEVERAL:
                 flags.append(
                     Flag(
                         "note",
