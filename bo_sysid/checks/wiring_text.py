@@ -16,6 +16,7 @@ _DOUBT = (
     "No joint is explained well with it either, and a force that the model lacks may look like it: "
     "look at the machine."
 )
+LOADED = "a load that the model lacks, as a tool, may look like another zero"
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 
 
@@ -42,6 +43,8 @@ def wire_flags(
         told = "; ".join(gives[n] if kind == "scale" else _told(n, wires[n], kind) for n in names)
         told += _CONSTANT if kind == "scale" else ""
         sentence = f"{what}: {told}. {support}"
+        if kind == "zero":
+            sentence += f" {LOADED.capitalize()}: leave this out where the zeros are known."
         if explained or all(kind_of(n) == "qvel" for n in names):  # a rate needs no forces
             flags.append(Flag("wrong", kind, tuple(names), sentence))
         else:

@@ -9,6 +9,7 @@ import pandas as pd
 from bo_sysid.checks.hypothesis import FREE
 from bo_sysid.checks.proposal import proposed_clocks, proposed_columns
 from bo_sysid.checks.wiring import Wiring, find_wiring
+from bo_sysid.checks.wiring_text import LOADED
 from bo_sysid.checks.wraps import find_wraps, unwrapped
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
@@ -20,7 +21,7 @@ from bo_sysid.starter.signs import Tested, tested_signs, turned_by_range
 
 _LOOKED_AT = 4  # logs whose motion is looked at
 _AGREES = 0.15  # share of the forces that may stay unexplained where the motion agrees
-_LIKELY = 0.7
+_LIKELY, _OPEN = 0.7, 0.5
 _AGREED = "the motion agrees"
 _MOTOR = "the motor's constant as the model's masses have it"
 _MOVED = ("the motion", "its jumps", _MOTOR)
@@ -66,8 +67,10 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
         if wire and wire.unit == FREE:
             reason = f"{_MOTOR}; the motion"
         share = _explained(wiring.balance, driven(compiled, channel))
-        column = str(rule.get("from", channel))
-        guesses[channel] = Guess(channel, column, "", f"{reason}: {share}", 0.8)
+        column, reason = str(rule.get("from", channel)), f"{reason}: {share}"
+        moved = wire is not None and bool(wire.offset)
+        reason += f"; {LOADED}" if moved else ""
+        guesses[channel] = Guess(channel, column, "", reason, _OPEN if moved else 0.8)
     clocks = proposed_clocks({}, "ctrl", wiring.delay)
     if clocks:
         guesses["clocks.ctrl"] = Guess("clocks.ctrl", "", "", _late(wiring), _LIKELY)
