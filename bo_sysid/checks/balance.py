@@ -166,6 +166,42 @@ class Dynamics:
             stacked = np.einsum("nij,nib->njb", self.loops.response(qpos), stacked)
         return stacked
 
+    def of_points(
+        self,
+        qpos: Float[np.ndarray, "n nq"],
+        qvel: Float[np.ndarray, "n nv"],
+        qacc: Float[np.ndarray, "n nv"],
+        body: int,
+        points: Float[np.ndarray, "p 3"],
+    ) -> Float[np.ndarray, "n nv p"]:
+        """Return the force that a unit mass at each point of a body needs; no closed chains.
+
+        Jᵀ a, with J the point's Jacobian and a = a₀ + α x d + ω x (ω x d) its acceleration less
+        gravity's, at d from the body's frame.
+
+        Args:
+            qpos: positions.
+            qvel: velocities.
+            qacc: accelerations.
+            body: its number.
+            points: in its frame, in [m].
+        """
+        model, data = self.model, self._data
+        out = np.empty((len(qpos), model.nv, len(points)))
+        kind, rate, change = mujoco.mjtObj.mjOBJ_XBODY, np.empty(6), np.empty(6)
+        linear, angular = np.empty((3, model.nv)), np.empty((3, model.nv))
+        for k in range(len(qpos)):
+            data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
+            mujoco.mj_inverse(model, data)
+            mujoco.mj_rnePostConstraint(model, data)
+            mujoco.mj_jacBody(model, data, linear, angular, body)
+            mujoco.mj_objectVelocity(model, data, kind, body, rate, 0)
+            mujoco.mj_objectAcceleration(model, data, kind, body, change, 0)
+            d, w = points @ data.xmat[body].reshape(3, 3).T, rate[:3]
+            a = change[3:] + np.cross(change[:3], d) + np.cross(w, np.cross(w, d))
+            out[k] = linear.T @ a.T + angular.T @ np.cross(d, a).T
+        return out
+
     def _inverse(self, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> np.ndarray:
         data, out, asked = self._data, np.zeros_like(qvel), compensating(self.model)
         for k in range(len(qpos)):

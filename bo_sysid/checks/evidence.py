@@ -170,6 +170,14 @@ class WiringEvidence:
             self._physics[wires] = np.concatenate([bodies, own], axis=2)
         return self._physics[wires]
 
+    def of_points(
+        self, hypothesis: WiringHypothesis, body: int, points: Float[np.ndarray, "p 3"]
+    ) -> Float[np.ndarray, "n nv p"]:
+        """Return what unit masses at points of a body need; see `Dynamics.of_points`."""
+        wires = self._measured(hypothesis)
+        qpos, qvel, qacc = (self._motion(wires, k) for k in range(3))
+        return self.dynamics.of_points(qpos, qvel, qacc, body, points)
+
     def controls(self, hypothesis: WiringHypothesis, delay: float) -> Float[np.ndarray, "n nu"]:
         """Return what the actuators act on at the instants; see `command`."""
         out = np.zeros((int(self.rows.sum()), len(self.actuators)))

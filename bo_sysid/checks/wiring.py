@@ -16,6 +16,7 @@ from bo_sysid.checks.evidence import FLOOR, Laws, WiringEvidence
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.limits import unlimited
+from bo_sysid.checks.loads import without_loads
 from bo_sysid.checks.motion import turned_inside
 from bo_sysid.checks.rates import rate_flags
 from bo_sysid.checks.search import MARGIN, SUSPICIOUS, search, zero_groups
@@ -87,16 +88,18 @@ def find_wiring(
     )
     turned = turned_inside(model, recordings)
     before = fine.identity()
-    found, twins = _searched(coarse, fine, _turned(fine, turned), progress)
+    first = _turned(fine, turned)
+    found, twins = _searched(coarse, fine, first, progress)
+    found, loads = without_loads(fine, found, first)
     found, late = _timed(fine, found)
     left = _left(fine, found, late)
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     told = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
     clock = clock_of(told, least_delay(interval(recordings, traces.measured), model.opt.timestep))
-    first = fine.shares(before, [before.delay])[0]
+    stamped = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
-        {"joint": fine.joints, "before": first, "after": left, "used": fine.weights > 0}
+        {"joint": fine.joints, "before": stamped, "after": left, "used": fine.weights > 0}
     )
     table = pd.DataFrame(
         {
@@ -106,7 +109,7 @@ def find_wiring(
         }
     )
     gives = motors.in_words(fine, found, recordings)
-    flags = [*wire_flags(wires, balance, gives), *clock_flags(clock, told)]
+    flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, told)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
