@@ -9,6 +9,7 @@ import pytest
 
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import read_tables
+from bo_sysid.simulation import Engine, State
 from bo_sysid.starter.guess import guess_rules
 from bo_sysid.starter.init import init
 from bo_sysid.study import Study
@@ -89,6 +90,24 @@ def test_a_urdf_gets_motors_where_a_column_may_tell_about_them(
     assert any(dropped in n for n in started.notes) == (efforts == ("elbow",))
     passive = "If nothing drives the machine, write model: arm.urdf and remove the lines of ctrl."
     assert (passive in started.notes) == (not efforts)
+
+
+def test_a_machine_that_was_released_gets_no_motors(tmp_path: Path) -> None:
+    """A pendulum that swings as the model says: its driver was to be filled in."""
+    (tmp_path / "rod.xml").write_text(
+        """<mujoco><option timestep="0.002"/><worldbody><body>
+        <joint name="swing" axis="1 0 0" damping=".002"/><geom size=".02" pos="0 .3 -.1" mass=".2"/></body></worldbody></mujoco>"""
+    )
+    model = Model.from_file(tmp_path / "rod.xml").compile()
+    start = State(np.full((1, 1), 0.8), np.zeros((1, 1)), np.zeros((1, 0)))
+    run = Engine(1).rollout(model, start, np.zeros((1, 5 * len(TIME), 0)))
+    angle = run.qpos[0, :-1:5, 0] + 1e-3 * np.random.default_rng(0).standard_normal(len(TIME))
+    log = written(tmp_path / "log.csv", {"swing (deg)": np.rad2deg(angle)})
+    started = init(tmp_path / "rod.xml", [log], tmp_path / "rod.yaml")
+    assert started.rules.to_fill_in == ()
+    assert Study.load(tmp_path / "rod.yaml").model.file == "rod.xml"
+    assert any("moves as if nothing did" in note for note in started.notes)
+    assert not (tmp_path / "rod_motors.xml").exists()
 
 
 CASTER = """

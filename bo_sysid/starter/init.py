@@ -125,7 +125,8 @@ def _guessed(
 ) -> tuple[Sequence[MotorEdit], Rules, pd.DataFrame, dict[str, str]]:
     """Return motors, the rules that read the tables on a model with them, its scales, and hints.
 
-    Of the motors that no column tells about none is left, where one tells about others.
+    Of the motors that no column tells about none is left where one tells about others, nor where no
+    column is left that could and the motion is that of a machine which nothing drives.
     """
     with TemporaryDirectory() as spare:
         read_from, nominal = source, whole
@@ -142,6 +143,10 @@ def _guessed(
             return edits, rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables, rules)
         told = [e for e in edits if e.joint not in rules.unmatched]
+        if edits and not (told or rules.unused):
+            undriven = _guessed(source, whole, (), tables, base)
+            if any(agrees(g) for n, g in undriven[1].guesses.items() if n.startswith("qpos.")):
+                return undriven
         if any(f"ctrl.{e.joint}" in rules.columns for e in told) and len(told) < len(edits):
             return _guessed(source, whole, told, tables, base)
         scales = _scales(nominal, [read(t, rules) for t in tables])
@@ -216,6 +221,11 @@ def _motor_notes(
     """Return what is to be said of motors that a model was given."""
     if not edits:
         return []
+    if not kept:
+        return [
+            f"{source.name} has no actuators, no column is left that could say what drives it, and "
+            "it moves as if nothing did: it got no motors."
+        ]
     notes = [
         f"{source.name} has no actuators: {motors.name} has a motor of 1 N m (N) for "
         f"{', '.join(e.joint for e in kept)}."
