@@ -96,7 +96,8 @@ def test_a_machine_that_was_released_gets_no_motors(tmp_path: Path) -> None:
     """A pendulum that swings as the model says: its driver was to be filled in."""
     (tmp_path / "rod.xml").write_text(
         """<mujoco><option timestep="0.002"/><worldbody><body>
-        <joint name="swing" axis="1 0 0" damping=".002"/><geom size=".02" pos="0 .3 -.1" mass=".2"/></body></worldbody></mujoco>"""
+        <joint name="swing" axis="1 0 0" damping=".002"/><geom size=".02" pos="0 .3 -.1" mass=".2"/>
+        </body></worldbody></mujoco>"""
     )
     model = Model.from_file(tmp_path / "rod.xml").compile()
     start = State(np.full((1, 1), 0.8), np.zeros((1, 1)), np.zeros((1, 0)))
