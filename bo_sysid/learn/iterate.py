@@ -110,6 +110,8 @@ def _believed(
         found = identified(scene, source.recordings(scene.study), known, settled, source.noise)
     except RecordingError as error:
         faults = [fault for fault in source.trajectories["fault"] if fault]
+        if not faults:
+            raise
         raise RecordingError("; ".join([str(error), *faults])) from None
     found.write(run, folder, scene.candidates)
     return found

@@ -21,8 +21,8 @@ from bo_sysid.diagnosis.sets.rules import (
     admissible,
     clean,
     explains_little,
+    needed,
     ranked,
-    weak,
 )
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
@@ -237,9 +237,9 @@ def _without_trifles(search: Search) -> list[Fit]:
     able = {_effects(f): f for f in reversed(fits) if f.members and admissible(f, nominal)}
 
     def trifling(f: Fit) -> bool:
-        small = weak(f, nominal, fits)
-        rest = able.get(frozenset(c.key for k, c in enumerate(f.members) if k not in small))
-        return bool(small) and rest is not None and rest.excess - f.excess < MARGIN**2
+        core = needed(f, nominal, fits)
+        rest = able.get(core) if core != _effects(f) else None
+        return rest is not None and rest.excess - f.excess < MARGIN**2
 
     return [f for f in fits if not trifling(f)]
 

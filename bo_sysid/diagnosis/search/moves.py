@@ -17,6 +17,7 @@ from bo_sysid.diagnosis.sets.rules import (
     MARGIN,
     clean,
     explains_little,
+    needed,
     ranked,
     required,
     sizes,
@@ -97,12 +98,8 @@ def _as_before(search: Search, before: Fit) -> bool:
     best = search.best
     if before.rms > LOOSE or before.rms**2 - best.rms**2 > MARGIN**2:
         return False
-    return _needed(search, best) == _needed(search, before)
-
-
-def _needed(search: Search, fit: Fit) -> set[object]:
-    small = weak(fit, search.nominal, search.fits.values())
-    return {c.key for k, c in enumerate(fit.members) if k not in small}
+    fits = search.fits.values()
+    return needed(best, search.nominal, fits) == needed(before, search.nominal, fits)
 
 
 def carried(search: Search, prepared: Prepared) -> Search:

@@ -10,7 +10,7 @@ from math import comb, log, sqrt
 
 import numpy as np
 
-from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.fit import Fit, Names
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.diagnosis.windows.problem import ROUGH
 
@@ -167,6 +167,12 @@ def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> list[int]:
     excused = [fit.rms <= ROUGH and g in standing for g in fit.groups]
     sure = significance(fit)
     return [k for k, ok in enumerate(large) if not ok and not (excused[k] and sure[k] > _THERE)]
+
+
+def needed(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> Names:
+    """Return effects and sites of the members that are not `weak`."""
+    small = weak(fit, nominal, fits)
+    return frozenset(c.key for k, c in enumerate(fit.members) if k not in small)
 
 
 def costs(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
