@@ -12,7 +12,7 @@ import numpy as np
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import Machine
 from bo_sysid.mjcf import Model

@@ -8,7 +8,8 @@ from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.linear import linearise
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.effects.memory import activation
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter

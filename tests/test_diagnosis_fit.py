@@ -17,8 +17,9 @@ from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
-from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.diagnosis.windows.windowing import prepare

@@ -12,9 +12,10 @@ from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.observation import observe
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Machine, Reading, survey
 from bo_sysid.mjcf import Model

@@ -8,8 +8,8 @@ import pytest
 
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model

@@ -27,8 +27,9 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     slopes_reach,
 )
 from bo_sysid.diagnosis.windows.evidence import make_evidence
-from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.reference_motion import smoothed
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects.learned import learned_force

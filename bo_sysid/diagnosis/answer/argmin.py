@@ -19,8 +19,8 @@ from bo_sysid.diagnosis.sets.decide import Decision
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.candidate import slices_of
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.identify.search import History, Rules, search
 from bo_sysid.parameters import CandidateSet, Parameter
 

@@ -19,6 +19,7 @@ from bo_sysid.diagnosis.windows.forecast import (
     PAST,
     Errors,
     fitted,
+    fitted_floor,
     forecast,
     forecast_problem,
     noise_floor,
@@ -145,10 +146,12 @@ def _fits(
     problem = cut_problem(
         evidence.model, evidence.machine, lasting, evidence.sigma, (), horizon=horizon,
         timestep=outcome.timestep, engine=evidence.engine, laws=evidence.laws,
+        input_noise=evidence.input_noise,
     )  # fmt: skip
     made = _each(models, partial(fitted, problem))
     rows = [_row("fit", LONGER, n, errors.ahead) for n, errors in made.items()]
-    return [*rows, _row("fit", LONGER, "noise_floor", 1.0)], pd.DataFrame()
+    floor = fitted_floor(problem, models["repaired"], made["repaired"])
+    return [*rows, _row("fit", LONGER, "noise_floor", floor)], pd.DataFrame()
 
 
 def _free_runs(
@@ -198,6 +201,7 @@ def _cut(
         timestep=outcome.timestep,
         engine=evidence.engine,
         laws=evidence.laws,
+        input_noise=evidence.input_noise,
     )
 
 

@@ -17,7 +17,7 @@ from bo_sysid.diagnosis.sets.meshing import LATE
 from bo_sysid.diagnosis.sets.rules import LOOSE, clean
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import first_command
-from bo_sysid.diagnosis.windows.linear import project
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.effects.memory import FORGOTTEN
 
 _REMEMBERING = (*LATE, "command_rate")

@@ -1,7 +1,7 @@
 """From recordings to the decision: windows that grow, the search, the final fits on all windows."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
 from bo_sysid.diagnosis.search.beginnings import unheard
@@ -9,11 +9,13 @@ from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
 from bo_sysid.diagnosis.search.gaps import mesh
 from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, without_weakest
+from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
+    calm,
     contact_decides,
     lengthened,
     stable,
@@ -121,6 +123,12 @@ def _searched(
     if length == horizon or meets_impacts(prepared.problem):
         prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
+    noise = noisy_inputs(search)
+    if noise:
+        evidence = replace(evidence, input_noise=noise)
+        horizon = calm(evidence, horizon, step)
+        prepared, length = tractable(evidence, horizon, step)
+        search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     begun = from_bare_joints(evidence, search, length, horizon, step)
     if begun is not None:
@@ -172,7 +180,11 @@ def _explored_anew(
     """Explore, and once more without the first moments of each log where they alone do not fit."""
     found = unheard(search)  # of sets from shorter windows
     if found is None:
+        evidence, search = _weighted_anew(evidence, search, length, step)
         search, step = _explored(evidence, search, length, step, rounds)
+        before, (evidence, search) = search, _weighted_anew(evidence, search, length, step)
+        if search is not before:
+            search, step = _explored(evidence, search, length, step, rounds)
         found = unheard(search)
     if found is None:
         return evidence, search, step
@@ -182,6 +194,17 @@ def _explored_anew(
     made = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
     made.fit(fit.members, fit.x, guess=fit.hypothesis)
     return evidence, *_explored(evidence, made, length, step, rounds)
+
+
+def _weighted_anew(
+    evidence: Evidence, search: Search, length: int, step: float
+) -> tuple[Evidence, Search]:
+    """Carry the best sets to weights that count with noise of the controls, or no longer do."""
+    noise = noisy_inputs(search)
+    if noise == evidence.input_noise:
+        return evidence, search
+    evidence = replace(evidence, input_noise=noise)
+    return evidence, _carried(evidence, search, search.best, length, step)
 
 
 def _explored(

@@ -6,8 +6,10 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import CONTACT_WINDOW, Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import linearise, project
+from bo_sysid.diagnosis.windows.input_noise import process_noise
+from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import Prepared, chaos, in_contact, nothing, prepare
 from bo_sysid.mjcf.touching import can_touch
 
@@ -23,6 +25,7 @@ _UNSTABLE = 2.0  # growth λT of disturbances in a window, as a logarithm
 _LESS = 3  # times shorter at most: what acts slowly is not seen in less
 _OFTEN = 0.9  # quantile of λ over the recordings
 _BY_CHANCE = 2.0  # [sigma] that the noise of a start changes in half of the windows
+_SHAKEN = 100.0  # [sigma] that noise of the controls may move a window
 _WINDOWS = 24  # in the search
 _MOST = 10  # times that number at most in the final fits
 _MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
@@ -55,6 +58,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         engine=evidence.engine,
         laws=evidence.laws,
         kept=evidence.kept,
+        input_noise=evidence.input_noise,
     )
 
 
@@ -96,6 +100,22 @@ def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None 
     rate = float(np.quantile(rates, _OFTEN))
     most = _UNSTABLE / rate if rate > 0 else np.inf
     return int(max(min(horizon, most / evidence.machine.sampling), horizon / _LESS, LEAST))
+
+
+def calm(evidence: Evidence, horizon: int, step: float) -> int:
+    """Shorten the windows until noise of the controls does not move them far.
+
+    Noise of acceleration moves a position with the power 3/2 of the time. Where it is moved by
+    hundreds of sigma, what the hypotheses change is not the same along the likely course of the
+    noise and along the true one.
+    """
+    problem = windows_of(evidence, horizon, step)
+    linear = linearise(problem, nothing(problem), problem.windows.start)
+    size = process_noise(linear, evidence.input_noise).size
+    moved = float(np.sqrt(np.median(size**2)))
+    if moved < _SHAKEN:
+        return horizon
+    return int(max(horizon * (_SHAKEN / moved) ** (2 / 3), LEAST))
 
 
 def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:

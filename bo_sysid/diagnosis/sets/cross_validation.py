@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.refit import Effort, refit
-from bo_sysid.diagnosis.windows.linear import Linear, project
+from bo_sysid.diagnosis.windows.linear import Linear
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.settling import first_start, settle
 
 _FOLDS = 5

@@ -16,8 +16,8 @@ from bo_sysid.diagnosis.sets.rules import (
     inflation,
     required,
 )
-from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import ROUGH
+from bo_sysid.diagnosis.windows.projection import project
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
 _SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where

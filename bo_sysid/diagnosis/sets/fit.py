@@ -11,8 +11,8 @@ from scipy.optimize import lsq_linear
 
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import project
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.simulation import State
 

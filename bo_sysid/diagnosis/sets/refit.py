@@ -17,8 +17,9 @@ from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, project
+from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.settling import better_of, first_start, moved_along, settle
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 from bo_sysid.simulation import State

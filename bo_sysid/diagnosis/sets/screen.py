@@ -12,7 +12,8 @@ from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.sets.subsets import Gram, gram
 from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, project
+from bo_sysid.diagnosis.windows.linear import Linear
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.timestep import SHARE_BOUNDS
 
 _ADDS = 0.7  # cosine of a member's column with its slope, from which adding it adds more of it

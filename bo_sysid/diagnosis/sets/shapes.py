@@ -14,8 +14,9 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort, refit
 from bo_sysid.diagnosis.windows.candidate import Candidate
-from bo_sysid.diagnosis.windows.linear import Linear, project
+from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.effects import Machine
 
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum

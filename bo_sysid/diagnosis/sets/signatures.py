@@ -14,8 +14,9 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.commanded import changed_activations
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, project
+from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.observation import observe
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.effects import Force
 from bo_sysid.mjcf.commands import clamped
 from bo_sysid.mjcf.compiling import differ
@@ -157,7 +158,7 @@ def _by_edits(linear: Linear, added: Hypothesis) -> tuple[np.ndarray, np.ndarray
             w = w + np.einsum("wmnu,wmu->wmn", linear.held(linear.E), change)
         before = observe(problem.layout, problem.windows, linear.trajectory, linear.parts)
         after = observe(problem.layout, problem.windows, linear.trajectory, parts)
-        shown = problem.weighted(after - before)
+        shown = problem.whitened(problem.weighted(after - before))
     return w, shown
 
 

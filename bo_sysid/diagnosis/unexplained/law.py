@@ -11,8 +11,9 @@ from bo_sysid.diagnosis.sets.signatures import response_to_forces, signatures
 from bo_sysid.diagnosis.unexplained.left_out import LeftOut
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
+from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.effects import Component, Effect, Extent, Force, Machine, Site
 from bo_sysid.effects.learned import Feature, features, learned_force

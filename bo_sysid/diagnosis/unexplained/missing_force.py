@@ -11,8 +11,9 @@ from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
+from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.settling import settle
 from bo_sysid.diagnosis.windows.timestep import finer_step
 from bo_sysid.effects.machine import JointScale

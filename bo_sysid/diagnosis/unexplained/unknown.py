@@ -17,8 +17,9 @@ from bo_sysid.diagnosis.sets.rules import MARGIN
 from bo_sysid.diagnosis.unexplained.law import law_columns, lengths, scales, terms_of
 from bo_sysid.diagnosis.unexplained.left_out import LeftOut
 from bo_sysid.diagnosis.windows.candidate import slices_of
-from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
+from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.windowing import meets_impacts
 from bo_sysid.effects.learned import Feature, features
 

@@ -1,6 +1,6 @@
 """Recordings cut into the windows of a diagnosis."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -31,6 +31,7 @@ def cut_problem(
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
     kept: FitCache = NO_CACHE,
+    input_noise: Mapping[str, float] | None = None,
 ) -> Problem:
     """Cut recordings into windows.
 
@@ -46,6 +47,7 @@ def cut_problem(
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
         kept: long fits of a diagnosis that was killed.
+        input_noise: σ of what recorded controls show and the machine did not get, by actuator.
     """
     windows = cut(
         model,
@@ -73,4 +75,5 @@ def cut_problem(
         laws=tuple(laws),
         loops=model.loops.released(model.loops.yielding & recorded),
         kept=kept,
+        input_noise=input_noise or {},
     )

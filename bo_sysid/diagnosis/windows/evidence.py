@@ -1,7 +1,7 @@
 """What a diagnosis is made from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -44,6 +44,7 @@ class Evidence:
         laws: controllers and force laws that belong to the nominal model.
         kept: long fits of a diagnosis that was killed.
         unheard: time in [s] after the first command of a log from which on positions are compared.
+        input_noise: σ of what recorded controls show and the machine did not get, by actuator.
     """
 
     model: Model
@@ -59,6 +60,7 @@ class Evidence:
     laws: tuple[Controller | ForceLaw, ...]
     kept: FitCache
     unheard: float = 0.0
+    input_noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:

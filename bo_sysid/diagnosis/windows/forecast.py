@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.estimated_starts import estimated
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING, held_joints, prior
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.diagnosis.windows.input_noise import process_noise
 from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.timestep import finer_step
@@ -59,6 +60,7 @@ def forecast_problem(
     timestep: float,
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
+    input_noise: Mapping[str, float] | None = None,
 ) -> tuple[Problem, int]:
     """Cut recordings into windows of past and future; return them and the instants of the past.
 
@@ -77,6 +79,7 @@ def forecast_problem(
         timestep=timestep,
         engine=engine,
         laws=laws,
+        input_noise=input_noise,
     )
     return problem, before
 
@@ -97,13 +100,14 @@ def forecast(problem: Problem, past: int, hypothesis: Hypothesis) -> Errors:
 
 
 def noise_floor(problem: Problem, past: int, hypothesis: Hypothesis, errors: Errors) -> float:
-    """Return the forecast error that sensor noise alone makes, in sigma.
+    """Return the forecast error that noise alone makes, in sigma of the sensors.
 
     By the response to the start, √(1 + tr(Jₐ Cov Jₐᵀ)/n). In contact, and where friction may hold
-    a joint, no slope holds over a window: there what the hypothesis predicts from its starts is
-    seen through new noise, and forecast.
+    a joint, no slope holds over a window, and noise of the inputs has another covariance: there
+    what the hypothesis predicts from its starts is seen through new noise, and forecast.
     """
-    if problem.machine.impacts or held_joints(problem, hypothesis):
+    drawn = problem.machine.impacts or problem.input_noise or held_joints(problem, hypothesis)
+    if drawn:
         return forecast(_redrawn(problem, hypothesis, errors.start), past, hypothesis).ahead
     return _floor(problem, past, _plain(hypothesis), errors)
 
@@ -122,6 +126,13 @@ def fitted(problem: Problem, hypothesis: Hypothesis) -> Errors:
     return Errors(float(np.sqrt((r**2).sum() / seen)) / spare, channel, shaped, start)
 
 
+def fitted_floor(problem: Problem, hypothesis: Hypothesis, errors: Errors) -> float:
+    """Return what `fitted` leaves of noise alone, in sigma of the sensors."""
+    if not problem.input_noise:
+        return 1.0
+    return fitted(_redrawn(problem, hypothesis, errors.start), hypothesis).ahead
+
+
 def _plain(hypothesis: Hypothesis) -> Hypothesis:
     return replace(hypothesis, numerics=0.0)
 
@@ -130,7 +141,12 @@ def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
     """Return the windows as a hypothesis predicts them, seen through noise."""
     plain, seen = _plain(hypothesis), problem.weight > 0
     r = problem.as_recorded(plain, start, finer_step(hypothesis.numerics)).reshape(seen.shape)
-    noise = np.random.default_rng(0).standard_normal(seen.shape)
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(seen.shape)
+    if problem.input_noise:
+        A = process_noise(linearise(problem, plain, start), problem.input_noise).response
+        shaken = np.einsum("wrk,wk->wr", A, rng.standard_normal((len(A), A.shape[2])))
+        noise += shaken.reshape(seen.shape)
     change = np.divide(noise - r, problem.weight, out=np.zeros_like(r), where=seen)
     windows = problem.windows
     return replace(problem, windows=replace(windows, observed=windows.observed + change))

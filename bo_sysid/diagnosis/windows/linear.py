@@ -21,6 +21,7 @@ from bo_sysid.diagnosis.windows.points import (
     state_matrix,
 )
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.diagnosis.windows.reference_motion import Along, smoothed
 from bo_sysid.effects import Part
 from bo_sysid.effects.contract import Reading
@@ -36,15 +37,6 @@ _GRID = 0.002  # [s] length of a macro step of the linear model
 _HOLD = 0.008  # [s] over which its matrices are held
 _MOVED = 1e-5  # [rad], [m] and their rates, by which a start is moved along a loop
 _UNSEEN = 0.5  # [sigma] of a window below which that is not fitted
-
-
-def project(
-    Q: Float[np.ndarray, "W R k"], r: Float[np.ndarray, "W R *c"]
-) -> Float[np.ndarray, "W R *c"]:
-    """Return P r = r - Q Qᵀ r for each window."""
-    if r.ndim == 2:
-        return np.asarray(r - (Q @ (Q.transpose(0, 2, 1) @ r[..., None]))[..., 0])
-    return np.asarray(r - Q @ (Q.transpose(0, 2, 1) @ r))
 
 
 @dataclass(frozen=True)
@@ -132,7 +124,7 @@ class Linear:
     def recorded(self) -> Along:
         """The motion as it was recorded: the prediction and a smooth deviation from it."""
         p = self.problem
-        deviation = self.residual.reshape(p.weight.shape)
+        deviation = p.deviation(self.hypothesis, self.start).reshape(p.weight.shape)
         seen = p.weight > 0
         deviation = np.divide(deviation, p.weight, out=np.zeros(seen.shape), where=seen)
         time = (p.windows.step + p.windows.fraction) * p.windows.timestep
@@ -168,6 +160,11 @@ class Linear:
         J = self.J * ratio.reshape(len(ratio), -1, 1)
         return replace(self, problem=problem)._responding(J)
 
+    def with_process(self, process: ProcessNoise) -> "Linear":
+        """Return the linear model of the same windows, in units of all noise."""
+        made = replace(self, problem=replace(self.problem, process=process))
+        return made._responding(process.whiten(self.J))
+
     def _responding(self, J: Float[np.ndarray, "W R k"]) -> "Linear":
         """Return the linear model with a response to the start, and what follows from it."""
         Q, R = np.linalg.qr(J)
@@ -202,7 +199,11 @@ class Linear:
         return out
 
     def shown(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
-        """Return what the channels show of a change of state, in sigma.
+        """Return what the channels show of a change of state, in units of all noise."""
+        return self.problem.whitened(self.seen(s))
+
+    def seen(self, s: Float[np.ndarray, "W M1 n c"]) -> Float[np.ndarray, "W R c"]:
+        """Return what the channels show of a change of state, in sigma of the sensors.
 
         The hypothesis' readings show it as well: (1 + scale)·δ(t - delay).
         """

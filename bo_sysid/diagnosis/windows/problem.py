@@ -1,6 +1,6 @@
 """The recordings cut into windows, and what a hypothesis predicts for them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.observation import observe
+from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.diagnosis.windows.timestep import refined
 from bo_sysid.effects import Filter, Machine, Part
@@ -80,6 +81,9 @@ class Problem:
         laws: controllers and force laws that belong to the nominal model.
         loops: closed chains of the nominal model, on which starts lie.
         kept: long fits of a diagnosis that was killed.
+        input_noise: standard deviation of what recorded controls show and the machine did not get,
+            by actuator, in the control's unit; nothing for those that are not named.
+        process: what that does to the windows; None where it does nothing, or is not known yet.
         recent: the last simulations.
     """
 
@@ -96,6 +100,8 @@ class Problem:
     laws: tuple[Controller | ForceLaw, ...]
     loops: Loops
     kept: FitCache = NO_CACHE
+    input_noise: Mapping[str, float] = field(default_factory=dict)
+    process: ProcessNoise | None = None
     recent: Recent[Simulated] = field(default_factory=Recent)
 
     @cached_property
@@ -105,6 +111,7 @@ class Problem:
         return (
             float(w.timestep), w.channels, w.recording, w.time, w.start.qpos, w.start.qvel,
             self.weight, self.block, self.correction,
+            None if self.process is None else self.process.response,
         )  # fmt: skip
 
     @property
@@ -135,16 +142,20 @@ class Problem:
             weight=self.weight[keep],
             block=blocks_of(windows.recording, BLOCKS)[0],
             correction=None if self.correction is None else self.correction[keep],
+            process=None if self.process is None else self.process.rows(keep),
         )
 
     def beginning(self, instants: int) -> "Problem":
         """Return the problem with the first instants of every window."""
         own = slice(0, instants * len(self.windows.channels))
+        windows = self.windows.beginning(instants)
+        steps = windows.ctrl.shape[1]
         return replace(
             self,
-            windows=self.windows.beginning(instants),
+            windows=windows,
             weight=self.weight[:, :instants],
             correction=None if self.correction is None else self.correction[:, own],
+            process=None if self.process is None else self.process.beginning(own.stop, steps),
         )
 
     def compiled(
@@ -163,8 +174,12 @@ class Problem:
             raise ModelError(f"{error}; tried was {tried}" if tried else str(error)) from None
 
     def controls(self, parts: Sequence[Part], windows: Windows) -> Float[np.ndarray, "W S nu"]:
-        """Return the windows' controls after the filters among `parts`."""
-        return self._filtered(parts, windows, windows.ctrl, windows.time)
+        """Return the windows' controls after the filters among `parts`, less noise of theirs."""
+        ctrl = self._filtered(parts, windows, windows.ctrl, windows.time)
+        if self.process is None:
+            return ctrl
+        finer = ctrl.shape[1] // self.process.controls.shape[1]
+        return np.asarray(ctrl + np.repeat(self.process.controls, finer, axis=1))
 
     def _after(
         self, model: mujoco.MjModel, parts: Sequence[Part], windows: Windows, start: State
@@ -286,13 +301,21 @@ class Problem:
     def residual(
         self, hypothesis: Hypothesis, start: State, finer: int = 1
     ) -> Float[np.ndarray, "W R"]:
-        """Return recorded minus predicted for every observation, in sigma."""
-        s = self.simulate(hypothesis, start, finer)
-        shown = observe(self.layout, s.windows, s.trajectory, s.parts)
-        r = self.weighted(np.where(self.seen(s.parts), s.windows.residual(shown), 0.0))
+        """Return recorded minus predicted for every observation, in units of all noise."""
+        r = self.deviation(hypothesis, start, finer)
+        if self.process is not None:
+            r = self.process.whiten(r + self.process.told)
         if self.correction is not None and hypothesis.numerics:
             r = r - hypothesis.numerics * self.correction
         return r
+
+    def deviation(
+        self, hypothesis: Hypothesis, start: State, finer: int = 1
+    ) -> Float[np.ndarray, "W R"]:
+        """Return recorded minus simulated for every observation, in sigma of the sensors."""
+        s = self.simulate(hypothesis, start, finer)
+        shown = observe(self.layout, s.windows, s.trajectory, s.parts)
+        return self.weighted(np.where(self.seen(s.parts), s.windows.residual(shown), 0.0))
 
     def as_recorded(
         self, hypothesis: Hypothesis, start: State, finer: int = 1
@@ -321,6 +344,10 @@ class Problem:
                 known = at - began[:, None] >= reading.delay
                 seen[..., windows.channels.index(reading.channel)] &= known
         return seen
+
+    def whitened(self, r: Float[np.ndarray, "W R *c"]) -> Float[np.ndarray, "W R *c"]:
+        """Return residuals, or columns, in units of all noise where the inputs have some too."""
+        return r if self.process is None else self.process.whiten(r)
 
     def weighted(self, values: Float[np.ndarray, "W H c"]) -> Float[np.ndarray, "W R"]:
         """Return values in sigma, one row a window; what is not finite counts as far away."""

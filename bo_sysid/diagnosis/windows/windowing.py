@@ -13,8 +13,10 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up, first_starts
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.linear import Linear, linearise, project
+from bo_sysid.diagnosis.windows.input_noise import smoothed
+from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.diagnosis.windows.recorded_contact import meets_stops
 from bo_sysid.diagnosis.windows.settling import better_of, settle
 from bo_sysid.diagnosis.windows.timestep import FINER
@@ -75,6 +77,8 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         start, _ = caught_up(problem, at, linear.start)
         linear = linear if start is linear.start else linearise(problem, at, start)
         linear = linear.observing(noise_with_chaos(linear))
+    elif problem.input_noise:
+        linear = smoothed(linear, problem.input_noise)
     change = _by_a_finer_step(linear)
     if contact:
         linear, change = _weighted_by_step(linear, change)

@@ -1,0 +1,178 @@
+"""Noise of recorded controls: whether what is recorded there beside the motion reached the machine.
+
+A torque that was measured, or computed from a current, shows noise that the machine never felt.
+Above some frequency a spectrum is flat where noise covers everything else. What the model says that
+this part of the recording does is compared with what the machine did: it did nothing where the
+part is noise of the measurement, and what the model says, or the same later and smoother, where it
+was sent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.signal import butter, sosfiltfilt, welch
+
+from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
+from bo_sysid.diagnosis.windows.input_noise import controlled_response, process_noise
+from bo_sysid.diagnosis.windows.linear import Linear
+from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
+from bo_sysid.diagnosis.windows.projection import project
+from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording.alignment import control_steps
+from bo_sysid.simulation import Controller
+
+_SEGMENT = 256  # samples of a spectrum's segments
+_FLAT = 2.0  # times the noise's power, below which a spectrum is noise
+_BURST = 4.0  # deviations, from which that is no noise
+_LATE = (1, 2, 4, 8, 16)  # samples by which what arrives may be late
+_SHARE, _SURE = 0.3, 4.0  # of the noise that does not arrive, and in deviations, to be believed
+_REFUTED = 2.0  # deviations, by which less must be missing to be believed no longer
+_ARRIVES = 3.0  # deviations, by which noise that is late must arrive to be believed
+_TINY = 1e-9
+_FELT = 0.3  # [sigma], and as a share of what the leading set leaves, that noise must do
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """The flat part of an actuator's recorded controls.
+
+    Attributes:
+        actuator: whose controls.
+        sigma: its standard deviation, all frequencies taken together.
+        courses: what of it lies where nothing else does, by recording.
+    """
+
+    actuator: str
+    sigma: float
+    courses: tuple[Channel | None, ...]
+
+
+def noisy_inputs(search: Search) -> dict[str, float]:
+    """Return the noise of the recorded controls that the machine did not feel, by actuator.
+
+    Empty where there is none, where it does nothing that could be seen beside what the leading set
+    leaves, or where that cannot be told.
+    """
+    linear, leader = search.frame, search.best
+    problem = linear.problem
+    told = {w.actuator for w in problem.laws if isinstance(w, Controller)}
+    names = [n.removeprefix("ctrl.") for n in problem.model.ctrl_channels]
+    flat = (_flat(problem.recordings, n) for n in names if n not in told)
+    noises = [n for n in flat if n is not None]
+    if not noises or problem.machine.impacts:
+        return {}
+    does = process_noise(linear, {n.actuator: n.sigma for n in noises})
+    if np.sqrt(np.mean(does.size**2)) < _FELT * max(1.0, leader.rms):
+        return {}
+    found = {}
+    for noise, (share, unsure) in zip(noises, _absent(linear, leader, noises, does), strict=True):
+        known = noise.actuator in problem.input_noise  # and then stays, unless that is refuted
+        least = _SHARE - _REFUTED * unsure if known else max(_SHARE, _SURE * unsure)
+        if share > least:
+            found[noise.actuator] = noise.sigma
+    return found
+
+
+def _flat(recordings: Sequence[Recording], actuator: str) -> _Noise | None:
+    """Return the flat part of an actuator's spectrum, None where it has none.
+
+    Its power is the median over the upper half of the frequencies, and it is cut out above the
+    last frequency at which there is much more.
+    """
+    channels = [r.channels.get(f"ctrl.{actuator}") for r in recordings]
+    powers, lengths = [], []
+    for channel in channels:
+        if channel is not None and channel.values.size >= 2 * _SEGMENT:
+            f, power = welch(channel.values, nperseg=_SEGMENT)  # of a rate of 1
+            powers.append(power)
+            lengths.append(channel.values.size)
+    if not powers:
+        return None
+    power = np.average(powers, axis=0, weights=lengths)
+    floor = float(np.median(power[f > 0.25]))
+    more = f[power > _FLAT * floor]
+    cut = float(more.max(initial=0.0)) + f[1]
+    if floor <= 0 or cut > 0.35:
+        return None
+    sos, sigma = butter(2, 2 * cut, "highpass", output="sos"), float(np.sqrt(0.5 * floor))
+    courses: list[Channel | None] = []
+    for channel in channels:
+        if channel is None:
+            courses.append(None)
+            continue
+        rest = sosfiltfilt(sos, channel.values)
+        rest = np.where(np.abs(rest) < _BURST * sigma, rest, 0.0)
+        courses.append(replace(channel, values=rest))
+    return _Noise(actuator, sigma, tuple(courses))
+
+
+def _absent(
+    linear: Linear, leader: Fit, noises: Sequence[_Noise], does: ProcessNoise
+) -> list[tuple[float, float]]:
+    """Return for each noise the share of it that did not arrive, and its standard deviation.
+
+    It is minus what the residual holds of the response to the noise, beside what the leader's
+    magnitudes and a gain of the whole control may change. A share is 0 where the noise arrives
+    later (`_LATE`).
+    """
+    problem = linear.problem
+    columns, y = [leader.jacobian.astype(float)], leader.residual
+    if problem.process is None:  # least squares that count with it see much more
+        linear = linear.with_process(does)
+        problem, columns, y = linear.problem, [does.whiten(columns[0])], does.whiten(y)
+
+    def responses(noise: _Noise, channels: Sequence[Channel | None], lags: Sequence[int]) -> None:
+        courses = np.stack([_course(linear, channels, lag) for lag in lags], axis=-1)
+        shown = controlled_response(linear, noise.actuator, courses)
+        columns.append(problem.whitened(shown))
+
+    for noise in noises:
+        whole = [r.channels.get(f"ctrl.{noise.actuator}") for r in problem.recordings]
+        responses(noise, whole, (0,))
+        responses(noise, noise.courses, (0, *_LATE))
+    S, y = project(linear.Q, np.concatenate(columns, axis=2)), project(linear.Q, y)
+    first, each = leader.jacobian.shape[-1], 2 + len(_LATE)
+    prompt = [first + each * k + 1 for k in range(len(noises))]
+    known = [*range(first), *(p - 1 for p in prompt), *prompt]
+    c, deviation = _solved(S[..., known], y, problem)
+    found = list(zip(-c[-len(noises) :], deviation[-len(noises) :], strict=True))
+    for k, at in enumerate(prompt):
+        for late in range(at + 1, at + 1 + len(_LATE)):
+            c, deviation = _solved(S[..., [*known, late]], y, problem)
+            if c[-1] > max(_SHARE, _ARRIVES * deviation[-1]):
+                found[k] = (0.0, float(deviation[-1]))
+    return [(float(share), float(unsure)) for share, unsure in found]
+
+
+def _solved(
+    S: Float[np.ndarray, "W R p"], y: Float[np.ndarray, "W R"], problem: Problem
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+    """Return the least-squares coefficients of columns, and their standard deviations."""
+    scale = np.sqrt((S**2).sum(axis=(0, 1))) + _TINY
+    G, g, _ = by_block(S / scale, y, problem.block)
+    total = G.sum(axis=0) + _TINY * np.eye(len(scale))
+    c = np.linalg.solve(total, g.sum(axis=0))
+    left = y - (S / scale) @ c
+    scatter = by_block(S / scale, left, problem.block)[1]
+    covariance = sandwich(total, scatter, float((left**2).sum()) / problem.dof)
+    return c / scale, np.sqrt(np.diag(covariance)) / scale
+
+
+def _course(
+    linear: Linear, channels: Sequence[Channel | None], lag: int
+) -> Float[np.ndarray, "W M"]:
+    """Return a control over the macro steps of every window, some samples late."""
+    windows = linear.problem.windows
+    macro = linear.macro * windows.timestep
+    out = np.zeros((len(windows), linear.macros))
+    for i, channel in enumerate(channels):
+        if channel is not None:
+            late = lag * float(np.median(np.diff(channel.time)))
+            moved = replace(channel, time=channel.time + late)
+            own = windows.recording == i
+            out[own] = control_steps(moved, windows.time[own], linear.macros, macro)
+    return out

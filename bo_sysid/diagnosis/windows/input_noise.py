@@ -1,0 +1,145 @@
+"""What a change of the recorded controls does to windows, along the linear model."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from bo_sysid.diagnosis.windows.linear import Linear, linearise
+from bo_sysid.diagnosis.windows.problem import Problem
+from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
+from bo_sysid.diagnosis.windows.recent import Recent
+from bo_sysid.recording import Recording
+
+_PIECES = 64  # of a window in which noise has a value each, at most
+_ROUNDS = 6  # of Gauss-Newton steps
+_SHARES = (1.0, 0.4, 0.1)  # of a step, tried one after the other
+_WORTH_A_ROUND = 1e-2  # share of the cost that a round must gain to be followed by another
+_MOST = 1e6  # [sigma] of a response, in windows that diverge
+
+
+def controlled_response(
+    linear: Linear, actuator: str, change: Float[np.ndarray, "W M c"]
+) -> Float[np.ndarray, "W R c"]:
+    """Return what changes of one control do, in sigma of the sensors.
+
+    Args:
+        linear: the model along a prediction.
+        actuator: whose control changes.
+        change: `c` courses of its change over the macro steps, in the control's unit.
+    """
+    column = linear.problem.model.ctrl_channels.index(f"ctrl.{actuator}")
+    E = linear.held(linear.E[..., column])
+    shown = linear.seen(linear.propagate(np.einsum("wmn,wmc->wmnc", E, change)))
+    return np.asarray(np.clip(np.nan_to_num(shown), -_MOST, _MOST))
+
+
+def disturbances(
+    linear: Linear, noise: Mapping[str, float]
+) -> tuple[Float[np.ndarray, "W R k"], Float[np.ndarray, "k S nu"]]:
+    """Return what white noise of recorded controls does to windows, and its courses.
+
+    A window is cut into pieces of length L, none shorter than the interval h between two controls.
+    The mean of the noise over a piece has a deviation of σ √(h/L), and what differs within one is
+    smoothed away by the mechanics.
+
+    Args:
+        linear: the model along a prediction.
+        noise: σ of each sample, by actuator.
+
+    Returns:
+        The responses to k independent courses of size 1, and what these add to the controls.
+    """
+    problem, steps = linear.problem, linear.macro
+    macro, last = steps * problem.windows.timestep, problem.windows.ctrl.shape[1]
+    responses, courses = [], []
+    for actuator, sigma in noise.items():
+        interval = sampling(problem.recordings, actuator)
+        least = max(interval / macro, 1.0)
+        count = int(np.clip(linear.macros / least, 1, _PIECES))
+        piece = np.arange(linear.macros) * count // linear.macros
+        length = np.maximum(np.bincount(piece, minlength=count), least) * macro
+        change = np.eye(count)[piece] * sigma * np.sqrt(interval / length)
+        shape = (len(linear.start), *change.shape)
+        responses.append(controlled_response(linear, actuator, np.broadcast_to(change, shape)))
+        added = np.zeros((count, last, problem.windows.ctrl.shape[2]))
+        column = problem.model.ctrl_channels.index(f"ctrl.{actuator}")
+        added[..., column] = np.repeat(change.T, steps, axis=1)[:, :last]
+        courses.append(added)
+    return np.concatenate(responses, axis=2), np.concatenate(courses)
+
+
+def process_noise(linear: Linear, noise: Mapping[str, float]) -> ProcessNoise:
+    """Return what white noise of recorded controls does about the controls as recorded."""
+    response, courses = disturbances(linear, noise)
+    return _process(response, courses, np.zeros((len(response), len(courses))))
+
+
+def smoothed(linear: Linear, noise: Mapping[str, float]) -> Linear:
+    """Return the linear model in units of all noise, along the likely course of the inputs'.
+
+    Noise that moves a window by hundreds of sigma moves it to where another linear model holds.
+    Gauss-Newton steps lead to the start and the course that are most likely together.
+
+    Args:
+        linear: the model along a prediction, in units of the sensors.
+        noise: σ of each sample, by actuator.
+    """
+    problem, at, start = linear.problem, linear.hypothesis, linear.start
+    response, courses = disturbances(linear, noise)
+    drawn = np.zeros((len(response), len(courses)))
+    cost = _cost(problem.deviation(at, start), drawn)
+    for _ in range(_ROUNDS):
+        before, left = cost.sum(), np.ones(len(cost), bool)
+        move, toward = _likeliest(linear, _process(response, courses, drawn))
+        for share in _SHARES:
+            other = drawn + share * (toward - drawn)
+            moved = problem.moved(start, share * move)
+            tried = _along(problem, _process(response, courses, other))
+            costs = _cost(tried.deviation(at, moved), other)
+            better = left & (costs < cost)
+            drawn, cost = np.where(better[:, None], other, drawn), np.where(better, costs, cost)
+            start, left = start.picked(better, moved), left & ~better
+        linear = linearise(_along(problem, _process(response, courses, drawn)), at, start)
+        response, _ = disturbances(linear, noise)
+        if cost.sum() > (1 - _WORTH_A_ROUND) * before:
+            break
+    return linear.with_process(_process(response, courses, drawn))
+
+
+def _process(
+    response: Float[np.ndarray, "W R k"],
+    courses: Float[np.ndarray, "k S nu"],
+    drawn: Float[np.ndarray, "W k"],
+) -> ProcessNoise:
+    return ProcessNoise.about(response, np.einsum("wk,ksu->wsu", drawn, courses), drawn)
+
+
+def _along(problem: Problem, process: ProcessNoise) -> Problem:
+    """Return the problem with a course of noise in its controls, in units of the sensors."""
+    return replace(problem, process=process.unweighted, recent=Recent())
+
+
+def _cost(
+    deviation: Float[np.ndarray, "W R"], drawn: Float[np.ndarray, "W k"]
+) -> Float[np.ndarray, " W"]:
+    """Return twice the negative logarithm of how likely noise of sensors and inputs is."""
+    return np.asarray((deviation**2).sum(axis=1) + (drawn**2).sum(axis=1))
+
+
+def _likeliest(
+    linear: Linear, process: ProcessNoise
+) -> tuple[Float[np.ndarray, "W n"], Float[np.ndarray, "W k"]]:
+    """Return the change of start and the noise that are most likely along a linear model."""
+    weighted = linear.with_process(process)
+    move = np.einsum("wkr,wr->wk", weighted.start_gain, weighted.residual)
+    left = linear.problem.deviation(linear.hypothesis, linear.start) + process.told
+    left = left - np.einsum("wrk,wk->wr", linear.J, move)
+    return np.asarray(move), process.likely(left)
+
+
+def sampling(recordings: Sequence[Recording], actuator: str) -> float:
+    """Return the interval between two of an actuator's controls in [s]."""
+    channels = (r.channels.get(f"ctrl.{actuator}") for r in recordings)
+    return float(np.median([np.median(np.diff(c.time)) for c in channels if c is not None]))
