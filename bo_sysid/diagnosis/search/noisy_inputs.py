@@ -19,7 +19,7 @@ from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
 from bo_sysid.diagnosis.windows.input_noise import controlled_response, process_noise
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
-from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
+from bo_sysid.diagnosis.windows.process_noise import weighting
 from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps
@@ -30,8 +30,7 @@ _FLAT = 2.0  # times the noise's power, below which a spectrum is noise
 _BURST = 4.0  # deviations, from which that is no noise
 _LATE = (1, 2, 4, 8, 16)  # samples by which what arrives may be late
 _SHARE, _SURE = 0.3, 4.0  # of the noise that does not arrive, and in deviations, to be believed
-_REFUTED = 2.0  # deviations, by which less must be missing to be believed no longer
-_ARRIVES = 3.0  # deviations, by which noise that is late must arrive to be believed
+_ALIKE = 2.0  # deviations, where one actuator's is believed, for another's, or to be refuted
 _TINY = 1e-9
 _FELT = 0.3  # [sigma], and as a share of what the leading set leaves, that noise must do
 
@@ -68,13 +67,22 @@ def noisy_inputs(search: Search) -> dict[str, float]:
     does = process_noise(linear, {n.actuator: n.sigma for n in noises})
     if np.sqrt(np.mean(does.size**2)) < _FELT * max(1.0, leader.rms):
         return {}
-    found = {}
-    for noise, (share, unsure) in zip(noises, _absent(linear, leader, noises, does), strict=True):
-        known = noise.actuator in problem.input_noise  # and then stays, unless that is refuted
-        least = _SHARE - _REFUTED * unsure if known else max(_SHARE, _SURE * unsure)
-        if share > least:
-            found[noise.actuator] = noise.sigma
-    return found
+    shares = _absent(linear, leader, noises)
+    sure = any(share > max(_SHARE, _SURE * unsure) for share, unsure in shares)
+    sure = sure or any(n.actuator in problem.input_noise for n in noises)
+    return {
+        n.actuator: n.sigma
+        for n, (share, unsure) in zip(noises, shares, strict=True)
+        if sure and share > _least(n.actuator in problem.input_noise, unsure)
+    }
+
+
+def _least(known: bool, unsure: float) -> float:
+    """Return the share from which a control counts as noisy where one does.
+
+    Its noise was likely measured in the same way; known noise is so until that is refuted.
+    """
+    return _SHARE - _ALIKE * unsure if known else max(_SHARE, _ALIKE * unsure)
 
 
 def _flat(recordings: Sequence[Recording], actuator: str) -> _Noise | None:
@@ -110,9 +118,7 @@ def _flat(recordings: Sequence[Recording], actuator: str) -> _Noise | None:
     return _Noise(actuator, sigma, tuple(courses))
 
 
-def _absent(
-    linear: Linear, leader: Fit, noises: Sequence[_Noise], does: ProcessNoise
-) -> list[tuple[float, float]]:
+def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple[float, float]]:
     """Return for each noise the share of it that did not arrive, and its standard deviation.
 
     It is minus what the residual holds of the response to the noise, beside what the leader's
@@ -120,10 +126,7 @@ def _absent(
     later (`_LATE`).
     """
     problem = linear.problem
-    columns, y = [leader.jacobian.astype(float)], leader.residual
-    if problem.process is None:  # least squares that count with it see much more
-        linear = linear.with_process(does)
-        problem, columns, y = linear.problem, [does.whiten(columns[0])], does.whiten(y)
+    columns = [leader.jacobian.astype(float)]
 
     def responses(noise: _Noise, channels: Sequence[Channel | None], lags: Sequence[int]) -> None:
         courses = np.stack([_course(linear, channels, lag) for lag in lags], axis=-1)
@@ -134,7 +137,13 @@ def _absent(
         whole = [r.channels.get(f"ctrl.{noise.actuator}") for r in problem.recordings]
         responses(noise, whole, (0,))
         responses(noise, noise.courses, (0, *_LATE))
-    S, y = project(linear.Q, np.concatenate(columns, axis=2)), project(linear.Q, y)
+    S, y, J = np.concatenate(columns, axis=2), leader.residual, linear.J
+    new = {n.actuator: n.sigma for n in noises if n.actuator not in problem.input_noise}
+    if new:  # least squares that count with all of it see much more
+        weight = weighting(problem.whitened(process_noise(linear, new).response))
+        S, y, J = (project(weight, part) for part in (S, y, J))
+    Q = np.linalg.qr(J)[0]
+    S, y = project(Q, S), project(Q, y)
     first, each = leader.jacobian.shape[-1], 2 + len(_LATE)
     prompt = [first + each * k + 1 for k in range(len(noises))]
     known = [*range(first), *(p - 1 for p in prompt), *prompt]
@@ -143,7 +152,7 @@ def _absent(
     for k, at in enumerate(prompt):
         for late in range(at + 1, at + 1 + len(_LATE)):
             c, deviation = _solved(S[..., [*known, late]], y, problem)
-            if c[-1] > max(_SHARE, _ARRIVES * deviation[-1]):
+            if c[-1] > max(_SHARE, _SURE * deviation[-1]):
                 found[k] = (0.0, float(deviation[-1]))
     return [(float(share), float(unsure)) for share, unsure in found]
 

@@ -11,7 +11,6 @@ which is what generalised least squares do and leaves white noise of size 1.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +18,14 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.windows.projection import project
 
 _NOTHING = 1e-3  # of a direction: its share of the weighting, below which it is left out
+
+
+def weighting(response: Float[np.ndarray, "W R k"]) -> Float[np.ndarray, "W R m"]:
+    """Return Q such that I - QQᵀ = (I + A Aᵀ)^-½ for a response A."""
+    U, S, _ = np.linalg.svd(response, full_matrices=False)
+    share = 1.0 - 1.0 / np.sqrt(1.0 + S**2)
+    most = int((share > _NOTHING).sum(axis=1).max(initial=0))
+    return np.asarray((U * np.sqrt(share)[:, None, :])[..., :most])
 
 
 @dataclass(frozen=True)
@@ -43,21 +50,13 @@ class ProcessNoise:
         response: Float[np.ndarray, "W R k"],
         controls: Float[np.ndarray, "W S nu"],
         drawn: Float[np.ndarray, "W k"],
-    ) -> Self:
+    ) -> "ProcessNoise":
         """Return the noise with a response A about the course that `drawn` ξ₀ make."""
         told = np.einsum("wrk,wk->wr", response, drawn)
-        made = cls(response, response[..., :0], controls, told)
-        return replace(made, basis=made._weighting)
+        return cls(response, weighting(response), controls, told)
 
     @property
-    def _weighting(self) -> Float[np.ndarray, "W R m"]:
-        U, S, _ = np.linalg.svd(self.response, full_matrices=False)
-        share = 1.0 - 1.0 / np.sqrt(1.0 + S**2)
-        most = int((share > _NOTHING).sum(axis=1).max(initial=0))
-        return np.asarray((U * np.sqrt(share)[:, None, :])[..., :most])
-
-    @property
-    def unweighted(self) -> Self:
+    def unweighted(self) -> "ProcessNoise":
         """The same course, with which residuals are weighted by the sensors alone."""
         return replace(self, basis=self.basis[..., :0])
 
@@ -76,7 +75,7 @@ class ProcessNoise:
         toward = np.einsum("wrk,wr->wk", A, left)
         return np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0])
 
-    def rows(self, keep: np.ndarray) -> Self:
+    def rows(self, keep: np.ndarray) -> "ProcessNoise":
         """Return that of some windows."""
         return replace(
             self,
@@ -86,15 +85,12 @@ class ProcessNoise:
             told=self.told[keep],
         )
 
-    def beginning(self, observations: int, steps: int) -> Self:
+    def beginning(self, observations: int, steps: int) -> "ProcessNoise":
         """Return that of the first observations of every window, and of so many steps."""
-        made = replace(
-            self,
-            response=self.response[:, :observations],
-            controls=self.controls[:, :steps],
-            told=self.told[:, :observations],
+        response = self.response[:, :observations]
+        return ProcessNoise(
+            response, weighting(response), self.controls[:, :steps], self.told[:, :observations]
         )
-        return replace(made, basis=made._weighting)
 
     def whiten(self, r: Float[np.ndarray, "W R *c"]) -> Float[np.ndarray, "W R *c"]:
         """Return residuals, or columns, weighted by (I + A Aᵀ)^-½."""
