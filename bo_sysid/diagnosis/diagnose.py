@@ -22,6 +22,7 @@ from bo_sysid.diagnosis.answer.sentences import (
     disputed_sentence,
     doubts,
     found_sentences,
+    noise_sentence,
     parameters_sentence,
     rivals,
     stood_in_sentence,
@@ -150,7 +151,9 @@ class Diagnosis:
             said.append(left_sentence(best, self.evidence.most, nearest))
         said += hints(best, self.evidence.machine, self.located.decision.fits)
         after = self.answer.next_experiment
-        return (*said, *self.holdout.sentences, *((after.sentence,) if after else ()))
+        noise = noise_sentence(self.evidence.input_noise)
+        shown = [*self.holdout.sentences, *((noise,) if noise else ())]
+        return (*said, *shown, *((after.sentence,) if after else ()))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""

@@ -1,6 +1,6 @@
 """A diagnosis in sentences, to be read aloud."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
@@ -34,6 +34,21 @@ def found_sentences(findings: Sequence[Finding]) -> list[str]:
         else:
             said.append(_group_sentence(name, members))
     return said
+
+
+def noise_sentence(noise: Mapping[str, float]) -> str:
+    """Return what noise of recorded controls was counted with, in words; empty where none was.
+
+    Args:
+        noise: σ by actuator, in the unit of its control.
+    """
+    if not noise:
+        return ""
+    each = ", ".join(f"{sigma:.2g} for {actuator}" for actuator, sigma in noise.items())
+    return (
+        f"The recorded controls hold noise that did not move the machine ({each}, in their own "
+        "units): what it does is counted as noise, and is in the noise floor."
+    )
 
 
 def _group_sentence(name: str, members: Sequence[Finding]) -> str:

@@ -9,6 +9,7 @@ was sent.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +28,9 @@ from bo_sysid.simulation import Controller
 
 _SEGMENT = 256  # samples of a spectrum's segments
 _FLAT = 2.0  # times the noise's power, below which a spectrum is noise
+_ORDER = 8  # of the filter: what it passes in part is in both of what it parts
 _BURST = 4.0  # deviations, from which that is no noise
+_WHOLE = (0, 1)  # samples by which the whole of a control is late, whose gain may be wrong
 _LATE = (1, 2, 4, 8, 16)  # samples by which what arrives may be late
 _SHARE, _SURE = 0.3, 4.0  # of the noise that does not arrive, and in deviations, to be believed
 _ALIKE = 2.0  # deviations, where one actuator's is believed, for another's, or to be refuted
@@ -106,7 +109,7 @@ def _flat(recordings: Sequence[Recording], actuator: str) -> _Noise | None:
     cut = float(more.max(initial=0.0)) + f[1]
     if floor <= 0 or cut > 0.35:
         return None
-    sos, sigma = butter(2, 2 * cut, "highpass", output="sos"), float(np.sqrt(0.5 * floor))
+    sos, sigma = butter(_ORDER, 2 * cut, "highpass", output="sos"), float(np.sqrt(0.5 * floor))
     courses: list[Channel | None] = []
     for channel in channels:
         if channel is None:
@@ -126,27 +129,20 @@ def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple
     later (`_LATE`).
     """
     problem = linear.problem
-    columns = [leader.jacobian.astype(float)]
-
-    def responses(noise: _Noise, channels: Sequence[Channel | None], lags: Sequence[int]) -> None:
-        courses = np.stack([_course(linear, channels, lag) for lag in lags], axis=-1)
-        shown = controlled_response(linear, noise.actuator, courses)
-        columns.append(problem.whitened(shown))
-
-    for noise in noises:
-        whole = [r.channels.get(f"ctrl.{noise.actuator}") for r in problem.recordings]
-        responses(noise, whole, (0,))
-        responses(noise, noise.courses, (0, *_LATE))
-    S, y, J = np.concatenate(columns, axis=2), leader.residual, linear.J
+    S = np.concatenate(
+        [leader.jacobian.astype(float), *map(partial(_responses, linear), noises)], 2
+    )
+    y, J = leader.residual, linear.J
     new = {n.actuator: n.sigma for n in noises if n.actuator not in problem.input_noise}
     if new:  # least squares that count with all of it see much more
         weight = weighting(problem.whitened(process_noise(linear, new).response))
         S, y, J = (project(weight, part) for part in (S, y, J))
     Q = np.linalg.qr(J)[0]
     S, y = project(Q, S), project(Q, y)
-    first, each = leader.jacobian.shape[-1], 2 + len(_LATE)
-    prompt = [first + each * k + 1 for k in range(len(noises))]
-    known = [*range(first), *(p - 1 for p in prompt), *prompt]
+    first, each = leader.jacobian.shape[-1], len(_WHOLE) + 1 + len(_LATE)
+    prompt = [first + each * k + len(_WHOLE) for k in range(len(noises))]
+    whole = [p - 1 - k for p in prompt for k in range(len(_WHOLE))]
+    known = [*range(first), *whole, *prompt]
     c, deviation = _solved(S[..., known], y, problem)
     found = list(zip(-c[-len(noises) :], deviation[-len(noises) :], strict=True))
     for k, at in enumerate(prompt):
@@ -155,6 +151,15 @@ def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple
             if c[-1] > max(_SHARE, _SURE * deviation[-1]):
                 found[k] = (0.0, float(deviation[-1]))
     return [(float(share), float(unsure)) for share, unsure in found]
+
+
+def _responses(linear: Linear, noise: _Noise) -> Float[np.ndarray, "W R c"]:
+    """Return what a whole control does, and then its noise: at once, and late."""
+    whole = [r.channels.get(f"ctrl.{noise.actuator}") for r in linear.problem.recordings]
+    courses = [_course(linear, whole, lag) for lag in _WHOLE]
+    courses += [_course(linear, noise.courses, lag) for lag in (0, *_LATE)]
+    shown = controlled_response(linear, noise.actuator, np.stack(courses, axis=-1))
+    return linear.problem.whitened(shown)
 
 
 def _solved(
