@@ -36,13 +36,14 @@ def summary(rows: list[dict]) -> dict[str, object]:
     good = lambda r: r["forecasts"]["0.08"][1] <= 1.15 * r["forecasts"]["0.08"][2]  # noqa: E731
     longer = lambda r: r["forecasts"]["0.3"][1] <= 1.15 * r["forecasts"]["0.3"][2]  # noqa: E731
     right = lambda r: r["class"] and not r["flagged"]  # noqa: E731
+    none = lambda r: not r["found"] and not r["flagged"]  # noqa: E731
     inside = [i for r in of("single", "pair") for i in r["inside"]]
     closed = lambda r: _closed(r["forecasts"]["0.08"]) >= 0.8  # noqa: E731
     return {
         "singles": share(seen(of("single")), right),
         "pairs": share(seen(of("pair")), right),
-        "nothing": share(of("nothing"), lambda r: not r["found"] and not r["flagged"]),
-        "nothing_off": share(of("off"), lambda r: not r["found"] and not r["flagged"]),
+        "nothing": share(of("nothing"), none),
+        "nothing_off": share(of("off"), none),
         "unknown_flagged": share(strange, lambda r: r["flagged"]),
         "unknown_located": share(strange, lambda r: r["site"] == r["planted"].get("site")),
         "unknown_closed": share(strange, closed),
@@ -55,6 +56,13 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "masses_within_10": share(of("masses"), _near),
         "loads": share(seen(of("load")), right),
         "loads_place_inside_95": _share([i for r in of("load") for i in r["place_inside"]]),
+        "noisy": share([r for r in of("noisy") if r["truth"]], right),
+        "noisy_nothing": share(
+            [r for r in of("noisy") if not r["truth"]],
+            lambda r: not r["found"] and not r["flagged"],
+        ),
+        "noisy_inside_95": _share([i for r in of("noisy") for i in r["inside"]]),
+        "forecast_noisy_80ms": share(of("noisy"), good),
         "inside_95": _share(inside),
         "forecast_80ms": share(of("single", "pair"), good),
         "forecast_300ms": share(of("single", "pair"), longer),

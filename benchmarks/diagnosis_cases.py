@@ -101,6 +101,24 @@ def draw(
     return Case(rig, tuple(shown), (train,), (holdout,), sigma)
 
 
+def measured(rng: np.random.Generator, case: Case) -> Case:
+    """Return a case whose controls were measured with noise that the machine did not feel.
+
+    Its σ is 2 to 10 % of how much each control varies.
+    """
+    share = float(np.exp(rng.uniform(*np.log((0.02, 0.1)))))
+
+    def noisy(recording: Recording) -> Recording:
+        channels = dict(recording.channels)
+        for name, c in recording.of_kind("ctrl").items():
+            noise = share * np.std(c.values) * rng.standard_normal(c.values.size)
+            channels[name] = replace(c, values=c.values + noise)
+        return replace(recording, channels=channels)
+
+    train, holdout = (tuple(map(noisy, rs)) for rs in (case.train, case.holdout))
+    return replace(case, train=train, holdout=holdout, notes={"noise of controls": share})
+
+
 def _drawn(
     rng: np.random.Generator,
     pool: Sequence[Candidate],

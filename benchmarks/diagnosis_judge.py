@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from diagnosis_cases import Case, draw, draw_geared, draw_group, draw_strange
+from diagnosis_cases import Case, draw, draw_geared, draw_group, draw_strange, measured
 from diagnosis_plant import Planted
 from diagnosis_rigs import CONTACT, LOGS, RIGS, load
 from diagnosis_strange import STRANGE
@@ -34,7 +34,8 @@ from bo_sysid.proof.marks import MOST_IN_CLASS, class_size, named, offers
 SMALL = ("two_link_arm", "cart_pole", "rotary_pendulum")
 LARGE, BARE = ("six_motors", "six_servos"), "six_bare"
 ROUNDS, PAIR_ROUNDS, CONTACT_ROUNDS = 16, 37, 2
-_GEARED_ROUNDS, _MASSES_ROUNDS, _LOAD_ROUNDS = 10, 4, 6
+_GEARED_ROUNDS, _MASSES_ROUNDS, _LOAD_ROUNDS, _NOISY_ROUNDS = 10, 4, 6, 3
+_THROUGH_NOISE = ("dry_friction", "viscous_damping", "actuator_gain", "payload", "armature")
 TOUCHING = ("dry_friction", "payload", "gravity_tilt", "actuator_gain", "contact_friction")
 # what a discrete wiring fault, a new state or a recorded voltage needs has tests of its own
 SKIPPED = (
@@ -86,6 +87,9 @@ def plan(quick: bool) -> Iterator[tuple[str, tuple[str, ...], int, str]]:
     for seed in range(0 if quick else _LOAD_ROUNDS):
         for rig in rigs:
             yield "load", (rig,), seed, ""
+    for seed in range(0 if quick else _NOISY_ROUNDS):
+        for k, id in enumerate((*_THROUGH_NOISE, "")):
+            yield "noisy", _turned(SMALL, seed + k), seed, id
     for seed in range(0 if quick else CONTACT_ROUNDS):  # minutes each
         for rig in CONTACT:
             for id in TOUCHING:
@@ -107,6 +111,10 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
         case = draw(rng, rig, [detail], 1)
     elif suite == "load":
         case = draw(rng, rig, ["payload"], 1, low=2.0, elsewhere=True)
+    elif suite == "noisy":
+        count = int(bool(detail))
+        case = draw(rng, rig, [detail] if detail else ids, count, low=30.0, high=300.0)
+        case = measured(rng, case)
     elif suite == "contact":
         case = draw(rng, rig, [detail], 1, low=3.0)
     elif suite == "lugre":
@@ -125,7 +133,7 @@ def make(suite: str, rig: str, seed: int, detail: str) -> Case | None:
     else:
         case = draw(rng, rig, ids, 0)
     alone = ("single", "off", "log", "lugre", "contact", "load")
-    wanted = 2 if suite == "pair" else int(suite in alone)
+    wanted = 2 if suite == "pair" else int(suite in alone or (suite == "noisy" and bool(detail)))
     if not case.train or len(case.truth) < wanted:
         return None
     if suite == "off":  # what was planted is a parameter of the study
@@ -220,6 +228,7 @@ def _forecasts(
         problem, past = forecast_problem(
             evidence.model, evidence.machine, case.holdout, evidence.sigma, past=PAST, ahead=ahead,
             timestep=outcome.timestep, engine=evidence.engine,
+            input_noise=located.evidence.input_noise,
         )  # fmt: skip
         nominal, repaired = (forecast(problem, past, h) for h in (Hypothesis(), outcome.repaired))
         floor = noise_floor(problem, past, outcome.repaired, repaired)
