@@ -57,10 +57,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "loads": share(seen(of("load")), right),
         "loads_place_inside_95": _share([i for r in of("load") for i in r["place_inside"]]),
         "noisy": share([r for r in of("noisy") if r["truth"]], right),
-        "noisy_nothing": share(
-            [r for r in of("noisy") if not r["truth"]],
-            lambda r: not r["found"] and not r["flagged"],
-        ),
+        "noisy_nothing": share([r for r in of("noisy") if not r["truth"]], none),
         "noisy_inside_95": _share([i for r in of("noisy") for i in r["inside"]]),
         "forecast_noisy_80ms": share(of("noisy"), good),
         "inside_95": _share(inside),
@@ -69,9 +66,7 @@ def summary(rows: list[dict]) -> dict[str, object]:
         "logs": share(seen(of("log")), right),
         "forecast_logs_80ms": share(of("log"), good),
         "contact": share(of("contact"), right),
-        "contact_nothing": share(
-            of("contact_nothing"), lambda r: not r["found"] and not r["flagged"]
-        ),
+        "contact_nothing": share(of("contact_nothing"), none),
         "forecast_lugre_80ms": share(of("lugre"), good),
         "lugre_right": share(of("lugre"), right),
         "cpu_median_s": round(float(np.median([r["cpu"] for r in rows])), 1) if rows else None,

@@ -112,7 +112,7 @@ def measured(rng: np.random.Generator, case: Case) -> Case:
         channels = dict(recording.channels)
         for name, c in recording.of_kind("ctrl").items():
             noise = share * np.std(c.values) * rng.standard_normal(c.values.size)
-            channels[name] = replace(c, values=c.values + noise)
+            channels[f"ctrl.{name}"] = replace(c, values=c.values + noise)
         return replace(recording, channels=channels)
 
     train, holdout = (tuple(map(noisy, rs)) for rs in (case.train, case.holdout))
