@@ -9,7 +9,7 @@ from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
-from bo_sysid.diagnosis.windows.input_noise import process_noise
+from bo_sysid.diagnosis.windows.input_noise import disturbances
 from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise, weighting
 from bo_sysid.diagnosis.windows.windowing import nothing, prepare
@@ -85,7 +85,7 @@ def test_the_response_has_the_covariance_of_simulations_with_drawn_noise() -> No
     problem = windows_of(made, 40, STEP)
     start = problem.windows.start
     linear = linearise(problem, nothing(problem), start)
-    A = process_noise(linear, {"drive": NOISE}).response[0]
+    A = disturbances(linear, {"drive": NOISE})[0][0]
     model, rng, draws = problem.compiled(nothing(problem))[0], np.random.default_rng(2), 1500
     ctrl = np.repeat(problem.windows.ctrl[:1], draws, axis=0)
     ctrl = ctrl + NOISE * rng.standard_normal(ctrl.shape)  # one value a control, as it was sampled

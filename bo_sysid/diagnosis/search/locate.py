@@ -101,6 +101,13 @@ def _located(
         search = carried(search, telling(final.prepared, final.best))
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
+    noise = noisy_inputs(final)
+    if noise != evidence.input_noise:  # seen in all windows alone
+        tell(f"other weights, since controls are noisy: {_said(final.best)}")
+        evidence = replace(evidence, input_noise=noise)
+        search = _carried(evidence, search, final.best, horizon, step)
+        search, step = _explored(evidence, search, horizon, step)
+        final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
     let_hold(final)
     simulate_blocks(final)

@@ -17,7 +17,10 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
-from bo_sysid.diagnosis.windows.input_noise import controlled_response, process_noise
+from bo_sysid.diagnosis.windows.input_noise import (
+    controlled_response,
+    disturbances,
+)
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.process_noise import weighting
@@ -67,8 +70,9 @@ def noisy_inputs(search: Search) -> dict[str, float]:
     noises = [n for n in flat if n is not None]
     if not noises or problem.machine.impacts:
         return {}
-    does = process_noise(linear, {n.actuator: n.sigma for n in noises})
-    if np.sqrt(np.mean(does.size**2)) < _FELT * max(1.0, leader.rms):
+    response, _ = disturbances(linear, {n.actuator: n.sigma for n in noises})
+    does = float(np.sqrt((response**2).sum(axis=2).mean()))
+    if does < _FELT * max(1.0, leader.rms):
         return {}
     shares = _absent(linear, leader, noises)
     sure = any(share > max(_SHARE, _SURE * unsure) for share, unsure in shares)
@@ -135,7 +139,7 @@ def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple
     y, J = leader.residual, linear.J
     new = {n.actuator: n.sigma for n in noises if n.actuator not in problem.input_noise}
     if new:  # least squares that count with all of it see much more
-        weight = weighting(problem.whitened(process_noise(linear, new).response))
+        weight = weighting(problem.whitened(disturbances(linear, new)[0]))
         S, y, J = (project(weight, part) for part in (S, y, J))
     Q = np.linalg.qr(J)[0]
     S, y = project(Q, S), project(Q, y)

@@ -6,7 +6,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import CONTACT_WINDOW, Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.input_noise import process_noise
+from bo_sysid.diagnosis.windows.input_noise import disturbances
 from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.projection import project
@@ -111,8 +111,8 @@ def calm(evidence: Evidence, horizon: int, step: float) -> int:
     """
     problem = windows_of(evidence, horizon, step)
     linear = linearise(problem, nothing(problem), problem.windows.start)
-    size = process_noise(linear, evidence.input_noise).size
-    moved = float(np.sqrt(np.median(size**2)))
+    response, _ = disturbances(linear, evidence.input_noise)
+    moved = float(np.sqrt(np.median((response**2).sum(axis=2).mean(axis=1))))
     if moved < _SHAKEN:
         return horizon
     return int(max(horizon * (_SHAKEN / moved) ** (2 / 3), LEAST))

@@ -15,7 +15,7 @@ from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.estimated_starts import estimated
 from bo_sysid.diagnosis.windows.fitted_starts import DIVERGING, held_joints, prior
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
-from bo_sysid.diagnosis.windows.input_noise import process_noise
+from bo_sysid.diagnosis.windows.input_noise import shaken
 from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.timestep import finer_step
@@ -144,9 +144,8 @@ def _redrawn(problem: Problem, hypothesis: Hypothesis, start: State) -> Problem:
     rng = np.random.default_rng(0)
     noise = rng.standard_normal(seen.shape)
     if problem.input_noise:
-        A = process_noise(linearise(problem, plain, start), problem.input_noise).response
-        shaken = np.einsum("wrk,wk->wr", A, rng.standard_normal((len(A), A.shape[2])))
-        noise += shaken.reshape(seen.shape)
+        moved = shaken(linearise(problem, plain, start), problem.input_noise, rng)
+        noise += moved.reshape(seen.shape)
     change = np.divide(noise - r, problem.weight, out=np.zeros_like(r), where=seen)
     windows = problem.windows
     return replace(problem, windows=replace(windows, observed=windows.observed + change))

@@ -70,12 +70,6 @@ def disturbances(
     return np.concatenate(responses, axis=2), np.concatenate(courses)
 
 
-def process_noise(linear: Linear, noise: Mapping[str, float]) -> ProcessNoise:
-    """Return what white noise of recorded controls does about the controls as recorded."""
-    response, courses = disturbances(linear, noise)
-    return _process(response, courses, np.zeros((len(response), len(courses))))
-
-
 def smoothed(linear: Linear, noise: Mapping[str, float]) -> Linear:
     """Return the linear model in units of all noise, along the likely course of the inputs'.
 
@@ -106,6 +100,17 @@ def smoothed(linear: Linear, noise: Mapping[str, float]) -> Linear:
         if cost.sum() > (1 - _WORTH_A_ROUND) * before:
             break
     return linear.with_process(_process(response, courses, drawn))
+
+
+def shaken(
+    linear: Linear, noise: Mapping[str, float], rng: np.random.Generator
+) -> Float[np.ndarray, "W R"]:
+    """Return how drawn noise of the inputs moves what is simulated, in sigma of the sensors."""
+    response, courses = disturbances(linear, noise)
+    drawn = rng.standard_normal((len(response), len(courses)))
+    problem, at, start = linear.problem, linear.hypothesis, linear.start
+    moved = _along(problem, _process(response, courses, drawn))
+    return np.asarray(problem.deviation(at, start) - moved.deviation(at, start))
 
 
 def _process(

@@ -60,11 +60,6 @@ class ProcessNoise:
         """The same course, with which residuals are weighted by the sensors alone."""
         return replace(self, basis=self.basis[..., :0])
 
-    @property
-    def size(self) -> Float[np.ndarray, " W"]:
-        """Root mean square of what it does to each window, in sigma of the sensors."""
-        return np.asarray(np.sqrt((self.response**2).sum(axis=2).mean(axis=1)))
-
     def likely(self, left: Float[np.ndarray, "W R"]) -> Float[np.ndarray, "W k"]:
         """Return the expected ξ where A ξ and noise of the sensors are what is left.
 
