@@ -104,14 +104,15 @@ def draw(
 def measured(rng: np.random.Generator, case: Case) -> Case:
     """Return a case whose controls were measured with noise that the machine did not feel.
 
-    Its σ is 2 to 10 % of how much each control varies.
+    Its σ is 2 to 10 % of how much each control varies in the training recording.
     """
     share = float(np.exp(rng.uniform(*np.log((0.02, 0.1)))))
+    sizes = {n: np.std(c.values) for r in case.train for n, c in r.of_kind("ctrl").items()}
 
     def noisy(recording: Recording) -> Recording:
         channels = dict(recording.channels)
         for name, c in recording.of_kind("ctrl").items():
-            noise = share * np.std(c.values) * rng.standard_normal(c.values.size)
+            noise = share * sizes[name] * rng.standard_normal(c.values.size)
             channels[f"ctrl.{name}"] = replace(c, values=c.values + noise)
         return replace(recording, channels=channels)
 
