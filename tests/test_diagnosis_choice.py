@@ -395,6 +395,16 @@ def test_a_compliance_that_explains_hardly_more_than_a_late_motor_is_a_hint(
     assert not following(other, [soft, other], machine)
 
 
+def test_names_at_a_joint_that_does_not_move_are_hints(friction) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    assert not hints(best, machine, still=("shoulder", "elbow"))  # friction may well hold them
+    mass = candidate(machine, "link_mass", "upper")
+    made = replace(best, hypothesis=replace(best.hypothesis, members=(mass,), x=(mass.probe,)))
+    assert any("shoulder does not move" in s for s in hints(made, machine, still=("shoulder",)))
+    assert doubtful(made, machine, still=("shoulder",))
+    assert not any("does not move" in s for s in hints(made, machine, still=("elbow",)))
+
+
 def test_names_on_a_machine_with_a_ball_joint_are_hints(friction) -> None:
     """Damping of a ball joint is no effect of the catalogue: masses and gains stood in for it."""
     best, machine = friction.decision.best, friction.prepared.problem.machine

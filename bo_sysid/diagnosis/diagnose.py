@@ -149,7 +149,8 @@ class Diagnosis:
         if self.answer.findings and not self.contact and leaves_much(best):
             nearest = self.located.search.nearest
             said.append(left_sentence(best, self.evidence.most, nearest))
-        said += hints(best, self.evidence.machine, self.located.decision.fits)
+        fits, evidence = self.located.decision.fits, self.evidence
+        said += hints(best, evidence.machine, fits, evidence.still)
         after = self.answer.next_experiment
         noise = noise_sentence(self.evidence.input_noise)
         shown = [*self.holdout.sentences, *((noise,) if noise else ())]
@@ -197,7 +198,8 @@ def diagnose(
     tell.doing("what to record next")
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
-    unsure = contact or doubtful(outcome.fit, evidence.machine, located.decision.fits)
+    fits = located.decision.fits
+    unsure = contact or doubtful(outcome.fit, evidence.machine, fits, evidence.still)
     answer = make_answer(
         located.decision, outcome, evidence.machine, experiment,
         doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),

@@ -27,14 +27,27 @@ _SLIGHT = 2.0  # [sigma] below which a load with a place of its own may be somet
 _STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
 
-def doubtful(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> bool:
+def doubtful(
+    best: Fit, machine: Machine, others: Sequence[Fit] = (), still: Sequence[str] = ()
+) -> bool:
     """Return whether something, or one of the other sets, casts doubt on the names of a set."""
-    return leaves_much(best) or bool(hints(best, machine, others))
+    return leaves_much(best) or bool(hints(best, machine, others, still))
 
 
-def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str, ...]:
-    """Return in words which effects of a set others may stand behind, and what would tell."""
+def hints(
+    best: Fit, machine: Machine, others: Sequence[Fit] = (), still: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Return in words which effects of a set others may stand behind, and what would tell.
+
+    Args:
+        best: the set.
+        machine: the scales of its sites.
+        others: fits of other sets.
+        still: joints that do not move in the recordings.
+    """
     said = []
+    if fixed := unmoved(best, machine, still):
+        said.append(_unmoved_sentence(fixed))
     if late := following(best, others, machine):
         said.append(_following_sentence(late))
     if bent := bending(best):
@@ -51,6 +64,23 @@ def hints(best: Fit, machine: Machine, others: Sequence[Fit] = ()) -> tuple[str,
     if best.members and (joints := balls(machine)):
         said.append(_balls_sentence(joints))
     return tuple(said)
+
+
+def unmoved(best: Fit, machine: Machine, still: Sequence[str]) -> tuple[str, ...]:
+    """Return the joints among some at rest at which a set names anything but friction."""
+    sites = {c.site.name for c in best.members if not c.bendable}
+    body = {j: machine.model.body(int(machine.model.joint(j).bodyid[0])).name for j in still}
+    return tuple(j for j in still if {j, body[j], *machine.joints[j].actuators} & sites)
+
+
+def _unmoved_sentence(joints: Sequence[str]) -> str:
+    """Return in words that a joint does not move, and what would tell why."""
+    which, one = " and ".join(joints), len(joints) == 1
+    return (
+        f"{which} {'does' if one else 'do'} not move in these recordings: friction that holds "
+        f"{'it' if one else 'them'}, a brake or a stop does the same as what was named there. "
+        f"Commands that move {which} would tell."
+    )
 
 
 def balls(machine: Machine) -> tuple[str, ...]:

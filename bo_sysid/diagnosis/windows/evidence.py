@@ -23,6 +23,7 @@ CONTACT_WINDOW = 0.1
 """Length in [s] of a window where contact decides."""
 
 _WINDOW = 0.3  # [s]
+_STILL = 1.5  # [sigma] of an encoder, below which a joint's positions vary by noise alone
 _OTHER_RATE = 1.5  # times an interval between samples, which is another rate
 
 
@@ -125,6 +126,13 @@ class Evidence:
         """Whether positions of a recording are compared from later on, and most of them are."""
         start, (first, last) = first_command(recording) + self.unheard, recording.span
         return bool(self.unheard and start < 0.5 * (first + last))
+
+    @property
+    def still(self) -> tuple[str, ...]:
+        """The recorded joints that move no more than the noise of their encoders."""
+        joints, sigma = self.machine.joints.values(), self.sigma
+        held = (j for j in joints if f"qpos.{j.name}" in sigma)
+        return tuple(j.name for j in held if j.spread < _STILL * sigma[f"qpos.{j.name}"])
 
     @property
     def rigid(self) -> "Evidence":
