@@ -108,6 +108,10 @@ def test_noise_that_was_measured_is_told_from_noise_that_was_sent() -> None:
     assert not noisy_inputs(searched(evidence()))
 
 
+def test_a_log_too_short_for_a_spectrum_has_no_noise() -> None:
+    assert not noisy_inputs(searched(evidence(measured=NOISE, seconds=1.6)))
+
+
 def test_friction_is_found_and_sized_through_noise_of_the_torque() -> None:
     located = locate(evidence(rub=0.05, measured=NOISE))
     best = located.decision.best

@@ -17,10 +17,7 @@ from scipy.signal import butter, sosfiltfilt, welch
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.fit import Fit, by_block, sandwich
-from bo_sysid.diagnosis.windows.input_noise import (
-    controlled_response,
-    disturbances,
-)
+from bo_sysid.diagnosis.windows.input_noise import controlled_response, disturbances
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.process_noise import weighting
@@ -98,31 +95,33 @@ def _flat(recordings: Sequence[Recording], actuator: str) -> _Noise | None:
     Its power is the median over the upper half of the frequencies, and it is cut out above the
     last frequency at which there is much more.
     """
-    channels = [r.channels.get(f"ctrl.{actuator}") for r in recordings]
-    powers, lengths = [], []
-    for channel in channels:
-        if channel is not None and channel.values.size >= 2 * _SEGMENT:
-            f, power = welch(channel.values, nperseg=_SEGMENT)  # of a rate of 1
-            powers.append(power)
-            lengths.append(channel.values.size)
-    if not powers:
+    channels = [_long(r.channels.get(f"ctrl.{actuator}")) for r in recordings]
+    held = [c for c in channels if c is not None]
+    if not held:
         return None
-    power = np.average(powers, axis=0, weights=lengths)
+    f = np.fft.rfftfreq(_SEGMENT)  # of a rate of 1
+    powers = [welch(c.values, nperseg=_SEGMENT)[1] for c in held]
+    power = np.average(powers, axis=0, weights=[c.values.size for c in held])
     floor = float(np.median(power[f > 0.25]))
     more = f[power > _FLAT * floor]
     cut = float(more.max(initial=0.0)) + f[1]
     if floor <= 0 or cut > 0.35:
         return None
     sos, sigma = butter(_ORDER, 2 * cut, "highpass", output="sos"), float(np.sqrt(0.5 * floor))
-    courses: list[Channel | None] = []
-    for channel in channels:
-        if channel is None:
-            courses.append(None)
-            continue
-        rest = sosfiltfilt(sos, channel.values)
-        rest = np.where(np.abs(rest) < _BURST * sigma, rest, 0.0)
-        courses.append(replace(channel, values=rest))
-    return _Noise(actuator, sigma, tuple(courses))
+    courses = tuple(
+        c and replace(c, values=_quiet(sosfiltfilt(sos, c.values), sigma)) for c in channels
+    )
+    return _Noise(actuator, sigma, courses)
+
+
+def _quiet(values: Float[np.ndarray, " T"], sigma: float) -> Float[np.ndarray, " T"]:
+    """Return noise without bursts."""
+    return np.where(np.abs(values) < _BURST * sigma, values, 0.0)
+
+
+def _long(channel: Channel | None) -> Channel | None:
+    """Return a channel that is long enough for a spectrum, else None."""
+    return channel if channel is not None and channel.values.size >= 2 * _SEGMENT else None
 
 
 def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple[float, float]]:
@@ -133,9 +132,8 @@ def _absent(linear: Linear, leader: Fit, noises: Sequence[_Noise]) -> list[tuple
     later (`_LATE`).
     """
     problem = linear.problem
-    S = np.concatenate(
-        [leader.jacobian.astype(float), *map(partial(_responses, linear), noises)], 2
-    )
+    columns = [leader.jacobian.astype(float), *map(partial(_responses, linear), noises)]
+    S = np.concatenate(columns, axis=2)
     y, J = leader.residual, linear.J
     new = {n.actuator: n.sigma for n in noises if n.actuator not in problem.input_noise}
     if new:  # least squares that count with all of it see much more

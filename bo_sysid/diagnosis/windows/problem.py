@@ -111,7 +111,7 @@ class Problem:
         return (
             float(w.timestep), w.channels, w.recording, w.time, w.start.qpos, w.start.qvel,
             self.weight, self.block, self.correction,
-            None if self.process is None else self.process.response,
+            *(() if self.process is None else (self.process.response, self.process.controls)),
         )  # fmt: skip
 
     @property
