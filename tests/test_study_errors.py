@@ -40,6 +40,11 @@ def message(folder: Path, text: str, **overrides: object) -> str:
             "('budget' is a key of search)",
         ),
         (
+            "  columns: {qpos: {elbow: theta}}",
+            "arm.yaml, line 4: recordings.columns.qpos.elbow: unknown key; a channel is one key: "
+            "qpos.elbow",
+        ),
+        (
             "search:\n  seed: 3\n  budgett: 3",
             "arm.yaml, line 6: search.budgett: unknown key; did you mean 'budget'?",
         ),

@@ -8,9 +8,11 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from bo_sysid.errors import StudyError, nearest
+from bo_sysid.recording import KINDS
 from bo_sysid.study.base import Section
 from bo_sysid.study.source import KeyPath, Source, dotted
 
+_COLUMNS = ("recordings", "columns")
 _RULES = {
     "missing": "this key is required",
     "model_type": "must be a mapping (key: value)",
@@ -91,6 +93,8 @@ def _holds(data: Any, part: str | int) -> bool:
 def _rule(detail: ErrorDetails, path: KeyPath, root: type[Section]) -> str:
     kind, value = detail["type"], detail["input"]
     if kind == "extra_forbidden":
+        if path[:2] == _COLUMNS and len(path) == len(_COLUMNS) + 2 and path[-2] in KINDS:
+            return f"unknown key; a channel is one key: {path[-2]}.{path[-1]}"
         valid = nearest(str(path[-1]), keys_at(root, path[:-1]))
         return f"unknown key; {valid}{_elsewhere(root, path)}"
     if kind == "value_error":
