@@ -8,7 +8,6 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from bo_sysid.errors import StudyError, nearest
-from bo_sysid.recording import KINDS
 from bo_sysid.study.base import Section
 from bo_sysid.study.source import KeyPath, Source, dotted
 
@@ -90,10 +89,19 @@ def _holds(data: Any, part: str | int) -> bool:
     return isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)
 
 
+def _is_a_nested_channel(path: KeyPath) -> bool:
+    """Return whether a channel of a recording, as qpos.elbow, is written as two keys."""
+    if path[:2] != _COLUMNS or len(path) != len(_COLUMNS) + 2:
+        return False
+    from bo_sysid.recording import KINDS  # loads numpy, which other mistakes answer without
+
+    return path[-2] in KINDS
+
+
 def _rule(detail: ErrorDetails, path: KeyPath, root: type[Section]) -> str:
     kind, value = detail["type"], detail["input"]
     if kind == "extra_forbidden":
-        if path[:2] == _COLUMNS and len(path) == len(_COLUMNS) + 2 and path[-2] in KINDS:
+        if _is_a_nested_channel(path):
             return f"unknown key; a channel is one key: {path[-2]}.{path[-1]}"
         valid = nearest(str(path[-1]), keys_at(root, path[:-1]))
         return f"unknown key; {valid}{_elsewhere(root, path)}"
