@@ -361,11 +361,29 @@ def test_a_register_that_counts_from_below_zero_is_signed():
         ({"hold": "zero"}, "columns: time: hold is 'zero', but"),
         ({"clock": "t2"}, "columns: time: clock is 't2', but"),
         ({"unwrap": True}, "columns: time: unwrap is true, .* must be the size of the jump in s"),
+        ({"rate": 50, "from": "t2"}, "columns: time: rate is 50, .*leave everything else out, or"),
+        ({"rate": -50.0}, r"columns: time: rate is -50.0; it must be positive, in Hz"),
     ],
 )
 def test_what_says_nothing_of_a_clock_is_refused(rule, told):
     with pytest.raises(RecordingError, match=told):
         read({"time": rule})
+
+
+def test_rows_without_stamps_are_counted_at_a_stated_rate():
+    table = RawTable("log.npz", {"qpos.a": WAVE, "ctrl.m": WAVE[:-1], "gains": np.ones(3)})
+    with pytest.raises(RecordingError, match=r"without stamps: columns: \{time: \{rate: 500\}\}"):
+        to_recording(table)
+    recording = to_recording(table, {"time": {"rate": 250}}, {"ctrl": {"shift": 0.01}})
+    instants = np.arange(50) * 0.004
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, instants)
+    np.testing.assert_allclose(recording.channels["ctrl.m"].time, instants[:-1] + 0.01)
+    late = RawTable("log.csv", {"time": TIME + 7, "qpos.a": WAVE})  # its own stamps are left alone
+    counted = to_recording(late, {"time": {"rate": 250}})
+    np.testing.assert_allclose(counted.channels["qpos.a"].time, instants)
+    assert counted.notes[-1] == "Columns not used: time."
+    with pytest.raises(RecordingError, match=r"qpos.a: rate is 250, .* as columns: \{time: \{rate"):
+        to_recording(late, {"qpos.a": {"rate": 250}})
 
 
 def test_without_a_time_column_the_message_shows_how_to_name_it():

@@ -100,6 +100,22 @@ def test_a_clock_of_text_is_named_with_what_could_be_read(tmp_path: Path) -> Non
         describe(table)
 
 
+def test_the_rate_of_a_log_without_a_clock_goes_into_the_study(tmp_path: Path) -> None:
+    model = tmp_path / "wheel.xml"
+    model.write_text(WHEEL)
+    time = np.arange(0.0, 4.0, 0.008)
+    log = pd.DataFrame({"wheel_pos": np.sin(time), "wheel_torque": np.cos(time)})
+    log.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(RecordingError, match=r"no column looks like a clock .*: --rate 500"):
+        init(model, [tmp_path / "log.csv"], tmp_path / "wheel.yaml")
+    with pytest.raises(UserError, match="--rate is -125; it must be a positive number of rows"):
+        init(model, [tmp_path / "log.csv"], tmp_path / "wheel.yaml", rate=-125)
+    init(model, [tmp_path / "log.csv"], tmp_path / "wheel.yaml", rate=125)
+    (recording,) = read_train(Study.load(tmp_path / "wheel.yaml"))
+    np.testing.assert_allclose(recording.channels["qpos.wheel"].time[:375], time[:375])
+    np.testing.assert_allclose(recording.channels["ctrl.wheel"].values[:375], np.cos(time[:375]))
+
+
 def test_a_log_of_one_row_is_refused_without_warnings(tmp_path: Path) -> None:
     """Warnings are errors here."""
     (tmp_path / "wheel.xml").write_text(WHEEL)

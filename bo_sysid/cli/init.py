@@ -20,6 +20,13 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
     parser.add_argument(
         "--out", type=Path, metavar="STUDY", help="the study; <model>.yaml in this folder otherwise"
     )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        default=0.0,
+        metavar="HZ",
+        help="rows per second, where no column has time stamps",
+    )
     parser.set_defaults(run=run)
 
 
@@ -30,7 +37,9 @@ def run(args: argparse.Namespace) -> None:
     from bo_sysid.report.text import table
     from bo_sysid.starter.init import init
 
-    started = init(args.model, args.logs, args.out or Path(f"{args.model.stem}.yaml"))
+    started = init(
+        args.model, args.logs, args.out or Path(f"{args.model.stem}.yaml"), rate=args.rate
+    )
     guesses = pd.DataFrame(
         {
             "channel": [g.channel for g in started.rules.guesses.values()],

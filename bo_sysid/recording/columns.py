@@ -16,7 +16,7 @@ from bo_sysid.recording.value import KINDS, Hold, kind_of, wrong_name
 
 Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
-_NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed")
+_NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed", "rate")
 _BITS = (8, 16, 32)  # bits of integers
 
 
@@ -39,8 +39,11 @@ class ColumnRule:
         clock: column of the time stamps, in [s] or as the rule of ``time`` reads that column; None
             for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
+        rate: of ``time`` alone, where rows came at a steady rate and no column stamps them: rows
+            per second in [Hz]; 0 where one does.
 
-    The rule of ``time`` has no sign, hold, clock or missing, and states the size of a jump.
+    The rule of ``time`` has no sign, hold, clock or missing, and states the size of a jump; one
+    with a rate has nothing else.
     """
 
     source: str | None = None
@@ -53,6 +56,7 @@ class ColumnRule:
     hold: Hold | None = None
     clock: str | None = None
     missing: Missing = "error"
+    rate: float = 0.0
 
     def __post_init__(self) -> None:
         _require(self.sign in (1, -1), "sign", self.sign, "1 or -1")
@@ -60,6 +64,8 @@ class ColumnRule:
         _require(bool(np.isfinite(self.offset)), "offset", self.offset, "finite")
         positive = bool(np.isfinite(self.unwrap)) and self.unwrap >= 0
         _require(positive, "unwrap", self.unwrap, "true, or the size of the jump in SI units")
+        steady = bool(np.isfinite(self.rate)) and self.rate >= 0
+        _require(steady, "rate", self.rate, "positive, in Hz")
         bits = ", ".join(map(str, _BITS))
         _require(self.signed in (0, *_BITS), "signed", self.signed, f"a number of bits: {bits}")
 
@@ -83,6 +89,11 @@ class ColumnRule:
                 raise RecordingError(f"{where}: {error}") from None
         if channel == "time":
             _require_clock(rule, where)
+        elif rule.rate:
+            raise RecordingError(
+                f"{where}: rate is {rule.rate:g}, but rows have one rate; say it once, as "
+                f"columns: {{time: {{rate: {rule.rate:g}}}}}"
+            )
         if rule.unit is not None:
             require_scale(unit_of_kind(rule.unit, kind, where), rule.unit, rule.scale, where)
         return rule
@@ -141,8 +152,13 @@ def _require_clock(rule: ColumnRule, where: str) -> None:
         if getattr(rule, key) != none:
             raise RecordingError(
                 f"{where}: {key} is {getattr(rule, key)!r}, but time stamps have none; they take "
-                "from, unit, scale, offset, unwrap and signed"
+                "from, unit, scale, offset, unwrap and signed, or rate"
             )
+    if rule.rate and rule != ColumnRule(rate=rule.rate):
+        raise RecordingError(
+            f"{where}: rate is {rule.rate:g}, which is for rows that no column stamps; leave "
+            "everything else out, or leave rate out where a column stamps them"
+        )
     if rule.unwrap is True:
         raise RecordingError(
             f"{where}: unwrap is true, which is a turn of an angle; for time stamps it must be the "

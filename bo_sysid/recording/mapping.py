@@ -23,7 +23,7 @@ from bo_sysid.recording.cleaning import (
 )
 from bo_sysid.recording.columns import ClockRule, ColumnRule
 from bo_sysid.recording.outliers import find_outliers, in_words
-from bo_sysid.recording.table import RawTable
+from bo_sysid.recording.table import ROWS, RawTable
 from bo_sysid.recording.units import UNITS, is_unit, require_scale, unit_of_kind
 from bo_sysid.recording.value import (
     HELD_KINDS,
@@ -68,6 +68,8 @@ def to_recording(
         if kind_of(column) in KINDS and "." in column:
             rules.setdefault(column, ColumnRule())
     name = table.name or name
+    if (timed := rules.get("time")) and timed.rate:
+        table, rules["time"] = table.counted(timed.rate), ColumnRule(ROWS, "s")
     mapper = _Mapper(table, rules, clock_rules, name)
     channels = {c: mapper.channel(c) for c in rules if c != "time"}
     if all(channel.continuous for channel in channels.values()):
@@ -213,7 +215,8 @@ class _Mapper:
             raise RecordingError(
                 f"{table.source}: no column {column!r} with time stamps "
                 f"({nearest(column, table.columns)}). "
-                "Say which it is, for instance columns: {time: {from: t, unit: ms}}"
+                "Say which it is, for instance columns: {time: {from: t, unit: ms}}, or where rows "
+                "came at a steady rate without stamps: columns: {time: {rate: 500}}, in Hz"
             )
         where = f"{table.source}: time stamps in column {column!r}"
         named = stated.unit or table.units.get(column) or "s"

@@ -1,7 +1,7 @@
 """A raw table: what a reader hands over before names, units and clocks are settled."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -13,6 +13,8 @@ from bo_sysid.recording.value import Hold
 
 FILL_IN = "FILL IN"
 """What `init` writes for a column that it did not find."""
+ROWS = "row number"
+"""Name of the column that stands for the time stamps of a log without any."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class RawTable:
         holds: "zero", "linear" or "none" by column, where the file says so.
         name: name of the recording, where the file says so.
         notes: what the reader did, and what the file says was done before.
+        rate: rows per second in [Hz], where they came at a steady rate and are counted; else 0.
     """
 
     source: str
@@ -39,6 +42,7 @@ class RawTable:
     holds: Mapping[str, Hold] = field(default_factory=dict)
     name: str = ""
     notes: tuple[str, ...] = ()
+    rate: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.columns:
@@ -47,6 +51,11 @@ class RawTable:
             raise RecordingError(f"{self.source}: the file holds no samples")
         for key in ("columns", "clocks", "units", "holds"):
             object.__setattr__(self, key, MappingProxyType(dict(getattr(self, key))))
+
+    def counted(self, rate: float) -> "RawTable":
+        """Return the table with the column `ROWS`: row number / rate, in [s]."""
+        longest = max(len(c) for c in self.columns.values())
+        return replace(self, columns={**self.columns, ROWS: np.arange(longest) / rate}, rate=rate)
 
     def column(self, name: str, wanted_by: str = "") -> np.ndarray:
         """Return one column as floats; dates as seconds since 1970, durations in seconds.

@@ -7,6 +7,7 @@ import numpy as np
 
 from bo_sysid.checks.proposal import Rule
 from bo_sysid.recording import RawTable
+from bo_sysid.recording.table import ROWS
 from bo_sysid.recording.value import KINDS, kind_of
 from bo_sysid.starter.guess import Rules
 from bo_sysid.starter.matching import Guess
@@ -21,9 +22,11 @@ def skipping(rules: Rules, tables: Sequence[RawTable]) -> Rules:
     named = [c for c in tables[0].columns if "." in c and kind_of(c) in KINDS]
     columns, guesses = dict(rules.columns), dict(rules.guesses)
     for channel in dict.fromkeys([*columns, *named]):
+        if channel == "time":
+            continue
         rule = columns.get(channel, {})
         empty, cells = _empty(channel, rule, rules, tables)
-        if channel == "time" or not empty:
+        if not empty:
             continue
         columns[channel] = rule | {"missing": "skip"}
         guess = guesses.get(channel, Guess(channel, channel, "", "the name", 1.0))
@@ -47,6 +50,7 @@ def _empty(channel: str, rule: Rule, rules: Rules, tables: Sequence[RawTable]) -
 def _stamps(table: RawTable, channel: str, column: str, rules: Rules) -> np.ndarray:
     """Return the time stamps of a channel, none where no column has them."""
     own = (f"time.{channel}", f"time.{channel.split('.', 1)[0]}", table.clocks.get(column))
-    clocks = (*own, rules.columns.get("time", {}).get("from", "time"))
+    timed = rules.columns.get("time", {})
+    clocks = (*own, timed.get("from", ROWS if "rate" in timed else "time"))
     found = next((c for c in clocks if c in table.columns), None)
     return np.empty(0) if found is None else table.column(found)

@@ -8,6 +8,7 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import RawTable
+from bo_sysid.recording.table import ROWS
 from bo_sysid.recording.units import is_unit, unit
 from bo_sysid.starter.naming import PLACED, PLACES, Column, named, named_after
 
@@ -41,6 +42,8 @@ def describe(table: RawTable, elements: Sequence[str] = ()) -> tuple[Column, ...
             column = named(name, table.units.get(name, ""))
             still = column.kind == "time" and _stands_still(values)
             found.append(replace(column, kind="other", reason="") if still else column)
+    if table.rate:
+        found = [replace(c, kind="time") if c.name == ROWS else c for c in found]
     if not any(c.kind == "time" for c in found):
         found = _timed(table, found)
     return tuple(_behaved(table, _wished(table, found), elements))
@@ -93,8 +96,8 @@ def _timed(table: RawTable, found: Sequence[Column]) -> list[Column]:
         raise RecordingError(
             f"{table.source}: no column looks like a clock among "
             f"{', '.join(repr(c.name) for c in found)}; expected one called time, t or stamp, or "
-            "one that rises in equal steps; where rows came at a steady rate without stamps, add a "
-            "column time = row number / rate, in s"
+            "one that rises in equal steps; where rows came at a steady rate without stamps, say "
+            "it: --rate 500 (in Hz)"
             + "".join(f"; {s}" for s in (*spoilt(table), *_unread_clocks(table)))
         )
     return [replace(c, kind="time", reason=BY_STEPS) if c.name == best else c for c in found]

@@ -1,5 +1,6 @@
 """`init`: from a model and logs to a study that can be checked."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -46,17 +47,20 @@ class Started:
     notes: tuple[str, ...]
 
 
-def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Started:
+def init(
+    model: str | Path, logs: Sequence[str | Path], out: str | Path, *, rate: float = 0.0
+) -> Started:
     """Write a commented study from a model and logs.
 
     Args:
         model: an MJCF or URDF file.
         logs: files or folders; all of one machine and one format.
         out: the study file to be written, which must not exist.
+        rate: rows of the logs per second in [Hz], where no column stamps them; else 0.
 
     Raises:
-        UserError: the study exists, a file cannot be read or is named twice, a log has no clock,
-            or the model no hinge and no slide.
+        UserError: the study exists, the rate is not positive, a file cannot be read or is named
+            twice, a log has no clock, or the model no hinge and no slide.
     """
     out, source = Path(out), Path(model)
     if out.exists():
@@ -64,8 +68,8 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     files = _different([Path(log) for log in logs])
     held = max(len(files) // 4, 1) if len(files) > 1 else 0
     train, holdout = files[: len(files) - held], files[len(files) - held :]
-    tables = _alike([t for f in train for t in read_tables(f)])
-    _alike([*tables[:1], *(t for f in holdout for t in read_tables(f))])
+    tables = _alike([t for f in train for t in _read(f, rate)])
+    _alike([*tables[:1], *(t for f in holdout for t in _read(f, rate))])
     whole, notes, fixed = _held_base(source, tables[0])
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
     if edits and motors.exists():
@@ -103,6 +107,13 @@ def init(model: str | Path, logs: Sequence[str | Path], out: str | Path) -> Star
     with atomic(out) as beside:
         beside.write_text(text, encoding="utf-8")
     return Started(out, rules, tuple(notes))
+
+
+def _read(file: Path, rate: float) -> list[RawTable]:
+    """Return the tables of a log, whose rows are counted where a rate is stated."""
+    if not (math.isfinite(rate) and rate >= 0):
+        raise UserError(f"--rate is {rate:g}; it must be a positive number of rows per second")
+    return [t.counted(rate) if rate else t for t in read_tables(file)]
 
 
 def _different(files: list[Path]) -> list[Path]:

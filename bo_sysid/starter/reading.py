@@ -129,6 +129,8 @@ def clock_rule(table: RawTable, columns: Sequence[Column]) -> tuple[Rule, Guess 
     Beside it stands the guess where the steps of the clock alone speak for its unit.
     """
     clocks = [c for c in columns if c.kind == "time"]
+    if table.rate:
+        return {"rate": table.rate}, None
     if table.clocks or not clocks:
         return {}, None
     clock = max(clocks, key=lambda c: (c.name.lower() == "time", _rises(table, c)))

@@ -13,6 +13,7 @@ from bo_sysid.starter.guess import Rules
 
 _WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
 _FEW = 8  # columns that are named beside a channel
+_SHARED = "no column is left; two motors on one command name one column"
 _NOTHING_KNOWN = (
     "# Bounds of parameters and limits follow from the motion. Once the columns are said, and",
     "# `bo-sysid check` agrees, add what is not known, for instance:",
@@ -83,7 +84,7 @@ def _open(rules: Rules) -> list[str]:
     """Return the channels that the user has to say, with the columns that are left."""
     left = "one of those below"
     if len(rules.unused) <= _FEW:
-        left = f"one of: {', '.join(rules.unused)}" if rules.unused else "no column is left"
+        left = f"one of: {', '.join(rules.unused)}" if rules.unused else _SHARED
     lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
     lines += [f"    {c}: {{from: {FILL_IN}}}  # not found; {left}" for c in rules.to_fill_in]
     held = rules.of_held if rules.unused else ()
@@ -118,7 +119,8 @@ def _block(title: str, block: object, rules: Rules, hints: Mapping[str, str]) ->
 def _comment(key: str, rules: Rules) -> str:
     guess = rules.guesses.get(key)
     if guess is None:
-        return "  # by its steps" if key == "time" else ""
+        steps = key == "time" and "rate" not in rules.columns["time"]
+        return "  # by its steps" if steps else ""
     word = next(w for least, w in _WORDS if guess.confidence >= least)
     return f"  # {word}: {guess.reason}"
 

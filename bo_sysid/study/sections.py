@@ -83,6 +83,8 @@ class Column(Section):
     """Name of the column with the time stamps, in s."""
     missing: Literal["error", "skip"] = "error"
     """skip: an empty cell holds no new sample."""
+    rate: Positive | None = None
+    """Of time alone, where no column has the time stamps: steady rows per second, in Hz."""
 
 
 class Clock(Section):
