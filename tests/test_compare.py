@@ -73,6 +73,19 @@ def test_a_record_is_the_search_itself(compared: tuple[Path, Comparison], tmp_pa
             assert record["lowest"] == least
 
 
+def test_a_finished_comparison_goes_on_with_more_seeds(
+    compared: tuple[Path, Comparison], tmp_path: Path
+) -> None:
+    one = small(compare={"arms": ["argmin-entropy", "greedy", "random"], "seeds": 1})
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(one))
+    command = ["compare", str(tmp_path / "study.yaml"), "--out", str(tmp_path / "run")]
+    assert main(command) == 0
+    assert main([*command, "--set", "compare.seeds=2"]) == 0
+    assert record_of(tmp_path / "run") == record_of(compared[0])
+    assert json.loads((tmp_path / "run" / "comparison.json").read_text())["runs"] == 6
+    assert main(command) == 2
+
+
 def test_the_table_is_delta_and_counts_its_steps(tmp_path: Path) -> None:
     study, table = seeded(tmp_path, 3)
     problem, counter = recorded(study, 3)

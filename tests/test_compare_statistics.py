@@ -53,6 +53,15 @@ def test_wilsons_interval_of_eight_in_ten() -> None:
     assert np.isnan(share(0, 0)).all()
 
 
+@pytest.mark.parametrize("count", [2, 5, 9])
+def test_intervals_of_few_values_cover_the_mean_as_often_as_they_say(count: int) -> None:
+    draws = np.random.default_rng(count).normal(1.0, 2.0, (2_000, count))
+    told = np.array([bootstrap(values) for values in draws])
+    covered = np.count_nonzero((told[:, 1] <= 1.0) & (told[:, 2] >= 1.0))
+    assert 1_870 <= covered <= 1_930  # 95 % by three standard deviations
+    np.testing.assert_allclose(told[:, 0], draws.mean(axis=1))
+
+
 def test_the_bootstrap_interval_covers_the_mean_about_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     covered = 0

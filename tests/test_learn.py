@@ -179,6 +179,24 @@ def test_a_loop_that_only_time_ends_says_so_and_its_policy_names_the_task(tmp_pa
     assert told.policy.about["task"] == "PendulumSwingup"
 
 
+def test_a_loop_whose_trajectories_are_spent_goes_on_with_more(tmp_path: Path) -> None:
+    rule = {"trajectories": 1, "episodes": 2, "stop": "timeout"}
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(pendulum(learn=rule)))
+    command = ["learn", str(tmp_path / "study.yaml"), "--out", str(tmp_path / "run")]
+    assert main(command) == 0
+    first = (tmp_path / "run" / "iterations" / "01" / "policy.npz").read_bytes()
+    more = [*command, "--set", "learn.trajectories=2"]
+    assert main(more) == 0
+    assert (tmp_path / "run" / "iterations" / "01" / "policy.npz").read_bytes() == first
+    at_once = learned(tmp_path, pendulum(learn={**rule, "trajectories": 2}), "at_once")
+    pd.testing.assert_frame_equal(
+        pd.read_parquet(tmp_path / "run" / "iterations.parquet"), at_once.iterations
+    )
+    assert main(more) == 0  # it is finished
+    assert main(command) == 2  # one trajectory is not what it holds
+    assert main([*more, "--set", "learn.episodes=3"]) == 2
+
+
 def test_a_trajectory_that_would_be_repeated_ends_the_loop(tmp_path: Path) -> None:
     # no value is within r; without noise P settles soon
     rule = {"trajectories": 9, "episodes": 2, "epsilon": 0.2, "r": 1e-9}

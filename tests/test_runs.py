@@ -166,6 +166,20 @@ def test_another_study_is_refused_with_what_differs(tmp_path: Path) -> None:
     opened(tmp_path / "run").close("finished")
 
 
+def test_what_says_how_much_is_computed_may_be_raised(tmp_path: Path) -> None:
+    opened(tmp_path / "run").close("finished")
+    more = {"name": "arm", "search": {"budget": 70, "seed": 0}}
+    with Run.open(tmp_path / "run", more, "identify", raised=["search.budget", "a.b"]) as run:
+        assert run.record["study_sha256"] == digest(more)
+    with opened(tmp_path / "run", more):
+        assert yaml.safe_load((tmp_path / "run" / "study.yaml").read_text()) == more
+    with pytest.raises(RunError, match="budget: 70 there, 60 now"):
+        Run.open(tmp_path / "run", STUDY, "identify", raised=["search.budget"])
+    other = {"name": "leg", "search": {"budget": 80, "seed": 0}}
+    with pytest.raises(RunError, match=r"It differs in\n  name: \"arm\" there, \"leg\" now$"):
+        Run.open(tmp_path / "run", other, "identify", raised=["search.budget"])
+
+
 def test_a_folder_that_is_no_run_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(RunError, match="not a run folder"):

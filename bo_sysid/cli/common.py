@@ -2,7 +2,7 @@
 
 import argparse
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,8 +76,17 @@ def run_folder(args: argparse.Namespace, verb: str) -> Path:
 
 
 @contextlib.contextmanager
-def open_run(args: argparse.Namespace, study: "Study", verb: str) -> Iterator["Run"]:
-    """Yield the run folder of a verb, and use as many threads as the arguments say."""
+def open_run(
+    args: argparse.Namespace, study: "Study", verb: str, *, raised: Sequence[str] = ()
+) -> Iterator["Run"]:
+    """Yield the run folder of a verb, and use as many threads as the arguments say.
+
+    Args:
+        args: of the command line.
+        study: that they name.
+        verb: the command.
+        raised: keys that may be larger than in the folder; see `Run.open`.
+    """
     from bo_sysid.execution import use_threads
     from bo_sysid.runs import Run
 
@@ -85,7 +94,7 @@ def open_run(args: argparse.Namespace, study: "Study", verb: str) -> Iterator["R
     with use_threads(args.threads):
         seed = study.search.seed
         told, said = study.resolved(relative_to=folder), arguments(args)
-        with Run.open(folder, told, verb, seed=seed, arguments=said) as run:
+        with Run.open(folder, told, verb, seed=seed, arguments=said, raised=raised) as run:
             yield run
 
 

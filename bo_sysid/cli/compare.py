@@ -14,7 +14,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         description="Run every arm of a study's key compare on every problem and seed, and tell "
         "what each needs to reach given regrets, with intervals and paired tests. --threads is the "
         "number of processes; execution: {engine: ray} runs them on a cluster. An interrupted "
-        "comparison goes on with the same command.",
+        "comparison goes on with the same command, a finished one with more seeds "
+        "(--set compare.seeds=60).",
     )
     add_study(parser)
     add_strict(parser)
@@ -25,7 +26,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Compare, and print what came of it."""
     study = load_study(args)
-    with open_run(args, study, "compare") as run:
+    with open_run(args, study, "compare", raised=["compare.seeds"]) as run:
         with shown("compare") as progress:
             from bo_sysid.compare.compare import compare
 

@@ -15,7 +15,8 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
         description="Learn a policy for the task of a study: record a trajectory, identify the "
         "model on all recordings, learn on it, and so on. Without the key plant the machine is "
         "yours: the policy is written, and the same command goes on once its recording is there. "
-        "An interrupted run goes on with the same command.",
+        "An interrupted run goes on with the same command, and one whose trajectories are spent "
+        "with more of them (--set learn.trajectories=6).",
     )
     add_study(parser)
     add_strict(parser)
@@ -26,7 +27,7 @@ def add_parser(verbs: "Verbs[argparse.ArgumentParser]") -> None:
 def run(args: argparse.Namespace) -> None:
     """Learn, and print what came of it."""
     study = load_study(args)
-    with open_run(args, study, "learn") as run:
+    with open_run(args, study, "learn", raised=["learn.trajectories"]) as run:
         with shown("learn") as progress:
             from bo_sysid.learn.learn import learn
 

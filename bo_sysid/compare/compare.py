@@ -24,7 +24,7 @@ from bo_sysid.compare.tables import (
 from bo_sysid.errors import RecordingError, RunError
 from bo_sysid.execution import OnProgress, silent
 from bo_sysid.recording import load_dataset
-from bo_sysid.runs import Run, read_json
+from bo_sysid.runs import Run, digest, read_json
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import changed, fingerprints, load_train
 
@@ -130,7 +130,8 @@ def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
     now = {}
     for name, study in ((p.name, p.study) for p in problems):
         files = fingerprints(study, recorded=study.plant is None)
-        now[name] = {_STUDY: study.sha256, **files}
+        asked = {k: v for k, v in study.resolved().items() if k != "compare"}
+        now[name] = {_STUDY: digest(asked), **files}
         what = changed(there.get(name, now[name]), now[name])
         if what:
             raise RunError(

@@ -46,7 +46,8 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     study = remade(data, job.folder)
     began = time.perf_counter()
     place = Path(job.place)
-    with Run.open(place, study.resolved(relative_to=place), "learn", seed=job.seed) as run:
+    own, raised = study.resolved(relative_to=place), ["compare.seeds"]
+    with Run.open(place, own, "learn", seed=job.seed, raised=raised) as run:
         learned = learn(study, run)
     if learned.waiting:
         raise study.error(("plant",), "a comparison of outer loops needs a simulated plant")

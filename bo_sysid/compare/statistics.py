@@ -13,15 +13,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
-from scipy.stats import binomtest, wilcoxon
+from scipy.stats import binomtest, sem, wilcoxon
+
+from bo_sysid.intervals import half_width
 
 DRAWS = 10_000
+_FEW = 10  # values, below which a percentile interval covers less than it says (5: 83 %)
 LEVEL = 0.95
 _SLACK = 1e-12  # of regret above a level that still counts as reached: rounding
 
 
 def bootstrap(values: Float[np.ndarray, " n"], seed: int = 0) -> tuple[float, float, float]:
-    """Return the mean and its 95 % percentile bootstrap interval; NaN of a single value.
+    """Return the mean and its 95 % interval; NaN of a single value.
+
+    The interval is the percentile bootstrap's, of fewer than ten values Student's t: bootstraps of
+    so few have too small a spread.
 
     Args:
         values: independent.
@@ -31,6 +37,9 @@ def bootstrap(values: Float[np.ndarray, " n"], seed: int = 0) -> tuple[float, fl
     mean = float(values.mean())
     if len(values) < 2:
         return mean, float("nan"), float("nan")
+    if len(values) < _FEW:
+        half = float(half_width(sem(values), len(values)))
+        return mean, mean - half, mean + half
     rows = np.random.default_rng(seed).integers(len(values), size=(DRAWS, len(values)))
     low, high = np.quantile(values[rows].mean(axis=1), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return mean, float(low), float(high)

@@ -228,7 +228,7 @@ def _judged(
     all_spent = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
     if not STOP_RULES[learn.stop].near:
         if _spent(scene, source):
-            return Verdict(True, all_spent)
+            return Verdict(True, all_spent, spent=True)
         return Verdict(False, "The loop goes on until its trajectories are spent.")
     valued = partial(value_candidates, scene, policy)
     verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
@@ -239,7 +239,7 @@ def _judged(
         )
         return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
     if _spent(scene, source) and not verdict.stop:
-        return Verdict(True, f"{all_spent} {verdict.sentence}", verdict.figures)
+        return Verdict(True, f"{all_spent} {verdict.sentence}", verdict.figures, spent=True)
     return verdict
 
 
@@ -293,6 +293,7 @@ def _figures(
         "model_return": finite(value._asdict()),
         "plant_return": None if plant is None else finite(plant._asdict()),
         "stop": verdict.stop,
+        "spent": verdict.spent,
         "verdict": verdict.sentence,
         "conditions": finite(verdict.figures),
     }

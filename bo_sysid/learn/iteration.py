@@ -62,14 +62,18 @@ def reread(scene: Scene, before: Iteration | None, run: Run) -> Iteration | None
     found = Identified.read(run, folder)
     assert found is not None  # noqa: S101 - written before the iteration was
     policy = LearnedPolicy.load(run.path(f"iterations/{number:02d}/policy.npz"))
-    verdict = Verdict(figures["stop"], figures["verdict"])
+    spent = figures.get("spent", False)
+    more = figures["trajectories"] < scene.study.learn.trajectories  # than when it was written
+    stop = figures["stop"] and not (spent and more)
+    verdict = Verdict(stop, figures["verdict"], spent=spent)
     return Iteration(number, scene, found, figures["row"], policy, verdict, repairs, figures)
 
 
 def repaired_scene(scene: Scene, run: Run, repair: Repair) -> Scene:
     """Return the scene of a repaired study; the task stays what it was."""
     assert repair.study is not None  # noqa: S101 - the caller looked
-    study = Study.load(run.path(repair.study), trust_code=bool(scene.study.code))
+    limit = {"learn.trajectories": scene.study.learn.trajectories}  # may have been raised since
+    study = Study.load(run.path(repair.study), limit, trust_code=bool(scene.study.code))
     return Scene.of(study, scene.task)
 
 

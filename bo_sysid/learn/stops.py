@@ -44,11 +44,13 @@ class Verdict:
         stop: whether the loop ends.
         sentence: why, or why not.
         figures: JSON values by name.
+        spent: whether it ends for want of trajectories alone, and goes on where there are more.
     """
 
     stop: bool
     sentence: str
     figures: Mapping[str, Any] = field(default_factory=dict)
+    spent: bool = False
 
 
 class Rule(NamedTuple):

@@ -75,6 +75,7 @@ class Run:
         *,
         seed: int | None = None,
         arguments: Sequence[str] = (),
+        raised: Sequence[str] = (),
     ) -> "Run":
         """Make a run folder, or go on with one of the same study and command.
 
@@ -84,6 +85,8 @@ class Run:
             command: the verb.
             seed: seed of everything drawn at random.
             arguments: of the command line, for who wants to run it again; empty in Python.
+            raised: keys of the study, with dots, that say how much is computed; one that is larger
+                than in the folder makes its run go on, even where it was finished.
 
         Raises:
             RunError: another process writes to the folder, or the folder holds another study or
@@ -95,7 +98,7 @@ class Run:
         lock = locked(folder)
         try:
             text = yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True)
-            record = _existing(folder, study, text, command)
+            record = _existing(folder, study, text, command, raised)
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
             run._begin(text, arguments)
@@ -299,7 +302,7 @@ def _when_finished(record: Mapping[str, Any]) -> str:
 
 
 def _existing(
-    folder: Path, study: Mapping[str, Any], text: str, command: str
+    folder: Path, study: Mapping[str, Any], text: str, command: str, raised: Sequence[str]
 ) -> dict[str, Any] | None:
     """Return the record of the run in `folder`, None where there is none yet.
 
@@ -317,11 +320,25 @@ def _existing(
     way_out = "use another --out, or remove the folder"
     if record["command"] != command:
         raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
-    differ = differences(_study_there(folder), plain(study))
+    now = plain(study)
+    differ = differences(_with_raised(_study_there(folder), now, raised), now)
     if differ:
         listed = "".join(f"\n  {d}" for d in differ[:10])
         raise RunError(f"{folder}: holds a run of another study; {way_out}. It differs in{listed}")
-    return record
+    return {**record, "study_sha256": digest(study)}
+
+
+def _with_raised(there: Any, now: Mapping[str, Any], raised: Sequence[str]) -> Any:
+    """Return the study of a folder with the numbers that are larger now."""
+    for key in raised:
+        section, _, name = key.partition(".")
+        try:
+            grown = there[section][name] < now[section][name]
+        except (KeyError, TypeError):  # one of the two does not say
+            continue
+        if grown:
+            there = {**there, section: {**there[section], name: now[section][name]}}
+    return there
 
 
 def _study_there(folder: Path) -> Any:
