@@ -263,6 +263,32 @@ def test_a_richer_effect_that_is_asked_for_but_too_small_stands_beside_the_plain
     assert decision.probability[0] == pytest.approx(0.5 if beside else 1.0, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("left", "whole", "unique", "answered"),
+    [
+        (1.26, 1.002, 0.76, True),  # .76 of 40 sigma: less than a fiftieth
+        (1.26, 1.05, 0.7, False),  # leaves more than noise itself
+        (1.012, 1.002, 0.76, False),  # nothing is left to explain
+        (1.26, 1.002, 0.15, False),  # smaller than any effect may be
+    ],
+)
+def test_a_small_part_that_completes_the_answer_is_answered_as_a_hint(
+    machine, left: float, whole: float, unique: float, answered: bool
+) -> None:
+    large, small, same = (
+        candidate(machine, e, "elbow") for e in ("quadratic_damping", "viscous_damping", "back_emf")
+    )
+    single = fit((large,), left, unique=39.0)
+    pair = replace(fit((large, small), whole), unique=(39.0, unique))
+    alike = replace(fit((large, same), whole), unique=(39.0, unique), cv=pair.cv + 1e-3)
+    decision = decided(fit((), 40.0, seed=3), single, pair, alike)
+    assert decision.best is (pair if answered else single)
+    assert {decision.best, *decision.equivalents} == (
+        {single, pair, alike} if answered else {single}
+    )
+    assert decision.probability[0] == pytest.approx(1 / 3 if answered else 1.0, abs=1e-3)
+
+
 def test_far_from_the_recordings_a_richer_effect_does_not_stand_beside_the_plain_one(
     machine,
 ) -> None:

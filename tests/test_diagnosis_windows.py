@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import telling, windows_of
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
@@ -108,3 +109,43 @@ def test_instants_are_counted_over_all_channels_that_are_cut() -> None:
     assert instants_in(0.3, [alone], ["qpos.x", "sensor.tau"]) == 30
     assert instants_in(0.3, [beside], ["qpos.x"]) == 30
     assert instants_in(0.3, [beside], ["qpos.x", "sensor.tau"]) == 330
+
+
+SATURATED = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body name="cart">
+      <joint name="x" type="slide" axis="1 0 0" damping="{damping}"/>
+      <geom size=".1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="x" {limit}/></actuator>
+</mujoco>
+"""
+
+
+def test_a_limit_that_is_reached_in_one_window_of_many_is_found() -> None:
+    """By the windows of the search damping is all that is missing."""
+    limited = SATURATED.format(damping=2, limit='forcelimited="true" forcerange="-12 12"')
+    plant = mujoco.MjModel.from_xml_string(limited)
+    data, time, rng = mujoco.MjData(plant), np.arange(0, 40, 0.01), np.random.default_rng(0)
+    tones = [(f, rng.uniform(1, 3), rng.uniform(0, 6)) for f in (0.3, 0.7, 1.1, 1.9)]
+    u = np.clip(sum(a * np.sin(2 * np.pi * f * time + p) for f, a, p in tones), -9, 9)
+    u[(time >= 17.3) & (time < 17.4)] = 20
+    x = np.empty(time.size)
+    for k in range(time.size):
+        x[k], data.ctrl[:] = data.qpos[0], u[k]
+        mujoco.mj_step(plant, data, 5)
+    x += 1e-3 * rng.normal(size=x.size)
+    recording = Recording.from_arrays(time, qpos={"x": x}, ctrl={"motor": u})
+    names = ("viscous_damping", "actuator_saturation", "dry_friction")
+    evidence = make_evidence(
+        Model.from_xml(SATURATED.format(damping=0, limit="")), [recording],
+        effects=[CATALOGUE[n] for n in names], noise={"qpos": 1e-3}, threads=1,
+    )  # fmt: skip
+    told: list[str] = []
+    best = locate(evidence, told.append).decision.best
+    assert told[-1].startswith("other windows, since they show more: viscous_damping at x")
+    assert {c.effect.id for c in best.members} == {"viscous_damping", "actuator_saturation"}
+    assert best.rms < 1.02

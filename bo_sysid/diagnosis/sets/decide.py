@@ -12,6 +12,7 @@ from bo_sysid.diagnosis.sets.rules import (
     LOOSE,
     SetPrior,
     admissible,
+    clean,
     criterion,
     inflation,
     required,
@@ -61,7 +62,9 @@ def decide(
     that stand for the best of them as well as it does itself. Where recordings that are nearly
     explained ask for a richer effect in the place of one of the best, but with less than a name
     needs, that is answered, the plain one being as probable. Where it is less than half of that the
-    plain one is answered, and a richer one that says something else is as probable.
+    plain one is answered, and a richer one that says something else is as probable. Where the best
+    leaves something that one effect more explains, too small a part of what the nominal model
+    leaves for a name, both are as probable, and the one that explains it is answered.
     """
     able = [f for f in fits if np.isfinite(f.cv.sum())]
     kappa = inflation(fits)
@@ -84,19 +87,22 @@ def decide(
     score = _levelled(held, score, leader, prior, Q, dof)
     ranking = _Ranking(held, _no_likelier(held, score, Q, dof))
     plain = ranking.leader
-    richer = [f for f in able if f not in held and _is_richer(f, plain, cost)]
+    others = [f for f in able if f not in held]
+    richer = [f for f in others if _is_richer(f, plain, cost)]
     asked = [f for f in richer if f in nearly]
-    beside = min(asked or [f for f in richer if _says_more(f)], key=cost, default=None)
-    best = beside if beside is not None and asked else plain
-    if beside is not None:
-        ranking = ranking.with_level(beside)
+    fuller = _one_of_each([f for f in others if _completes(f, plain, fits, cost)], cost)
+    beside = [f for f in fuller if cost(f) - cost(fuller[0]) < _BAND]
+    beside = beside or sorted(asked or [f for f in richer if _says_more(f)], key=cost)[:1]
+    best = beside[0] if fuller or asked else plain
+    for fit in reversed(beside):
+        ranking = ranking.with_level(fit)
     ranking = ranking.ordered()
     first = ranking.score[0]
     near = [
         f
         for f, own in list(zip(ranking.fits, ranking.score, strict=True))[: _MOST_EQUIVALENT + 1]
         if f is not best
-        and (f in (plain, beside) or _equivalent(f, best, float(first - own), Q, dof))
+        and (f in (plain, *beside) or _equivalent(f, best, float(first - own), Q, dof))
     ]
     return Decision(best, nominal, tuple(ranking.fits), ranking.probability, tuple(near))
 
@@ -147,6 +153,17 @@ def _is_richer(fit: Fit, best: Fit, cost: Callable[[Fit], float]) -> bool:
     plainer = {(c.effect.nested, c.site.name) for c in fit.members if c.key not in own}
     instead = bool(plainer) and plainer == own - held
     return instead and fit.rms <= LOOSE and cost(fit) < cost(best) - _BAND
+
+
+def _completes(fit: Fit, best: Fit, fits: Sequence[Fit], cost: Callable[[Fit], float]) -> bool:
+    """Whether a fit is the best one with one effect more, and leaves noise where that leaves more.
+
+    Its members must be needed but for one thing: one may be a small part of what the nominal model
+    leaves, as the shape of a large effect that is a little off would be.
+    """
+    more = best.names < fit.names and fit.size == best.size + 1
+    explains = more and clean(fit) and not clean(best) and cost(fit) < cost(best) - _BAND
+    return explains and admissible(fit, fit, fits)
 
 
 def _says_more(fit: Fit) -> bool:
