@@ -347,10 +347,17 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
     assert "The elbow has dry friction of 0.1 N m.\nThe unseen recordings were not" in frozen
     with Run.open(folder / "run4", {}, "learn") as run:
         run.write_frame("trajectories/01.parquet", pd.DataFrame({"time": [0.0]}))
+        run.write_json("iterations/01/identified.json", {})
         said = say("report", "run4")[1]
+    assert "learn, running\n" in said
     assert (
-        "Real trajectories so far: 1 (trajectories/*.parquet); no policy was learned yet." in said
+        "Real trajectories so far: 1 (trajectories/*.parquet). The model is identified "
+        "(iterations/*/belief.parquet). No policy was learned yet. The same command goes on."
+        in said
     )
+    record = (folder / "run4" / "run.json").read_text().replace("finished", "running")
+    (folder / "run4" / "run.json").write_text(record)  # as a process that was killed leaves it
+    assert "learn, interrupted\n" in say("report", "run4")[1]
     with Run.open(folder / "run3", {}, "compare"):
         (folder / "run3" / "records" / "small" / "greedy").mkdir(parents=True)
         for name in ("000.json", "001.json", "plan.json"):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -20,7 +21,7 @@ from learning import learned, pendulum
 
 from bo_sysid.cli import main
 from bo_sysid.errors import RecordingError, RunError, StudyError, UserError
-from bo_sysid.learn.identified import evaluated_again, identified
+from bo_sysid.learn.identified import evaluated_again, identified, long_enough
 from bo_sysid.learn.learn import learn
 from bo_sysid.learn.play import play, render
 from bo_sysid.learn.scene import Scene
@@ -29,6 +30,8 @@ from bo_sysid.plants.build import build_plant
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import Recording, read_recording
 from bo_sysid.recording.writers import write_recording
+from bo_sysid.report.learning import learning_said
+from bo_sysid.report.text import run_text
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 
@@ -225,6 +228,19 @@ def test_a_plant_that_breaks_off_keeps_what_was_recorded(tmp_path: Path) -> None
         learned(tmp_path, study, "longer")
 
 
+def test_a_recording_that_is_too_short_counts_for_nothing_beside_others() -> None:
+    scene = Scene.of(Study.from_dict(pendulum(deviation={"horizon": 20})))
+    plant = build_plant(scene.study)
+    one = plant.record(np.sin(0.1 * np.arange(200)[:, None]))
+    short = plant.record(np.sin(np.arange(15)[:, None]))
+    assert long_enough([one, short], 20) == (one,)
+    assert long_enough([short], 20) == (short,)
+    alone, both = (identified(scene, r, np.zeros(0, int)) for r in ([one], [one, short]))
+    np.testing.assert_array_equal(both.deviation, alone.deviation)
+    with pytest.raises(RecordingError, match=r"too few for a window of 20 \(deviation.horizon"):
+        identified(scene, [short], np.zeros(0, int))
+
+
 # --- a person's machine ---
 
 
@@ -297,8 +313,70 @@ def test_what_to_record_has_the_columns_and_units_of_the_study(tmp_path: Path) -
         "'t' in ms (time), 'angle' in deg (qpos.hinge), ctrl.torque in mN m, as under "
         "recordings.columns of the study, which is applied to the file; velocities" in waiting
     )
-    other.to_csv(tmp_path / "run" / "recordings" / "trajectory-01.csv", index=False)
+    place = tmp_path / "run" / "recordings" / "trajectory-01.csv"
+    other.to_csv(place, index=False)
+    with pytest.raises(
+        RecordingError, match=r"trajectory-01.csv: the positions are those of first"
+    ):
+        learned(tmp_path, study)
+    other.iloc[5:].to_csv(place, index=False)
     assert len(learned(tmp_path, study).trajectories) == 1  # read as it was asked for
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
+def test_what_cannot_be_a_recording_of_the_policy_is_refused(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    folder = tmp_path / "run" / "recordings"
+    assert "s, every 0.02 s or more often" in learned(tmp_path, study).waiting
+    policy = LearnedPolicy.load(tmp_path / "run" / "policy.npz")
+    plant = build_plant(Study.from_dict(pendulum(limits=study["limits"]), tmp_path), seed=8)
+    frame = plant.record(policy.act, steps=400).to_frame()
+    frame.to_csv(folder / "trajectory-1.csv", index=False)
+    frame.to_csv(folder / "trajectory-01.CSV", index=False)
+    waiting = learned(tmp_path, study).waiting
+    assert (
+        f"- trajectory-01.CSV, trajectory-1.csv in {folder} are not read: the recording" in waiting
+    )
+    milli = frame.assign(**{"ctrl.torque": 1e3 * frame["ctrl.torque"]})
+    milli.to_csv(folder / "trajectory-01.csv", index=False)
+    with pytest.raises(RecordingError, match=r"ctrl.torque goes from .* clipped to \[-0.5, 0.5\]"):
+        learned(tmp_path, study)
+    frame.iloc[::5].to_csv(folder / "trajectory-01.csv", index=False)
+    told = learned(tmp_path, study)
+    assert len(told.trajectories) == 1
+    assert any("recorded every 0.1 s, and the policy acts every 0.02 s" in n for n in told.notes)
+    if told.waiting:
+        shutil.copyfile(folder / "trajectory-01.csv", folder / "trajectory-02.csv")
+        with pytest.raises(
+            RecordingError, match=r"02.csv: the positions are those of trajectory-01"
+        ):
+            learned(tmp_path, study)
+    (folder / "trajectory-01.csv").unlink()
+    with pytest.raises(RunError, match=r"trajectory-01.* this run has used it and it is gone"):
+        learned(tmp_path, study)
+    (folder / "trajectory-01.csv").touch()
+    with pytest.raises(RunError, match=r"name .*/recordings/trajectory-01.* under recordings.trai"):
+        learned(tmp_path, {**study, "search": {"budget": 13}})
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
+def test_a_finished_loop_says_how_its_policy_is_run_on_the_machine(tmp_path: Path) -> None:
+    study = machine_study(tmp_path)
+    study["learn"] = {"trajectories": 1, "episodes": 2, "stop": "timeout"}
+    assert learned(tmp_path, study).waiting
+    assert "The policy for the machine is" not in run_text(tmp_path / "run")
+    frame = pd.read_csv(tmp_path / "first.csv").iloc[7:]
+    frame.to_csv(tmp_path / "run" / "recordings" / "trajectory-01.csv", index=False)
+    assert not learned(tmp_path, study).waiting
+    text = run_text(tmp_path / "run")
+    assert (
+        f"The policy for the machine is {tmp_path / 'run' / 'policy.pt'}. The module takes" in text
+    )
+    about = json.loads((tmp_path / "run" / "policy.json").read_text())
+    assert (about["actuators"], about["high"]) == (["torque"], [pytest.approx(0.5)])
+    said = learning_said(json.loads((tmp_path / "run" / "learning.json").read_text()))
+    assert said["verdict"].startswith("The policy was learned after 1 real trajectory")
+    assert any(s.startswith("The policy for the machine is") for s in said["sentences"])
 
 
 def test_a_bad_recording_of_a_person_is_said_and_can_be_replaced(tmp_path: Path) -> None:
@@ -448,6 +526,13 @@ def test_a_policy_of_another_model_is_refused(whole: Path, tmp_path: Path) -> No
     other.save(tmp_path / "arm.npz")
     with pytest.raises(UserError, match=r"takes 5 observations and gives 2 actions.*on arm"):
         play(whole, policy=tmp_path / "arm.npz")
+    own = LearnedPolicy.load(whole / "policy.npz")
+    names = {"joints": ["knee"], "actuators": ["torque"]}
+    replace(own, about={**own.about, "machine": names}).save(tmp_path / "leg.npz")
+    with pytest.raises(
+        UserError, match=r"leg.npz: learned for the joints knee; those .* are hinge"
+    ):
+        play(whole, policy=tmp_path / "leg.npz")
     with pytest.raises(RunError, match="no such policy"):
         play(whole, policy=tmp_path / "none.npz")
     with pytest.raises(RunError, match=r"policy.pt: a TorchScript module.*play takes the .npz"):

@@ -69,7 +69,7 @@ def test_distances_are_in_shares_of_the_bounds(grid: CandidateSet) -> None:
     assert len(near) == 8  # one step either way in two parameters
     assert here not in near
     assert len(neighbours(grid, row(grid, 0.0, 0.0), 0.1)) == 3
-    assert len(neighbours(grid, here, 0.05)) == 0
+    assert set(neighbours(grid, here, 0.05)) == set(near)  # the nearest, where none is
     farthest = neighbours(grid, here, 0.2, most=16)
     assert (distances(grid, here)[farthest] > 0.15).all()
 
@@ -108,6 +108,10 @@ def test_the_seeds_rule_needs_both_conditions(grid: CandidateSet) -> None:
     away = near_enough(grid, here, row(grid, 0.7, 2.0), 0.1, 0.05, flat)
     assert not away.stop
     assert away.figures["distance"] == pytest.approx(0.2)
+    coarse = near_enough(grid, here, here, 0.05, 0.05, steep)
+    assert not coarse.stop  # the nearest candidates are farther than epsilon
+    assert "the nearest candidates, 0.1 of the bounds away (epsilon is 0.05)," in coarse.sentence
+    assert near_enough(grid, here, here, 0.05, 0.05, flat).stop
     assert "0.2 of the bounds away" in away.sentence
 
     def worthless(rows: np.ndarray, times: int) -> Values:

@@ -22,6 +22,7 @@ from bo_sysid.runs import (
     atomic,
     canonical,
     digest,
+    held,
     plain,
     read_frame,
     read_json,
@@ -164,6 +165,27 @@ def test_another_study_is_refused_with_what_differs(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="holds a run of identify, not diagnose; use another --out"):
         opened(tmp_path / "run", command="diagnose")
     opened(tmp_path / "run").close("finished")
+
+
+def test_what_differs_in_a_list_is_named_by_its_key(tmp_path: Path) -> None:
+    study = {"name": "arm", "parameters": [{"low": 0, "high": 4}, {"low": 1, "high": 2}]}
+    opened(tmp_path / "run", study).close("finished")
+    other = {"name": "arm", "parameters": [{"low": 0, "high": 4}, {"low": 1, "high": 3}]}
+    with pytest.raises(RunError, match=r"It differs in\n  parameters.1.high: 2 there, 3 now$"):
+        opened(tmp_path / "run", other)
+
+
+def test_a_file_is_no_run_folder(tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("x")
+    with pytest.raises(RunError, match="run: a file; --out names the folder of a run"):
+        opened(tmp_path / "run")
+
+
+def test_whether_a_process_writes_to_a_run_is_told(tmp_path: Path) -> None:
+    assert not held(tmp_path)
+    with opened(tmp_path / "run") as run:
+        assert held(run.folder)
+    assert not held(tmp_path / "run")
 
 
 def test_what_says_how_much_is_computed_may_be_raised(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """A policy for a person's machine: a file to run there, and what to record."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +31,11 @@ def command_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(scene.task, PythonTask):
         return command_ends(PythonMachine(scene.task, model, 0))
     return control_range(model)
+
+
+def machine_names(scene: Scene) -> dict[str, list[str]]:
+    """Return the names of the joints and actuators that a policy was learned with."""
+    return {"joints": list(scene.model.joints), "actuators": list(scene.model.controlled)}
 
 
 def write_commands(scene: Scene, policy: LearnedPolicy, path: Path) -> None:
@@ -87,33 +92,58 @@ def share_beyond(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
     return float(left.mean())
 
 
-def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: str) -> str:
-    """Write policy `number` for the machine, and return what to record and where to put it."""
-    name = f"policies/policy-{number:02d}"
+def write_for_machine(scene: Scene, policy: LearnedPolicy, run: Run, name: str) -> dict[str, Any]:
+    """Write a policy as a module, ``<name>.pt``, and what it takes and gives, ``<name>.json``."""
     write_commands(scene, policy, run.path(f"{name}.pt"))
     low, high = command_range(scene)
     seconds = scene.task.time_limit
     about = {
         "observations": policy.policy.network.sizes[0],
-        "observed": observed(scene),
+        "observed": list(observed(scene)),
         "actuators": list(scene.model.controlled),
-        "low": low,
-        "high": high,
+        "low": low.tolist(),
+        "high": high.tolist(),
         "control_timestep": scene.task.control_timestep,
         "seconds": seconds if np.isfinite(seconds) else None,
         "simulated_share_beyond_limits": policy.about.get("share_beyond", 0.0),
     }
     run.write_json(f"{name}.json", about)
+    return about
+
+
+def how_to_run(about: Mapping[str, Any]) -> str:
+    """Return what a module takes and gives, in words, from what is written beside it."""
+    return (
+        f"The module takes the {_observations(about)} of the task every "
+        f"{about['control_timestep']:g} s and gives the commands of "
+        f"{', '.join(about['actuators'])}, clipped to {_ranges(about['low'], about['high'])}."
+    )
+
+
+def cautions(about: Mapping[str, Any]) -> list[str]:
+    """Return a warning where a policy left the study's limits in simulation."""
+    share = float(about["simulated_share_beyond_limits"])
+    if not share:
+        return []
+    return [
+        f"CAUTION: in {share:.0%} of simulated episodes this policy leaves the limits of "
+        "position or velocity, which clipping commands cannot prevent. Have the machine stop by "
+        "itself."
+    ]
+
+
+def hand_over(scene: Scene, run: Run, policy: LearnedPolicy, number: int, stem: str) -> str:
+    """Write policy `number` for the machine, and return what to record and where to put it."""
+    name = f"policies/policy-{number:02d}"
+    about = write_for_machine(scene, policy, run, name)
     (run.path(stem).parent).mkdir(exist_ok=True)
     return "\n".join(
         [
             f"waiting for recording {number}: run {run.path(name)}.pt on the machine and put what "
             f"it did into {run.path(stem)}.parquet (or .csv, .npz, .mat).",
-            f"- The module takes the {_observations(about)} of the task every "
-            f"{scene.task.control_timestep:g} s and gives the commands of "
-            f"{', '.join(scene.model.controlled)}, clipped to {_ranges(low, high)}.",
-            f"- Record {_length(seconds)}: {_columns(scene)}; velocities where there are some.",
-            *_warning(float(policy.about.get("share_beyond", 0.0))),
+            f"- {how_to_run(about)}",
+            f"- Record {_length(about)}: {_columns(scene)}; velocities where there are some.",
+            *[f"- {caution}" for caution in cautions(about)],
             "Then give the same command again; it goes on from there.",
         ]
     )
@@ -142,19 +172,10 @@ def _column(channel: str, rule: Column | None) -> str:
     return f"{rule.source!r}{unit} ({channel})" if rule.source else f"{channel}{unit}"
 
 
-def _length(seconds: float) -> str:
-    return f"an episode of {seconds:g} s" if np.isfinite(seconds) else "as long as is safe"
+def _length(about: Mapping[str, Any]) -> str:
+    seconds, often = about["seconds"], f"every {about['control_timestep']:g} s or more often"
+    return f"an episode of {seconds:g} s, {often}" if seconds else f"as long as is safe, {often}"
 
 
-def _ranges(low: np.ndarray, high: np.ndarray) -> str:
+def _ranges(low: Sequence[float], high: Sequence[float]) -> str:
     return ", ".join(f"[{a:g}, {b:g}]" for a, b in zip(low, high, strict=True))
-
-
-def _warning(share: float) -> list[str]:
-    if not share:
-        return []
-    return [
-        f"- CAUTION: in {share:.0%} of simulated episodes this policy leaves the limits of "
-        "position or velocity, which clipping commands cannot prevent. Have the machine stop by "
-        "itself."
-    ]

@@ -129,12 +129,13 @@ def identified(
 
     Args:
         scene: gives model and B.
-        recordings: all so far.
+        recordings: all so far; those too short for a window count for nothing beside others.
         known: rows of B that were evaluated before.
         settled: ends the search in place of the entropy.
         noise: of the machine's sensors, see `floor_of`.
     """
-    problem = make_problem(scene.study, recordings, threads=threads())
+    long = long_enough(recordings, scene.study.deviation.horizon)
+    problem = make_problem(scene.study, long, threads=threads())
     deviation, points = problem.deviation, scene.candidates.points
     history = evaluated_again(deviation, points, known)
     outcome, guided = _searched(scene, deviation, history, settled)
@@ -153,6 +154,16 @@ def identified(
         floor_of(problem, points[rows[best]], float(found.deviation[best]), scene.seed, noise),
         guided,
     )
+
+
+def long_enough(recordings: Sequence[Recording], horizon: int) -> tuple[Recording, ...]:
+    """Return the recordings that hold a window of `horizon` instants; all where none does."""
+    found = [
+        r
+        for r in recordings
+        if max((len(c.time) for c in r.of_kind("qpos").values()), default=0) > horizon
+    ]
+    return tuple(found or recordings)
 
 
 def evaluated_again(deviation: Deviation, points: Points, rows: Int[np.ndarray, " k"]) -> History:

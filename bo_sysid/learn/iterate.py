@@ -17,7 +17,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import command_range, share_beyond
+from bo_sysid.learn.hand_over import command_range, machine_names, share_beyond
 from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration, repaired_scene, stored_repair
 from bo_sysid.learn.repair import MOST, Repair, repaired
@@ -194,6 +194,7 @@ def _learned(
     about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
     about["share_beyond"] = share_beyond(scene, policy, point)
     about["commands"] = dict(zip(("low", "high"), command_range(scene), strict=True))
+    about["machine"] = machine_names(scene)
     policy = replace(policy, about=about)
     policy.save(place)
     return policy

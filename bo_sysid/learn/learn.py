@@ -6,6 +6,7 @@ The policy of each iteration is what the next trajectory is recorded with.
 """
 
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ import pandas as pd
 from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import write_commands
+from bo_sysid.learn.hand_over import cautions, how_to_run, write_for_machine
+from bo_sysid.learn.identified import long_enough
 from bo_sysid.learn.iterate import Teller, iterate
 from bo_sysid.learn.iteration import Iteration, reread
 from bo_sysid.learn.machine_source import MachineSource
@@ -158,12 +160,19 @@ def _told(
         _notes(scene, done, source),
     )
     last.policy.save(run.path("policy.npz"))
-    write_commands(last.scene, last.policy, run.path("policy.pt"))
+    about = write_for_machine(last.scene, last.policy, run, "policy")
     run.write_frame("trajectories.parquet", result.trajectories)
     run.write_frame("iterations.parquet", result.iterations)
     run.write_frame("training.parquet", _log(done, run))
-    run.write_json("learning.json", _summary(result, done))
+    to_run = [] if waiting or study.plant else _to_run(run, about)
+    run.write_json("learning.json", {**_summary(result, done), "to_run": to_run})
     return result
+
+
+def _to_run(run: Run, about: Mapping[str, Any]) -> list[str]:
+    """Return how the last policy is run on a person's machine."""
+    file = f"The policy for the machine is {run.path('policy.pt')}."
+    return [f"{file} {how_to_run(about)}", *cautions(about)]
 
 
 def _table(done: list[Iteration]) -> pd.DataFrame:
@@ -224,6 +233,13 @@ def _notes(scene: Scene, done: list[Iteration], source: Source) -> tuple[str, ..
         notes.append("search.refine zooms in identify; learn keeps to the stated B")
     faults = [fault for fault in source.trajectories["fault"] if fault]
     notes += [f"{fault}; what was recorded until then is used" for fault in faults]
+    recorded, horizon = source.recordings(scene.study), scene.study.deviation.horizon
+    long = long_enough(recorded, horizon)
+    notes += [
+        f"{r.name}: too short for a window of {horizon} instants (deviation.horizon), not compared"
+        for r in recorded
+        if r not in long
+    ]
     return tuple(dict.fromkeys(notes))
 
 

@@ -1,7 +1,7 @@
 """Real trajectories of a person's machine: a policy file out, a recording in."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,12 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.learn.hand_over import hand_over
+from bo_sysid.learn.returned import (
+    require_commands_within,
+    require_new,
+    unread,
+    with_lost_commands,
+)
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.source import Waiting
 from bo_sysid.learn.values import Estimate
@@ -63,9 +69,9 @@ class MachineSource:
         """Find the recording of iteration `number`, or write the policy and say what to record.
 
         Raises:
-            RecordingError: the recording is wrong, or there are two; the run waits for a better
-                one.
-            RunError: it is another one than the run used before.
+            RecordingError: the recording is wrong, cannot be one of the policy, or there are two;
+                the run waits for a better one.
+            RunError: it is another one than the run used before, or gone.
         """
         if policy is None:
             return None
@@ -73,15 +79,35 @@ class MachineSource:
         there = [self._run.path(stem + ending) for ending in READERS]
         found = [path for path in there if path.is_file()]
         if not found:
-            return Waiting(hand_over(scene, self._run, policy, number - 1, stem))
+            self._require_never_there(number, stem)
+            waiting = hand_over(scene, self._run, policy, number - 1, stem)
+            lines = [waiting, unread(self._run.path(stem))]
+            return Waiting("\n".join(line for line in lines if line))
         if len(found) > 1:
             both = " and ".join(path.name for path in found)
             raise RecordingError(f"{self._run.path(stem)}: {both} are there; only one may be")
         read = read_files(self._scene.study, found, self._strict)
         self._require_used(number, found[0], _digest(read))
+        self._require_fitting(number, read, found[0])
+        step = self._scene.task.control_timestep
         self._files.append(found[0])
-        self._further += read
+        self._further += [with_lost_commands(r, step) for r in read]
         return None
+
+    def _require_never_there(self, number: int, stem: str) -> None:
+        """Refuse to wait once more for a recording that an iteration was begun with."""
+        if self._run.path(f"iterations/{number:02d}").is_dir():
+            raise RunError(
+                f"{self._run.path(stem)}.parquet (or .csv, …): this run has used it and it is "
+                "gone; put it back, or use another --out"
+            )
+
+    def _require_fitting(self, number: int, read: Sequence[Recording], file: Path) -> None:
+        """Refuse what cannot be a recording of the policy before."""
+        about = self._run.read_json(f"policies/policy-{number - 1:02d}.json")
+        for recording in read:
+            require_new(recording, (*self._first, *self._further), file)
+            require_commands_within(recording, about, file)
 
     def _require_used(self, number: int, file: Path, digest: str) -> None:
         """Refuse another recording than the one with which an iteration was begun."""

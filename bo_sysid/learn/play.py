@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.errors import RunError, UserError
+from bo_sysid.learn.hand_over import machine_names
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.values import Estimate
 from bo_sysid.mjcf import Model
@@ -91,6 +92,7 @@ def play(
     learned, scene = LearnedPolicy.load(file), Scene.of(study)
     environment = scene.environment(scene.compiled(scene.candidates.points[0]), 1)
     learned.require(environment.observation_size, environment.action_size, str(file))
+    _require_machine(learned, scene, file)
     plant = build_plant(study, seed=scene.seed + _SEED)
     act = learned.acting(*plant.command_range)
     returns = plant.evaluate(act, episodes, seed=scene.seed + _SEED)
@@ -104,6 +106,21 @@ def play(
     path = write_recording(recording, place / "recording.parquet")
     pictures, why = _pictures(scene.model, recording, plant.goal, place / "pictures.png")
     return Played(returns, path, pictures, why)
+
+
+def _require_machine(policy: LearnedPolicy, scene: Scene, file: Path) -> None:
+    """Refuse a policy for other joints or actuators: equal numbers of them are no sign.
+
+    A repair may have added joints to those of the plant.
+    """
+    here = machine_names(scene)
+    own = policy.about.get("machine", here)
+    for kind in ("joints", "actuators"):
+        if not set(here[kind]) <= set(own[kind]):
+            raise UserError(
+                f"{file}: learned for the {kind} {', '.join(own[kind])}; those of this plant are "
+                f"{', '.join(here[kind])}"
+            )
 
 
 def _pictures(

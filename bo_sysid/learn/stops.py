@@ -1,7 +1,8 @@
 """When the outer loop ends, and when the search within it does.
 
 - `seed`: the search ends when the entropy of P settles; the loop ends when the chosen candidate is
-  within ε of argmax P and its value is within r of that of every candidate within ε of it.
+  within ε of argmax P and its value is within r of that of every candidate within ε of it, or of
+  the nearest ones where B is spaced wider.
 - `zhu`: the search ends when what P leaves open no longer matters for the policy,
   Σ_{P(β) ≥ η} P(β) |V(β) - V(argmax P)| ≤ ε |V(argmax P)|; the loop ends by time out.
   S. Zhu, A. Kimmel, K. E. Bekris, A. Boularias. Fast Model Identification via Physics Engines for
@@ -32,6 +33,7 @@ Valued = Callable[[Int[np.ndarray, " K"], int], Values]
 MOST_NEIGHBOURS = 32
 MOST_PROBABLE = 32
 AGAIN = 4  # times the episodes, over which neighbours are valued again
+_FARTHEST = 0.25  # share of the bounds within which a candidate may be a neighbour
 _LEVEL = 0.05  # of the tests of all neighbours together
 _LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
 
@@ -91,13 +93,17 @@ def _away(candidates: CandidateSet, row: int) -> Float[np.ndarray, "N d"]:
 def neighbours(
     candidates: CandidateSet, row: int, epsilon: float, most: int = MOST_NEIGHBOURS
 ) -> Int[np.ndarray, " k"]:
-    """Return the rows within `epsilon` of a row, itself left out.
+    """Return the rows within `epsilon` of a row, itself left out, or else the nearest ones.
 
-    Where there are more than `most`, those farthest in all parameters together (the corners): the
-    values of a smooth V differ most there.
+    B may be spaced wider than `epsilon`; candidates a quarter of the bounds away are none that a
+    policy is compared on. Where there are more than `most`, those farthest in all parameters
+    together (the corners): the values of a smooth V differ most there.
     """
-    rows = np.flatnonzero(distances(candidates, row) <= epsilon + 1e-12)
-    rows = rows[rows != row]
+    apart = distances(candidates, row)
+    apart[row] = np.inf
+    nearest = float(apart.min())
+    reach = max(epsilon, nearest if nearest <= _FARTHEST else 0.0)
+    rows = np.flatnonzero(apart <= reach + 1e-9)
     away = np.linalg.norm(_away(candidates, row)[rows], axis=1)
     order: np.ndarray = np.argsort(-np.round(away, 9), kind="stable")
     return np.asarray(rows[order[:most]], int)
@@ -113,7 +119,8 @@ def near_enough(
 ) -> Verdict:
     """Return whether both conditions of the seed method hold.
 
-    |argmax P - β_t| ≤ ε, and |V(β_t) - V(β')| ≤ r |V(β_t)| for every β' within ε of β_t.
+    |argmax P - β_t| ≤ ε, and |V(β_t) - V(β')| ≤ r |V(β_t)| for every β' within ε of β_t, or the
+    nearest ones where none is.
 
     V is known with an error only, and the largest of many noisy differences lies beyond any bound.
     The second condition fails where a difference is beyond the bound by a one-sided t-test of
@@ -140,7 +147,7 @@ def near_enough(
     figures |= {"value": own._asdict(), "neighbours": len(around)}
     if not len(around):
         return Verdict(
-            True, f"argmax P is the chosen candidate; none other is within {epsilon:g}.", figures
+            True, "argmax P is the chosen candidate; no other is near enough to compare.", figures
         )
     if not own.mean and not any(d.mean for d in _apart(told)):
         text = "The policy is worth nothing on any candidate nearby, which says nothing of them."
@@ -155,11 +162,20 @@ def near_enough(
         "episodes": episodes,
     }
     numbers = (
-        f"Over all candidates within {epsilon:g} of the bounds (epsilon) the policy's return "
-        f"differs by {abs(worst.mean):.3g} ± {worst.half_width:.2g} at most (95 %, "
-        f"{episodes} paired episodes)"
+        f"Over {_which(candidates, chosen, around, epsilon)} the policy's return differs by "
+        f"{abs(worst.mean):.3g} ± {worst.half_width:.2g} at most (95 %, {episodes} paired episodes)"
     )
     return Verdict(agree, f"{numbers}, {text} {allowed:.3g}, {r:g} of it (r).", figures)
+
+
+def _which(
+    candidates: CandidateSet, chosen: int, around: Int[np.ndarray, " k"], epsilon: float
+) -> str:
+    """Return in words which candidates are compared."""
+    farthest = float(distances(candidates, chosen)[around].max())
+    if farthest <= epsilon + 1e-9:
+        return f"all candidates within {epsilon:g} of the bounds (epsilon)"
+    return f"the nearest candidates, {farthest:.3g} of the bounds away (epsilon is {epsilon:g}),"
 
 
 _Apart = tuple[Estimate, int]

@@ -113,5 +113,6 @@ def _check(amplitude: float, duration: float, timestep: float) -> None:
         raise UserError(f"excitation: amplitude is {amplitude:g}; it must be in (0, 1]")
     if not duration >= 2 * timestep > 0:
         raise UserError(
-            f"excitation: {duration:g} s is shorter than two control steps of {timestep:g} s"
+            f"excitation: {duration:g} s is shorter than two control steps of {timestep:g} s; it "
+            "lasts as long as an episode (a task's time_limit), or as plant.record.seconds says"
         )

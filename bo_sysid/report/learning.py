@@ -42,6 +42,7 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
         "",
         f"The last policy was learned on {chosen}.",
         summary["waiting"] or summary["stopped"],
+        *(summary.get("to_run") or ()),
     ]
     if summary["notes"]:
         parts += ["", *[f"- {note}" for note in summary["notes"]]]
@@ -70,16 +71,21 @@ def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
     rounds = summary.get("iterations") or []
     told = [r for r in rounds if r.get("plant_return")]
     notes = list(summary.get("notes") or ())
-    if summary["waiting"] or not told:
+    if summary["waiting"]:
         return {"verdict": why, "sentences": [f"So far: {spent}.", *notes]}
-    plant, model = told[-1]["plant_return"], told[-1].get("model_return")
-    verdict = f"The policy returns {_with_interval(plant)} on the plant, after {spent}."
+    last = rounds[-1] if rounds else {}
+    model = last.get("model_return")
+    verdict = f"The policy was learned after {spent}."
+    if told:
+        plant = _with_interval(told[-1]["plant_return"])
+        verdict = f"The policy returns {plant} on the plant, after {spent}."
     learned_on = ", ".join(f"{n} {v:.4g}" for n, v in summary["chosen"].items())
     where = f"It was learned on {learned_on}"
     where += f", where it returns {_with_interval(model)}." if model else "."
     diagnosed = [r for r in rounds if r.get("diagnosis")]
     found = [f"After {r['trajectories']} the diagnosis repaired the model." for r in diagnosed]
-    return {"verdict": verdict, "sentences": [where, *found, f"Why it stopped: {why}", *notes]}
+    sentences = [where, *found, f"Why it stopped: {why}", *(summary.get("to_run") or ()), *notes]
+    return {"verdict": verdict, "sentences": sentences}
 
 
 def _with_interval(value: Mapping[str, Any]) -> str:

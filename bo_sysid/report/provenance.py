@@ -21,6 +21,8 @@ _FILES = {
     "identification.json": "the identification, to be read by programs",
     "learning.json": "the learning, to be read by programs",
     "policy.npz": "the learned policy",
+    "policy.pt": "the same for the machine: a TorchScript module that gives commands",
+    "policy.json": "what that module takes and gives, and how often",
     "paths.parquet": "every step of every run of the comparison",
     "study.yaml": "the study, with every default",
 }

@@ -239,7 +239,8 @@ def learned(found: Found) -> Section | None:
     iterations = read_frame(found.folder, "iterations.parquet")
     if iterations.empty:
         return None
-    words = "Return of the policy after each round, on the identified model and on the plant."
+    beside = " and on the plant" if iterations["plant_return"].notna().any() else ""
+    words = f"Return of the policy after each round, on the identified model{beside}."
     plots = [Plot(words, {"": interactive_search.learning(iterations)})]
     if found.has("training.parquet"):
         training = read_frame(found.folder, "training.parquet")

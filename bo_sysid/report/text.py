@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from bo_sysid.errors import RunError
-from bo_sysid.runs import FITS, read_frame, read_json, read_record
+from bo_sysid.runs import FITS, held, read_frame, read_json, read_record
 from bo_sysid.study.overview import Overview
 
 _FEW = 12  # notes that are shown; all are in the run folder
@@ -45,12 +45,8 @@ def run_text(folder: str | Path) -> str:
             f"{head}\nIterations so far: {rounds}, each with the policy that it learned "
             "(iterations/*/policy.npz). The same command goes on."
         )
-    real = len(list(folder.glob("trajectories/*.parquet")))
-    if record["command"] == "learn" and real:
-        return (
-            f"{head}\nReal trajectories so far: {real} (trajectories/*.parquet); no policy was "
-            "learned yet. The same command goes on."
-        )
+    if record["command"] == "learn" and (begun := _begun(folder)):
+        return f"{head}\n{begun} The same command goes on."
     compared = len(list(folder.glob("records/*/*/[0-9]*.json")))
     if record["command"] == "compare" and compared:
         return f"{head}\nRuns of arms so far: {compared}. The same command goes on."
@@ -58,6 +54,18 @@ def run_text(folder: str | Path) -> str:
     if fits:
         return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
     return f"{head}\nNothing was computed yet."
+
+
+def _begun(folder: Path) -> str:
+    """Say how far the first iteration of `learn` is; empty where nothing is there."""
+    said = []
+    if real := len(list(folder.glob("trajectories/*.parquet"))):
+        said.append(f"Real trajectories so far: {real} (trajectories/*.parquet).")
+    if list(folder.glob("iterations/*/identified.json")):
+        said.append("The model is identified (iterations/*/belief.parquet).")
+    if list(folder.glob("iterations/*/training/*.npz")):
+        said.append("TRPO has begun.")
+    return " ".join([*said, "No policy was learned yet."]) if said else ""
 
 
 def _concealed(folder: Path) -> str:
@@ -78,6 +86,8 @@ def _status(folder: Path, record: Mapping[str, Any]) -> str:
         learning = read_json(folder, "learning.json")
         if isinstance(learning, Mapping) and learning.get("status") == "waiting":
             return "waiting for a recording"
+    if record["status"] == "running" and not held(folder):
+        return "interrupted"  # it was killed, and could not say so
     return str(record["status"])
 
 

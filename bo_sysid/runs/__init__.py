@@ -5,6 +5,7 @@ disk, and moved there. A command that is killed at any moment goes on from what 
 """
 
 from bo_sysid.runs.files import atomic, canonical, digest, finite, plain, read_frame, read_json
+from bo_sysid.runs.lock import held
 from bo_sysid.runs.run import FITS, FORMAT, Run, read_record, versions
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "canonical",
     "digest",
     "finite",
+    "held",
     "plain",
     "read_frame",
     "read_json",

@@ -35,6 +35,18 @@ def locked(folder: Path) -> IO[str]:
     return lock
 
 
+def held(folder: Path) -> bool:
+    """Return whether a process writes to a folder, also where that cannot be told."""
+    try:
+        with open(folder / NAME, "a+", encoding="utf-8") as lock:
+            _lock_file(lock)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
 if sys.platform == "win32":
 
     def _lock_file(lock: IO[str]) -> None:

@@ -93,6 +93,8 @@ class Run:
                 command, another format, or something that is no run.
         """
         folder = Path(folder)
+        if folder.is_file():
+            raise RunError(f"{folder}: a file; --out names the folder of a run")
         created = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         lock = locked(folder)
@@ -281,6 +283,9 @@ def differences(old: Any, new: Any, key: str = "") -> list[str]:
         return [
             d for k in keys for d in differences(old.get(k), new.get(k), f"{key}.{k}".lstrip("."))
         ]
+    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
+        pairs = enumerate(zip(old, new, strict=True))
+        return [d for k, (a, b) in pairs for d in differences(a, b, f"{key}.{k}")]
     return [] if old == new else [f"{key}: {json.dumps(old)} there, {json.dumps(new)} now"]
 
 
@@ -317,7 +322,7 @@ def _existing(
             f"{min(found)}); use another --out"
         )
     record = read_record(folder)
-    way_out = "use another --out, or remove the folder"
+    way_out = _way_out(folder)
     if record["command"] != command:
         raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
     now = plain(study)
@@ -326,6 +331,17 @@ def _existing(
         listed = "".join(f"\n  {d}" for d in differ[:10])
         raise RunError(f"{folder}: holds a run of another study; {way_out}. It differs in{listed}")
     return {**record, "study_sha256": digest(study)}
+
+
+def _way_out(folder: Path) -> str:
+    """Return what to do instead; a folder with recordings of a machine is none to remove."""
+    returned = sorted(folder.glob("recordings/trajectory-*"))
+    if not returned:
+        return "use another --out, or remove the folder"
+    return (
+        f"use another --out, and name {folder}/recordings/{returned[0].name} (and any others there)"
+        " under recordings.train: they are recordings of the machine"
+    )
 
 
 def _with_raised(there: Any, now: Mapping[str, Any], raised: Sequence[str]) -> Any:

@@ -58,10 +58,14 @@ def _spread(
             picked.append(k)
             k = int(following[k])
         first = there[picked]
+    if limit <= 0:
+        raise RecordingError(
+            f"{name}: {len(complete)} instants are too few for a window of {horizon} "
+            "(deviation.horizon, in a study)"
+        )
     if not first.size:
         raise RecordingError(
-            f"{name}: {len(complete)} instants are too few for a window of {horizon}, or no "
-            "instant has every joint position"
+            f"{name}: no instant has every joint position, where a window of {horizon} could begin"
         )
     reach = max(stride, horizon)
     lost = int(np.maximum(np.diff(first, prepend=-reach, append=limit) - reach, 0).sum())

@@ -25,6 +25,8 @@ from bo_sysid.study.requirements import (
 )
 from bo_sysid.study.study import Study
 
+_UNLIKE = 1.2  # times as long between samples, from which two recordings have two rates
+
 
 @dataclass(frozen=True)
 class Overview:
@@ -84,7 +86,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
         _channels(model, recordings, unrecorded),
         described(model, parameters),
         candidate_count(study, parameters),
-        tuple(dict.fromkeys(n for r in recordings for n in r.notes)),
+        tuple(dict.fromkeys(n for r in recordings for n in (*r.notes, *_uneven(recordings)))),
     )
 
 
@@ -146,6 +148,18 @@ def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
             "steps": [p.steps for p in parameters],
         }
     )
+
+
+def _uneven(recordings: Sequence[Recording]) -> list[str]:
+    """Return a note where recordings of positions have rates that are not alike."""
+    apart = [Sampling.of(c.time).median_dt for r in recordings for c in r.of_kind("qpos").values()]
+    if not apart or max(apart) < _UNLIKE * min(apart):
+        return []
+    return [
+        f"Positions are sampled every {1e3 * min(apart):.4g} to {1e3 * max(apart):.4g} ms: windows "
+        "(deviation.horizon) and forecasts are counted in samples, and are longer where these are "
+        "rarer."
+    ]
 
 
 def _silent(model: Model) -> dict[str, str]:
