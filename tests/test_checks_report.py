@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
+from bo_sysid.checks.channels import channel_flags, coarse_flags, sampling_flags, slow_flags
 from bo_sysid.checks.check import check
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire
@@ -30,7 +30,8 @@ from bo_sysid.effects.beside import Beside, Placed
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf import Model
 from bo_sysid.parameters import Parameter
-from bo_sysid.recording import Channel, Recording
+from bo_sysid.recording import Channel, RawTable, Recording
+from bo_sysid.recording.mapping import to_recording
 from bo_sysid.report.check_text import checked_text
 from bo_sysid.simulation import Engine, MujocoSimulator, State, cut
 from bo_sysid.study import Study
@@ -152,6 +153,13 @@ def test_clocks_that_lose_samples() -> None:
     keep[100:130] = False
     (flag,) = sampling_flags([Recording.from_arrays(TIME[keep], qpos={"x": TIME[keep]})])
     assert "about 30 samples lost" in flag.sentence
+
+
+def test_clocks_that_are_coarser_than_their_rows() -> None:
+    fine = RawTable("log", {"time": np.floor(TIME / 0.04 + 1e-9) * 0.04, "qpos.x": TIME})
+    (flag,) = coarse_flags([to_recording(fine, name="a")])
+    assert (flag.level, flag.channels) == ("look", ("a",))
+    assert "a: Coarse clock 'time': " in flag.sentence
 
 
 def test_motions_that_are_sampled_rarely_may_have_another_unit_of_time() -> None:

@@ -21,10 +21,11 @@ from bo_sysid.diagnosis.answer.notes import (
     parameters_out_of_bounds,
 )
 from bo_sysid.diagnosis.diagnose import gather
-from bo_sysid.diagnosis.windows.evidence import make_evidence, rates_note
+from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Model
+from bo_sysid.recording.alignment import rates_note
 from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_train
@@ -106,6 +107,20 @@ def test_a_short_recording_costs_the_others_no_proof(diagnosed) -> None:
     assert none.sentences[0].startswith("The hold-out cannot be judged: ")
 
 
+def test_a_hold_out_that_is_sampled_more_rarely_is_told(diagnosed) -> None:
+    result, _ = diagnosed
+    whole = record(FRICTION, seed=2, duration=4.0)
+    rare = replace(
+        whole,
+        channels={
+            n: replace(c, time=c.time[::5], values=c.values[::5]) for n, c in whole.channels.items()
+        },
+    )
+    assert judge(result.evidence, result.outcome, [whole]).rates == ""
+    told = judge(result.evidence, result.outcome, [rare])
+    assert "every 0.01 s, training every 0.002 s: windows have as many samples" in told.rates
+
+
 def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
     result, _ = diagnosed
     half = record(FRICTION, seed=2, duration=4.0).between(0.0, 0.5)
@@ -120,9 +135,11 @@ def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
 
 def test_recordings_of_other_rates_are_told_with_their_intervals() -> None:
     fast, slow = record(duration=1.0), record(seed=1, duration=1.0, sampling=0.02)
-    (note,) = rates_note([fast, slow], arm())
+    (note,) = rates_note([fast, slow], arm().qpos_channels)
     assert note.startswith("arm 0 is sampled every 0.002 s and arm 1 every 0.02 s: ")
-    assert rates_note([fast, replace(fast, name="again")], arm()) == rates_note([], arm()) == ()
+    channels = arm().qpos_channels
+    again = replace(fast, name="again")
+    assert rates_note([fast, again], channels) == rates_note([], channels) == ()
 
 
 def test_bounds_that_leave_out_the_model_are_said(tmp_path: Path) -> None:

@@ -354,9 +354,17 @@ def test_the_repaired_study_searches_with_the_joint_that_nothing_measures(diagno
     assert found.best[0] == pytest.approx(1.0)
 
 
+def test_an_unrecorded_base_stands_for_all_its_coordinates() -> None:
+    floating = """<mujoco><worldbody><body><freejoint name="base"/><geom size=".1"/>
+      <body><joint name="wheel"/><geom size=".1"/></body></body></worldbody></mujoco>"""
+    spec = Model.from_xml(floating)
+    model = Model(spec.name, spec.source, mujoco.MjSpec.from_string(floating), {"base": None})
+    assert list(model.unrecorded) == [f"base.{k}" for k in range(7)]
+
+
 def test_an_unrecorded_joint_must_be_one_of_the_model(tmp_path: Path) -> None:
     (tmp_path / "joint.xml").write_text(JOINT)
-    with pytest.raises(ModelError, match=r"no hinge or slide 'hing'.*hinge"):
+    with pytest.raises(ModelError, match=r"no joint 'hing'.*hinge"):
         Model.from_file(tmp_path / "joint.xml", unrecorded={"hing": None})
 
 

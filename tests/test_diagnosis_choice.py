@@ -620,6 +620,21 @@ def test_a_forecast_that_misses_the_floor_is_said(after: float, said: str) -> No
     assert [said in m for m in more] == ([True] if said else [])
 
 
+@pytest.mark.parametrize("after", [1.1, 4.0])
+def test_a_hold_out_of_another_rate_is_what_is_said_where_the_floor_is_missed(
+    after: float,
+) -> None:
+    models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}
+    rows = [
+        {"measure": "forecast", "horizon_s": AHEAD, "model": m, "error": e, "unit": ""}
+        for m, e in models.items()
+    ]
+    told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), rates="It is slow.").sentences[1:]
+    assert told == (
+        ("It is slow. What is left may be that: record both at one rate.",) * (after > 2)
+    )
+
+
 def test_a_repair_that_makes_longer_windows_worse_is_not_confirmed() -> None:
     errors = {"refitted": (1.1, 1.06), "repaired": (1.0, 3.68), "noise_floor": (1.0, 1.0)}
     rows = [

@@ -34,6 +34,17 @@ def test_duplicate_stamps_keep_the_first_sample():
     assert any("1 duplicate stamp" in n and "rows 7" in n for n in recording.notes)
 
 
+def test_a_clock_that_is_coarser_than_its_rows_is_told():
+    coarse = np.floor(TIME / 0.04 + 1e-9) * 0.04  # four rows a stamp
+    recording = read(coarse, qpos__a=TIME)
+    (note,) = (n for n in recording.notes if n.startswith("Coarse clock"))
+    assert note.startswith("Coarse clock 'time': 37 of 50 samples of qpos.a have the stamp of one")
+    again = read(coarse, qpos__a=coarse)  # a sensor that is read more often than it measures
+    assert not any("Coarse" in n for n in again.notes)
+    with pytest.raises(RecordingError, match=r"refused because of --strict\. Coarse clock 'time'"):
+        read(coarse, qpos__a=TIME, strict=True)
+
+
 def test_gaps_are_kept_and_nothing_is_invented():
     time = np.delete(TIME, [10, 11, 30])
     recording = read(time)

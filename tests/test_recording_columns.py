@@ -80,6 +80,13 @@ def test_a_unit_that_nobody_knows_is_kept_as_the_file_says_it():
     np.testing.assert_array_equal(channel.values, WAVE)
 
 
+def test_gram_is_no_unit_of_a_sensor():
+    with pytest.raises(RecordingError, match=r"unit 'g' measures mass, which no .* g0"):
+        read({"sensor.acc": {"from": "acc", "unit": "g"}}, acc=WAVE)
+    found = read({"sensor.acc": {"from": "acc", "unit": "g0"}}, acc=WAVE)
+    np.testing.assert_allclose(found.channels["sensor.acc"].values, 9.80665 * WAVE)
+
+
 def test_a_unit_of_the_file_that_does_not_fit_is_refused():
     with pytest.raises(
         RecordingError,

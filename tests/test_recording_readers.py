@@ -367,9 +367,9 @@ def test_a_bad_cell_among_decimal_commas_is_named(tmp_path):
         ("time,qpos.a\n", "names its columns but holds no samples"),
         ("  \n\n", "the first line must name the columns"),
         (GOOD.replace("\n", ",7\n").replace("ctrl.m,7", "ctrl.m,"), "last column has values"),
-        (GOOD.encode("utf-16")[:-1], "not UTF-8 or UTF-16 text"),
+        (GOOD.encode("utf-16")[:-1], "not UTF-8, UTF-16 or Windows"),
         (GOOD.encode("utf-16-le"), "not text"),
-        (GOOD.replace("ctrl.m", "ctrl.µ").encode("latin1"), "not UTF-8 or UTF-16 text"),
+        (GOOD.replace("ctrl.m", "ctrl.\u0081").encode("latin1"), "not UTF-8, UTF-16 or Windows"),
     ],
 )
 def test_a_wrong_csv_file_says_where(text, match, tmp_path):
@@ -378,6 +378,20 @@ def test_a_wrong_csv_file_says_where(text, match, tmp_path):
     with pytest.raises(RecordingError, match=match) as error:
         read_recording(path)
     assert str(path) in str(error.value)
+
+
+def test_a_file_as_windows_writes_it_in_western_languages_is_read(tmp_path):
+    text = GOOD.replace("ctrl.m", "ctrl.Kühlung")
+    (tmp_path / "log.csv").write_bytes(text.encode("cp1252"))
+    recording = read_recording(tmp_path / "log.csv")
+    assert "ctrl.Kühlung" in recording.channels
+    assert recording.notes[0] == "Read as Windows-1252 text, for it is not UTF-8."
+    assert not any("Windows" in n for n in read_table_of(tmp_path, text).notes)
+
+
+def read_table_of(folder, text):
+    (folder / "other.csv").write_text(text, encoding="utf-8")
+    return read_recording(folder / "other.csv")
 
 
 def several_clocks():

@@ -57,6 +57,19 @@ def test_errors_accelerations_and_temperatures_are_no_positions(
     assert set(rules.unused) == {other.format(j) for j in ANGLES}
 
 
+def test_german_names_with_units_in_brackets_are_read() -> None:
+    columns = {"Zeit [ms]": 1e3 * TIME}
+    columns |= {f"Achse{k} Ist [°]": np.rad2deg(a) for k, a in enumerate(ANGLES.values())}
+    columns |= {f"Achse{k} Soll [Nm]": f for k, f in enumerate(FORCES.values())}
+    rules = guess_rules(Model.from_xml(ARM), RawTable("log", columns))
+    assert sources(rules) == {"qpos.elbow": "Achse1 Ist [°]", "ctrl.elbow": "Achse1 Soll [Nm]"}
+    assert rules.columns["time"] == {"from": "Zeit [ms]", "unit": "ms"}
+    assert rules.columns["qpos.elbow"]["unit"] == "°"
+    assert [named(n, "").kind for n in ("th1", "Drehzahl", "Strom1", "q Istwert")] == [
+        "position", "velocity", "effort", "position",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(("output", "input_"), [("y.{}", "u.{}"), ("y_train.{}", "u_train.{}")])
 def test_outputs_y_beside_inputs_u_are_positions_in_their_order(output: str, input_: str) -> None:
     """As files of benchmarks have them: they were left to be filled in, though the inputs were

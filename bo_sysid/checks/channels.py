@@ -10,6 +10,7 @@ from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, Recording, Sampling, kind_of
 from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.outliers import CLEAR, find_outliers
+from bo_sysid.recording.value import COARSE
 
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
@@ -123,6 +124,16 @@ def _outliers(recording: str, name: str, channel: Channel) -> list[Flag]:
         "recordings: columns."
     )
     return [Flag("look", "outlier", (name,), sentence, {"times": at})]
+
+
+def coarse_flags(recordings: Sequence[Recording]) -> list[Flag]:
+    """Return clocks that stamp several samples alike, of which one is kept."""
+    return [
+        Flag("look", "sampling", (r.name,), f"{r.name}: {note}")
+        for r in recordings
+        for note in r.notes
+        if note.startswith(COARSE)
+    ]
 
 
 def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:

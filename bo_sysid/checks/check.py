@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.attitude import find_attitudes
-from bo_sysid.checks.channels import channel_flags, sampling_flags, slow_flags
+from bo_sysid.checks.channels import channel_flags, coarse_flags, sampling_flags, slow_flags
 from bo_sysid.checks.evidence import Laws
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
@@ -105,7 +105,12 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         simulator, point, windows, _windows(study, model, right, 0.5 * windows.timestep)
     )
     known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
-    flags = [*slow_flags(read), *bounds_flags(parameters, point), *wrap_flags(wraps)]
+    flags = [
+        *slow_flags(read),
+        *coarse_flags(read),
+        *bounds_flags(parameters, point),
+        *wrap_flags(wraps),
+    ]
     flags += _grid_flags(summary)
     flags += [*attitude, *wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]

@@ -19,6 +19,7 @@ _TWICE = 1.5  # from which a ratio is told as a number
 _FAR = 100.0  # standard deviations
 _INSTANTS = 400
 _ALWAYS = 0.95  # of the recordings
+_GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 
 
 def step_effect(
@@ -137,6 +138,11 @@ def _touching(model: mujoco.MjModel, geoms: tuple[int, int], share: float) -> Fl
         "in the simulation as they do in no machine. Leave them out of contact (MJCF: <contact>"
         f'<exclude body1="{first}" body2="{second}"/></contact>, or contype="0" conaffinity="0").'
     )
+    if any(int(model.geom_type[g]) in _GROUND for g in geoms):
+        more = (
+            " Where the machine drives or walks on it, its base must be free, with its pose "
+            f"recorded, or unrecorded: {{<joint>: null}} under the model. Else:{more}"
+        )
     return Flag("look", "contact", tuple(names), sentence + more, {"share": share})
 
 

@@ -111,7 +111,9 @@ def flow(rule: Mapping[str, Any]) -> str:
     import yaml
 
     return str(
-        yaml.safe_dump(dict(rule), default_flow_style=True, sort_keys=False, width=1000)
+        yaml.safe_dump(
+            dict(rule), default_flow_style=True, sort_keys=False, width=1000, allow_unicode=True
+        )
     ).strip()
 
 

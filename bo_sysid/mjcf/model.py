@@ -89,8 +89,8 @@ class Model:
     Attributes:
         name: name of the model.
         source: where it comes from, for messages: a path, or "dm_control cheetah run".
-        unrecorded: hinge and slide joints that nothing measures, each with the joint whose
-            encoder shows it as well, or None.
+        unrecorded: joints that nothing measures, each with the joint whose encoder shows it as
+            well, or None; a joint with several coordinates stands for all of them.
         attached: folders of the models that the file attaches, for an export of their assets.
     """
 
@@ -104,10 +104,11 @@ class Model:
     def __post_init__(self, _spec: mujoco.MjSpec) -> None:
         object.__setattr__(self, "_forms", Forms.of(_spec, self.source))
         known = self.qpos_channels
+        object.__setattr__(self, "unrecorded", _by_coordinate(self.unrecorded, known))
         for name in (n for pair in self.unrecorded.items() for n in pair if n is not None):
             if f"qpos.{name}" not in known:
                 near = nearest(name, [n.removeprefix("qpos.") for n in known])
-                said = f"{self.source}: no hinge or slide {name!r}; {near}"
+                said = f"{self.source}: no joint {name!r}; {near}"
                 raise ModelError(said, key="unrecorded")
 
     @classmethod
@@ -363,3 +364,14 @@ class Model:
         joints = {(joint.name, int(joint.type)) for joint in spec.joints}
         before = set(zip(self.joints, self._forms.model.jnt_type.tolist(), strict=True))
         return joints != before or {a.name for a in spec.actuators} != set(self.actuators)
+
+
+def _by_coordinate(
+    unrecorded: Mapping[str, str | None], channels: Sequence[str]
+) -> dict[str, str | None]:
+    """Return unrecorded joints, those with several coordinates by each of them."""
+    found: dict[str, str | None] = {}
+    for name, shown in unrecorded.items():
+        own = [c.removeprefix("qpos.") for c in channels if c.startswith(f"qpos.{name}.")]
+        found |= dict.fromkeys(own, shown) if own and shown is None else {name: shown}
+    return found

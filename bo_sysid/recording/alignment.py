@@ -16,6 +16,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording.value import Channel, Recording
 
 GAP = 1.75  # an interval longer than this many medians misses a sample
+OTHER_RATE = 1.5  # times an interval between samples, which is another rate
 _PAUSE = 20.0  # one longer than this many parts a recording: nothing is told of what lies between
 _SNAP = 1e-6  # a step edge this close to a stamp, in steps, is meant to be on it
 
@@ -142,6 +143,25 @@ class Sampling:
             missing=int(missing.sum()),
             longest=float(intervals.max()),
         )
+
+
+def interval_of(recording: Recording, channels: Collection[str]) -> float:
+    """Return the median interval in [s] of the fastest of some channels, NaN without any."""
+    times = [c.time for n, c in recording.channels.items() if n in channels and len(c.time) > 1]
+    return min((float(np.median(np.diff(t))) for t in times), default=float("nan"))
+
+
+def rates_note(recordings: Sequence[Recording], channels: Collection[str]) -> tuple[str, ...]:
+    """Return what recordings of different rates mean for windows, in words."""
+    every = {r.name: interval_of(r, channels) for r in recordings}
+    every = {name: dt for name, dt in every.items() if np.isfinite(dt)}
+    slow, fast = (f(every, key=every.__getitem__, default="") for f in (max, min))
+    if not every or every[slow] < OTHER_RATE * every[fast]:
+        return ()
+    return (
+        f"{fast} is sampled every {every[fast]:.3g} s and {slow} every {every[slow]:.3g} s: "
+        "windows have as many samples in each, and so are of different length.",
+    )
 
 
 def instants_in(length: float, recordings: Sequence[Recording], channels: Collection[str]) -> int:

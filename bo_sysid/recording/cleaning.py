@@ -15,9 +15,10 @@ import numpy as np
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.alignment import GAP, Sampling
-from bo_sysid.recording.value import Channel, Hold
+from bo_sysid.recording.value import COARSE, Channel, Hold
 
 JITTER = 0.05  # intervals that spread by more than this share of their median are mentioned
+_LOST = 0.05  # share of the samples that a coarse clock loses
 _KEPT: Mapping[Hold, str] = {
     "zero": "the value before it is held",
     "linear": "what lies between is interpolated",
@@ -135,6 +136,27 @@ def usable_rows(
     if rows.size < 2:
         raise RecordingError(f"{where}: {rows.size} samples; at least 2 are needed")
     return rows, notes
+
+
+def coarse_clock(values: np.ndarray, clock: Clock, rows: np.ndarray, channel: str) -> list[str]:
+    """Return a sentence where stamps are repeated though what they stamp goes on.
+
+    Args:
+        values: samples as numbers.
+        clock: their clock.
+        rows: those that are used.
+        channel: for the sentence.
+    """
+    dropped = clock.duplicates[clock.duplicates < len(values)]
+    kept = rows[np.maximum(np.searchsorted(rows, dropped) - 1, 0)]
+    lost = int((values[dropped] != values[kept]).sum())
+    if lost <= _LOST * len(values):
+        return []
+    return [
+        f"{COARSE}{clock.column!r}: {lost} of {len(values)} samples of {channel} have the stamp of "
+        "one before them and another value, and are lost. Where rows came at a steady rate, count "
+        "them instead: columns: {time: {rate: …}}, in Hz."
+    ]
 
 
 def _first_filled(values: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from bo_sysid.errors import RecordingError, nearest
 from bo_sysid.recording.cleaning import (
     Clock,
     clock_flaws,
+    coarse_clock,
     motion_flaws,
     read_clock,
     refuse,
@@ -104,6 +105,7 @@ class _Mapper:
         self._dropped: dict[ColumnRule, np.ndarray] = {}
         self._measured: dict[ColumnRule, dict[bytes, np.ndarray]] = {}
         self._outliers: list[str] = []
+        self._coarse: list[str] = []
         for key in clock_rules:
             if not any(channel == key or kind_of(channel) == key for channel in rules):
                 raise RecordingError(
@@ -125,6 +127,7 @@ class _Mapper:
         dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
         self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
         if hold == "none":
+            self._coarse += [] if skip else coarse_clock(raw, clock, rows, name)
             if stated not in self._measured:
                 self._require_fast(stated, clock)
             self._measured.setdefault(stated, {})[rows.tobytes()] = rows
@@ -145,7 +148,7 @@ class _Mapper:
                 clock, self._dropped[key], self._measured.get(key, {}).values()
             )
         ]
-        return [*clocks, *self._outliers]
+        return [*self._coarse[:1], *clocks, *self._outliers]
 
     def summary(self, channels: Mapping[str, Channel]) -> list[str]:
         """Return sentences about holds and about columns that were not used."""

@@ -133,6 +133,11 @@ def unit_of_kind(name: str, kind: str, where: str) -> Unit:
         RecordingError: the unit is unknown, or measures another quantity than the channel.
     """
     found = unit(name, where)
+    if kind == "sensor" and found.quantity == "mass":
+        raise RecordingError(
+            f"{where}: unit {name!r} measures mass, which no sensor does; multiples of the "
+            "acceleration of gravity are in g0"
+        )
     allowed = QUANTITIES_OF_KIND.get(kind)
     if allowed is not None and found.quantity not in allowed:
         valid = [n for n, u in UNITS.items() if u.quantity in allowed and n]

@@ -29,6 +29,9 @@ _NAME = re.compile(rf"({'|'.join(KINDS)})\.[^\s]+")
 UNUSED = "Columns not used: "
 """What the note of a recording begins with that lists them."""
 
+COARSE = "Coarse clock "
+"""What the note of a recording begins with whose clock stamps several samples alike."""
+
 Hold = Literal["none", "zero", "linear"]
 UNNAMED = "recording"
 """Name of a recording that was given none; written to a file, it takes that file's."""

@@ -15,31 +15,32 @@ Kind = Literal["time", "position", "velocity", "command", "effort", "foreign", "
 WORDS: dict[str, frozenset[str]] = {
     "time": frozenset(
         {"time", "t", "ts", "timestamp", "stamp", "timestamps", "clock", "elapsed", "epoch",
-         "seconds", "millis", "micros"}
+         "seconds", "millis", "micros", "zeit"}
     ),
     "position": frozenset(
         {"position", "positions", "pos", "q", "qpos", "angle", "angles", "theta", "enc", "encoder",
-         "state", "states", "joint", "x", "y"}
+         "state", "states", "joint", "x", "y", "th", "phi", "winkel"}
     ),
     "velocity": frozenset(
         {"velocity", "velocities", "vel", "v", "qvel", "qd", "dq", "speed", "speeds", "omega",
-         "rate", "dot"}
+         "rate", "dot", "geschwindigkeit", "drehzahl"}
     ),
     "command": frozenset(
         {"ctrl", "cmd", "command", "commands", "action", "actions", "goal", "goals", "target",
          "targets", "desired", "des", "ref", "reference", "setpoint", "setpoints", "input",
-         "inputs", "u", "con", "control"}
+         "inputs", "u", "con", "control", "soll", "sollwert"}
     ),
     "effort": frozenset(
         {"torque", "torques", "tau", "tq", "trq", "moment", "moments", "effort", "efforts",
          "current", "currents", "cur", "curr", "amps", "pwm", "duty", "load", "force", "forces",
-         "volts", "voltage", "voltages", "thrust", "throttle"}
+         "volts", "voltage", "voltages", "thrust", "throttle", "drehmoment", "strom"}
     ),
     "foreign": frozenset(
         {"error", "errors", "acceleration", "accelerations", "accel", "acc", "ddq", "qdd",
          "temperature", "temperatures", "temp"}
     ),
-    "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied"}),
+    "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied",
+                           "ist", "istwert"}),
 }  # fmt: skip
 """Words in the names of columns, by what they say."""
 PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
@@ -47,7 +48,7 @@ PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
 UNITS = {
     "deg": "deg", "degrees": "deg", "rad": "rad", "ticks": "ticks", "mrad": "mrad", "ms": "ms",
     "us": "us", "ns": "ns", "msec": "ms", "usec": "us", "nsec": "ns", "rpm": "rpm", "mm": "mm",
-    "percent": "%",
+    "percent": "%", "grad": "deg",
 }  # fmt: skip
 """Units that names of columns carry as a word of theirs, in any letters."""
 _ENDINGS = ("mA", "mNm", "Nm", "Ncm", "kN", "mV", "turns", "revs", "cm")

@@ -11,6 +11,7 @@ from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.commands import units
 from bo_sysid.parameters import MOST_CANDIDATES, CandidateSet, Parameter
 from bo_sysid.recording import Recording, Sampling, kind_of
+from bo_sysid.recording.alignment import rates_note
 from bo_sysid.recording.noise import noise_sigma
 from bo_sysid.study.inputs import load_model, load_train
 from bo_sysid.study.requirements import (
@@ -24,8 +25,6 @@ from bo_sysid.study.requirements import (
     unneeded,
 )
 from bo_sysid.study.study import Study
-
-_UNLIKE = 1.2  # times as long between samples, from which two recordings have two rates
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
     require_numbers(study, model)
     unrecorded = _silent(model) | unneeded(study, model)
     require_recorded(study, model, recordings)
+    rates = rates_note(recordings, model.qpos_channels)
     return Overview(
         study.name,
         model.source,
@@ -86,7 +86,7 @@ def overview(study: Study, *, strict: bool = False) -> Overview:
         _channels(model, recordings, unrecorded),
         described(model, parameters),
         candidate_count(study, parameters),
-        tuple(dict.fromkeys(n for r in recordings for n in (*r.notes, *_uneven(recordings)))),
+        tuple(dict.fromkeys([*rates, *(n for r in recordings for n in r.notes)])),
     )
 
 
@@ -148,18 +148,6 @@ def described(model: Model, parameters: Sequence[Parameter]) -> pd.DataFrame:
             "steps": [p.steps for p in parameters],
         }
     )
-
-
-def _uneven(recordings: Sequence[Recording]) -> list[str]:
-    """Return a note where recordings of positions have rates that are not alike."""
-    apart = [Sampling.of(c.time).median_dt for r in recordings for c in r.of_kind("qpos").values()]
-    if not apart or max(apart) < _UNLIKE * min(apart):
-        return []
-    return [
-        f"Positions are sampled every {1e3 * min(apart):.4g} to {1e3 * max(apart):.4g} ms: windows "
-        "(deviation.horizon) and forecasts are counted in samples, and are longer where these are "
-        "rarer."
-    ]
 
 
 def _silent(model: Model) -> dict[str, str]:

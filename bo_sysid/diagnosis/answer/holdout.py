@@ -28,6 +28,7 @@ class Holdout:
         parameters: whether the study has parameters, which `refitted` differs by.
         beyond: by joint, the share of the instants in which it is where no training recording was.
         short: names of recordings that are shorter than a forecast and what it begins from.
+        rates: how it is sampled otherwise than the training recordings, in words; else empty.
     """
 
     table: pd.DataFrame
@@ -37,6 +38,7 @@ class Holdout:
     parameters: bool = True
     beyond: Mapping[str, float] = field(default_factory=dict)
     short: tuple[str, ...] = ()
+    rates: str = ""
 
     def error(self, measure: str, horizon: float, model: str) -> float | None:
         """Return one error, None where it was not computed."""
@@ -63,7 +65,9 @@ class Holdout:
             f"Forecast error on the unseen recording {verb} from {first} to "
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
-        if after > max((1 + _ALIKE) * before, _AT_FLOOR * floor):
+        if after > _AT_FLOOR * floor and self.rates:
+            said = f"{self.rates} What is left may be that: record both at one rate."
+        elif after > max((1 + _ALIKE) * before, _AT_FLOOR * floor):
             said = "The unseen recording does not confirm the repair."
         elif after > _AT_FLOOR * floor:
             said = "The floor is not reached: these recordings do not show all that is missing."

@@ -29,7 +29,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects.machine import JointScale
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import instants_in
+from bo_sysid.recording.alignment import OTHER_RATE, instants_in, interval_of
 
 _TURN = 2 * np.pi  # [rad]
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
@@ -80,7 +80,29 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
         _table(rows), free_runs, traced, note, parameters=bool(evidence.nuisances),
         beyond=beyond(evidence.recordings, recordings, evidence.machine.joints) if rows else {},
         short=tuple(r.name for r in recordings if not _lasts(r, PAST + AHEAD)),
+        rates=_other_rate(evidence, recordings),
     )  # fmt: skip
+
+
+def _other_rate(evidence: Evidence, unseen: Sequence[Recording]) -> str:
+    """Return how the hold-out is sampled otherwise than all training recordings, in words."""
+    channels = (*evidence.model.qpos_channels, *evidence.model.ctrl_channels)
+    apart = {}
+    for name in channels:
+        known, new = (
+            [dt for r in told if np.isfinite(dt := interval_of(r, [name]))]
+            for told in (evidence.recordings, unseen)
+        )
+        if known and new and not min(known) / OTHER_RATE < np.median(new) < OTHER_RATE * max(known):
+            apart[name] = (float(np.median(new)), float(np.median(known)))
+    if not apart:
+        return ""
+    name = max(apart, key=lambda n: abs(np.log(apart[n][0] / apart[n][1])))
+    new_dt, known_dt = apart[name]
+    return (
+        f"The unseen recording has {name} every {new_dt:.3g} s, training every {known_dt:.3g} s: "
+        "windows have as many samples in each, and controls are held from one to the next."
+    )
 
 
 def _lasting(recordings: Sequence[Recording], seconds: float) -> Sequence[Recording]:

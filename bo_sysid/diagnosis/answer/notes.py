@@ -7,7 +7,7 @@ import numpy as np
 from bo_sysid.checks.sensitivity import bounds_flags, listed
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.search.locate import Located
-from bo_sysid.diagnosis.windows.evidence import Evidence, rates_note
+from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.effects import chosen
 from bo_sysid.effects.balance import balance_notes
 from bo_sysid.mjcf import nominal
@@ -73,7 +73,7 @@ def of_unseen(
 ) -> tuple[str, ...]:
     """Return which recordings were set aside, how they differ, and what they are too short for."""
     short = (f"The hold-out {name} is too short for a forecast." for name in holdout.short)
-    return (*held_notes(study), *rates_note(unseen, evidence.model), *short)
+    return (*held_notes(study), *rates_note(unseen, evidence.model.qpos_channels), *short)
 
 
 def of_training(located: Located) -> tuple[str, ...]:

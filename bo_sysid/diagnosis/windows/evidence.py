@@ -17,6 +17,7 @@ from bo_sysid.mjcf.address import resolve
 from bo_sysid.mjcf.values import compiled_value
 from bo_sysid.parameters import Parameter
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import rates_note
 from bo_sysid.simulation import Controller, Engine, ForceLaw
 
 CONTACT_WINDOW = 0.1
@@ -24,7 +25,6 @@ CONTACT_WINDOW = 0.1
 
 _WINDOW = 0.3  # [s]
 _STILL = 1.5  # [sigma] of an encoder, below which a joint's positions vary by noise alone
-_OTHER_RATE = 1.5  # times an interval between samples, which is another rate
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Evidence:
                 f"compared{f', but in {whole}, of which half would go' if whole else ''}: a late "
                 "drive acts there on what was sent before, if anything was."
             )
-        return (*said, *rates_note(self.recordings, self.model))
+        return (*said, *rates_note(self.recordings, self.model.qpos_channels))
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
@@ -145,23 +145,6 @@ def first_command(recording: Recording) -> float:
     """Return the time in [s] of the first command of a log, of the log itself where it has none."""
     sent = [float(c.time[0]) for c in recording.of_kind("ctrl").values()]
     return min(sent, default=recording.origin)
-
-
-def rates_note(recordings: Sequence[Recording], model: Model) -> tuple[str, ...]:
-    """Return what recordings of different rates mean for windows, in words."""
-    intervals = {
-        r.name: min(float(np.median(np.diff(r.channels[n].time))) for n in held)
-        for r in recordings
-        if (held := [n for n in model.qpos_channels if n in r.channels])
-    }
-    slow = max(intervals, key=intervals.__getitem__, default="")
-    fast = min(intervals, key=intervals.__getitem__, default="")
-    if not intervals or intervals[slow] < _OTHER_RATE * intervals[fast]:
-        return ()
-    return (
-        f"{fast} is sampled every {intervals[fast]:.3g} s and {slow} every {intervals[slow]:.3g} "
-        "s: windows have as many samples in each, and so are of different length.",
-    )
 
 
 def _window(machine: Machine) -> float:

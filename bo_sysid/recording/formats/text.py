@@ -37,7 +37,8 @@ def read_csv(path: Path) -> RawTable:
     from pyarrow import csv as arrow_csv
 
     try:
-        names, separator, body = _header_and_body(path, _text(path))
+        text, told = _text(path)
+        names, separator, body = _header_and_body(path, text)
         units, body = _units(names, separator, body)
     except csv.Error as error:
         raise RecordingError(f"{path}: the header is no list of names: {error}") from None
@@ -67,7 +68,9 @@ def read_csv(path: Path) -> RawTable:
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
     pointed = separator == "," or any(map(pa.types.is_floating, table.schema.types))
     commas = {} if pointed else _decimal_commas(columns)
-    notes = ["Units were read from the line below the header."] if units else []
+    notes = [told] if told else []
+    if units:
+        notes.append("Units were read from the line below the header.")
     if commas:
         notes.append(f"Decimal commas read as points in columns {', '.join(map(repr, commas))}.")
     return RawTable(str(path), {**columns, **commas}, units=units, notes=tuple(notes))
@@ -92,8 +95,8 @@ def _decimal_commas(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return found
 
 
-def _text(path: Path) -> str:
-    """Return the text of a plain or gzipped file."""
+def _text(path: Path) -> tuple[str, str]:
+    """Return the text of a plain or gzipped file, and how it is written where that is unusual."""
     try:
         if path.name.lower().endswith(".gz"):
             require_content(path, b"\x1f\x8b")
@@ -101,16 +104,24 @@ def _text(path: Path) -> str:
         else:
             data = path.read_bytes()
         if data.startswith(_UTF16):
-            return data.decode("utf-16")
+            return data.decode("utf-16"), ""
         if content(data) or b"\0" in data[:4096]:
             raise RecordingError(
                 f"{path}: not text as its ending says; its content is {content(data) or 'binary'}"
             )
-        return data.decode("utf-8-sig")
+        return _decoded(data)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise RecordingError(f"{path}: a damaged gzip file: {error}") from None
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not UTF-8 or UTF-16 text: {error}") from None
+        raise RecordingError(f"{path}: not UTF-8, UTF-16 or Windows-1252 text: {error}") from None
+
+
+def _decoded(data: bytes) -> tuple[str, str]:
+    """Return text as UTF-8, or as programs of Windows write it in Western languages."""
+    try:
+        return data.decode("utf-8-sig"), ""
+    except UnicodeDecodeError:
+        return data.decode("cp1252"), "Read as Windows-1252 text, for it is not UTF-8."
 
 
 def _header_and_body(path: Path, text: str) -> tuple[list[str], str, str]:
