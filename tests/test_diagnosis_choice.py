@@ -630,9 +630,8 @@ def test_a_hold_out_of_another_rate_is_what_is_said_where_the_floor_is_missed(
         for m, e in models.items()
     ]
     told = Holdout(pd.DataFrame(rows), {}, pd.DataFrame(), rates="It is slow.").sentences[1:]
-    assert told == (
-        ("It is slow. What is left may be that: record both at one rate.",) * (after > 2)
-    )
+    said = "It is slow. What is left may be that: record both at one rate."
+    assert told == ((said,) if after > 2 else ())
 
 
 def test_a_repair_that_makes_longer_windows_worse_is_not_confirmed() -> None:

@@ -12,6 +12,7 @@ from bo_sysid.effects import chosen
 from bo_sysid.effects.balance import balance_notes
 from bo_sysid.mjcf import nominal
 from bo_sysid.recording import Recording
+from bo_sysid.recording.alignment import rates_note
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import held_notes, study_effects
 
