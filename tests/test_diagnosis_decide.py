@@ -10,8 +10,9 @@ from bo_sysid.diagnosis.search.final import finalists
 from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, explains_little, required, sizes
-from bo_sysid.diagnosis.windows.candidate import Candidate
+from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
+from bo_sysid.effects import CATALOGUE
 from bo_sysid.simulation import State
 
 BLOCKS, DOF = 20, 4000
@@ -225,6 +226,19 @@ def test_a_set_with_one_member_exchanged_is_an_equivalent_though_a_hair_too_weak
     assert not admissible(other, fit((), 9.0))
     decision = decided(fit((), 9.0, seed=3), one, other)
     assert {decision.best, *decision.equivalents} == {one, other}
+
+
+def test_a_load_somewhere_has_no_more_than_one_number_that_does_the_same(machine) -> None:
+    load = next(c for c in candidates([CATALOGUE["payload"]], machine) if c.site.name == "forearm")
+    somewhere = replace(
+        fit((load.free,), 1.0), jacobian=np.ones((2, DOF // 2, 4)), covariance=np.eye(4)
+    )
+    mass = fit((candidate(machine, "link_mass", "upper"),), 1.0)
+    mass = replace(mass, residual=somewhere.residual, cv=somewhere.cv + 0.5)
+    decision = decided(fit((), 5.0, seed=3), somewhere, mass)
+    assert decision.best is mass
+    assert decision.equivalents == (somewhere,)
+    assert decision.probability[0] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_what_adds_nothing_to_a_simpler_effect_does_not_stand_for_it(machine) -> None:

@@ -7,6 +7,7 @@ from diagnosis_helpers import SIGMA, arm, record
 from bo_sysid.diagnosis.answer.answer import Answer, make_answer
 from bo_sysid.diagnosis.answer.explain import explain
 from bo_sysid.diagnosis.search.final import compare
+from bo_sysid.diagnosis.search.loads import place_loads
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
@@ -68,6 +69,29 @@ def test_the_last_comparison_tries_a_load_elsewhere_in_the_place_of_a_mass() -> 
     assert load.moved
     assert final.best.rms < 1.05
     assert final.best.x[0][0] == pytest.approx(MASS, rel=0.03)
+
+
+def test_a_mass_and_a_shifted_centre_are_tried_as_a_load_at_its_usual_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It was fitted on the way to a place, was not left for one, and was forgotten."""
+    monkeypatch.setattr("bo_sysid.diagnosis.search.loads._USUAL", 0.9)  # a place must gain much
+    evidence = evidence_of(TIP, 4.0)
+    search = Search.on(
+        prepare(windows_of(evidence, 150, 0.002, everything=True)),
+        list(evidence.candidates),
+        3,
+        None,
+    )
+    both = [
+        next(c for c in evidence.candidates if c.key == (e, "forearm"))
+        for e in ("link_mass", "com_shift")
+    ]
+    place_loads(search, search.fit(both, [c.probe for c in both]))
+    (load,) = search.best.members
+    assert load.key == ("payload", "forearm")
+    assert not load.moved
+    assert search.best.x[0] == pytest.approx([MASS], rel=0.03)
 
 
 def test_a_load_at_its_usual_place_stays_there() -> None:

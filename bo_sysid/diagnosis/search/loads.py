@@ -66,9 +66,9 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
         made = search.refit(held, made.x, start=made.start, guess=made.hypothesis, effort=effort)
         if made.rms > _NEARER * left:
             break
-    if not known:  # it was on the way
-        del search.fits[usual.key]
     if made.rms < _USUAL * usual.rms:
         search.listed(made)
+        if not known:  # it was on the way
+            del search.fits[usual.key]
     else:
         del search.fits[made.key]

@@ -234,11 +234,13 @@ def _no_likelier(
 
     All thrusts that are too small by one share are a mass that is too large, or a low battery: that
     their magnitudes agree would be chance, or have one cause. The plainer set has the group's score
-    then, so that neither falls behind a third one for it.
+    then, so that neither falls behind a third one for it. Nor has a load somewhere about its body
+    more than one number that does the same: another motion may tell what its place is made up for.
     """
     out = score.copy()
     for k, fit in enumerate(fits):
-        if not any(fit.groups) or fit.rms > ROUGH:
+        moved = any(c.moved for c in fit.members)
+        if not (any(fit.groups) or moved) or fit.rms > ROUGH:
             continue
         plain = [
             i
