@@ -71,11 +71,8 @@ def test_the_last_comparison_tries_a_load_elsewhere_in_the_place_of_a_mass() -> 
     assert final.best.x[0][0] == pytest.approx(MASS, rel=0.03)
 
 
-def test_a_mass_and_a_shifted_centre_are_tried_as_a_load_at_its_usual_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_mass_and_a_shifted_centre_are_tried_as_a_load_at_its_usual_place() -> None:
     """It was fitted on the way to a place, was not left for one, and was forgotten."""
-    monkeypatch.setattr("bo_sysid.diagnosis.search.loads._USUAL", 0.9)  # a place must gain much
     evidence = evidence_of(TIP, 4.0)
     search = Search.on(
         prepare(windows_of(evidence, 150, 0.002, everything=True)),

@@ -166,8 +166,11 @@ def _polish(final: Search, leader: Fit, finished: set[Names]) -> None:
         finished: effects and sites of the sets that were fitted so before; grows.
     """
     problem = final.prepared.problem
-    rivals = [f for f in _rivals(final, leader) if _effects(f) not in finished]
-    for f in (leader, *rivals[:_RIVALS]):
+    rivals, smaller = (
+        [f for f in found if _effects(f) not in finished]
+        for found in (_rivals(final, leader), _smaller(final, leader))
+    )
+    for f in (leader, *rivals[:_RIVALS], *smaller[:1]):
         if _effects(f) in finished or (f is leader and not _shaped(final, f)):
             continue
         finished.add(_effects(f))
@@ -185,6 +188,23 @@ def _rivals(final: Search, leader: Fit) -> list[Fit]:
         if f.size == leader.size and (fewer or shaped) and not f.names < leader.names:
             found.setdefault(_effects(f), f)
     return list(found.values())
+
+
+def _smaller(final: Search, leader: Fit) -> list[Fit]:
+    """Return the nearest smaller sets that are as good.
+
+    What they leave more may be that their shapes were fitted beside others, as the period of a
+    cogging was, and one effect more would stand for it.
+    """
+    order = ranked(final.fits.values(), final.prior)
+    return [
+        f
+        for f in order
+        if f.members
+        and f.size < leader.size
+        and f.rms < _AS_GOOD * leader.rms
+        and _shaped(final, f)
+    ]
 
 
 def _shaped(final: Search, fit: Fit) -> bool:

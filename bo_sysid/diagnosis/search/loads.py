@@ -58,17 +58,24 @@ def _place(search: Search, base: Fit, rest: list[int], load: Candidate) -> None:
     search.placed.add(set_key(held))
     known = set_key((*members, load)) in search.fits
     usual = search.fit((*members, load), (*x, load.probe), guess=base.hypothesis)
+    usual = _settled(search, usual, effort)
     mass = np.maximum(usual.x[-1], load.probe)  # the slope to a place is nothing without a mass
     begun = (*x, np.concatenate([mass, free.point[len(mass) :]]))
     made = search.refit(held, begun, start=base.start, guess=base.hypothesis, effort=effort)
-    for _ in range(_AFRESH):
-        left = made.rms
-        made = search.refit(held, made.x, start=made.start, guess=made.hypothesis, effort=effort)
-        if made.rms > _NEARER * left:
-            break
+    made = _settled(search, made, effort)
     if made.rms < _USUAL * usual.rms:
         search.listed(made)
         if not known:  # it was on the way
             del search.fits[usual.key]
     else:
         del search.fits[made.key]
+
+
+def _settled(search: Search, made: Fit, effort: Effort) -> Fit:
+    """Fit a set anew as long as that comes nearer."""
+    for _ in range(_AFRESH):
+        left, guess = made.rms, made.hypothesis
+        made = search.refit(made.members, made.x, start=made.start, guess=guess, effort=effort)
+        if made.rms > _NEARER * left:
+            break
+    return made
