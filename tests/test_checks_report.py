@@ -12,7 +12,13 @@ import pandas as pd
 import pytest
 import yaml
 
-from bo_sysid.checks.channels import channel_flags, coarse_flags, sampling_flags, slow_flags
+from bo_sysid.checks.channels import (
+    channel_flags,
+    coarse_flags,
+    sampling_flags,
+    shared_flags,
+    slow_flags,
+)
 from bo_sysid.checks.check import check
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire
@@ -160,6 +166,17 @@ def test_clocks_that_are_coarser_than_their_rows() -> None:
     (flag,) = coarse_flags([to_recording(fine, name="a")])
     assert (flag.level, flag.channels) == ("look", ("a",))
     assert "a: Coarse clock 'time': " in flag.sentence
+
+
+def test_motors_on_one_column_beside_one_that_is_not_used() -> None:
+    table = RawTable("log", {"time": TIME, "qpos.x": TIME, "u1": TIME, "u2": -TIME})
+    rules = {"ctrl.a": "u1", "ctrl.b": "u1"}
+    log = to_recording(table, rules, name="log")
+    (flag,) = shared_flags([log, log])
+    assert flag.channels == ("ctrl.a", "ctrl.b")
+    assert "ctrl.a and ctrl.b are read from one column (log: u1), and u2 is not" in flag.sentence
+    assert shared_flags([to_recording(table, {**rules, "aux.x": "u2"}, name="log")]) == []
+    assert shared_flags([to_recording(table, {**rules, "ctrl.b": "u2"}, name="log")]) == []
 
 
 def test_motions_that_are_sampled_rarely_may_have_another_unit_of_time() -> None:

@@ -625,7 +625,8 @@ def test_only_controls_that_are_a_force_or_a_position_have_a_unit() -> None:
         """<mujoco><worldbody>
         <body><joint name="hinge"/><geom size=".1"/></body>
         <body><joint name="rail" type="slide"/><geom size=".1"/></body>
-        <body><joint name="socket" type="ball"/><geom size=".1"/></body></worldbody><actuator>
+        <body><joint name="socket" type="ball"/><geom size=".1"/></body>
+        <body><freejoint name="base"/><geom size=".1"/></body></worldbody><actuator>
         <motor name="torque" joint="hinge"/> <motor name="force" joint="rail"/>
         <motor name="geared" joint="hinge" gear="5"/> <motor name="ball" joint="socket"/>
         <position name="goal" joint="hinge" kp="3"/> <position name="place" joint="rail"/>
@@ -637,4 +638,7 @@ def test_only_controls_that_are_a_force_or_a_position_have_a_unit() -> None:
     assert units(model) == {
         "qpos.hinge": "rad", "qvel.hinge": "rad/s", "qpos.rail": "m", "qvel.rail": "m/s",
         "ctrl.torque": "N m", "ctrl.force": "N", "ctrl.goal": "rad", "ctrl.place": "m",
+        **{f"qvel.socket.{k}": "rad/s" for k in range(3)},
+        **{f"qpos.base.{k}": "m" for k in range(3)}, **{f"qvel.base.{k}": "m/s" for k in range(3)},
+        **{f"qvel.base.{k}": "rad/s" for k in range(3, 6)},
     }  # fmt: skip

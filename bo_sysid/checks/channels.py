@@ -10,7 +10,7 @@ from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel, Recording, Sampling, kind_of
 from bo_sysid.recording.alignment import GAP
 from bo_sysid.recording.outliers import CLEAR, find_outliers
-from bo_sysid.recording.value import COARSE
+from bo_sysid.recording.value import COARSE, UNUSED
 
 _SEVERAL = 5  # samples at an extreme: every command has one
 _HELD_AT_LIMIT = 0.02  # share of the time at an extreme value that is a saturation
@@ -134,6 +134,26 @@ def coarse_flags(recordings: Sequence[Recording]) -> list[Flag]:
         for note in r.notes
         if note.startswith(COARSE)
     ]
+
+
+def shared_flags(recordings: Sequence[Recording]) -> list[Flag]:
+    """Return controls that are read from one column where others of the log are not used."""
+    found: dict[tuple[str, ...], Flag] = {}
+    for r in recordings:
+        unused = [n.removeprefix(UNUSED).removesuffix(".") for n in r.notes if n.startswith(UNUSED)]
+        by_column: dict[str, list[str]] = {}
+        for name, channel in r.channels.items():
+            if kind_of(name) == "ctrl":
+                by_column.setdefault(channel.source, []).append(name)
+        for source, names in by_column.items():
+            if source and len(names) > 1 and unused:
+                sentence = (
+                    f"{' and '.join(names)} are read from one column ({source}), and {unused[0]} "
+                    "is not used: right for motors on one command, wrong if that is one's own."
+                )
+                flag = Flag("look", "swap", tuple(names), sentence)
+                found.setdefault(tuple(names), flag)
+    return list(found.values())
 
 
 def slow_flags(recordings: Sequence[Recording]) -> list[Flag]:

@@ -7,7 +7,13 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.checks.attitude import find_attitudes
-from bo_sysid.checks.channels import channel_flags, coarse_flags, sampling_flags, slow_flags
+from bo_sysid.checks.channels import (
+    channel_flags,
+    coarse_flags,
+    sampling_flags,
+    shared_flags,
+    slow_flags,
+)
 from bo_sysid.checks.evidence import Laws
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
@@ -108,6 +114,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     flags = [
         *slow_flags(read),
         *coarse_flags(read),
+        *shared_flags(read),
         *bounds_flags(parameters, point),
         *wrap_flags(wraps),
     ]

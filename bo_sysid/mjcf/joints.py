@@ -12,6 +12,7 @@ SCALAR = (HINGE, SLIDE)
 
 QPOS_SIZE = {FREE: 7, BALL: 4, SLIDE: 1, HINGE: 1}
 QVEL_SIZE = {FREE: 6, BALL: 3, SLIDE: 1, HINGE: 1}
+_METRES = {"qpos": "m", "qvel": "m/s"}
 
 
 def quaternions(model: mujoco.MjModel) -> tuple[tuple[str, ...], ...]:
@@ -23,9 +24,14 @@ def quaternions(model: mujoco.MjModel) -> tuple[tuple[str, ...], ...]:
 
 
 def joint_units(model: mujoco.MjModel) -> dict[str, str]:
-    """Return the units of the position and velocity channels of hinges and slides."""
-    units = {}
-    for j in np.flatnonzero(np.isin(model.jnt_type, SCALAR)):
-        name, place = model.joint(j).name, "rad" if model.jnt_type[j] == HINGE else "m"
-        units[f"qpos.{name}"], units[f"qvel.{name}"] = place, f"{place}/s"
+    """Return the units of the position and velocity channels; quaternions have none."""
+    units: dict[str, str] = {}
+    for j, kind in enumerate(model.jnt_type):
+        name, place = model.joint(j).name, "rad" if kind == HINGE else "m"
+        if kind in SCALAR:
+            units |= {f"qpos.{name}": place, f"qvel.{name}": f"{place}/s"}
+            continue
+        slides = 3 if kind == FREE else 0
+        units |= {f"{k}.{name}.{i}": u for k, u in _METRES.items() for i in range(slides)}
+        units |= {f"qvel.{name}.{i}": "rad/s" for i in range(slides, QVEL_SIZE[int(kind)])}
     return units
