@@ -12,8 +12,7 @@ from bo_sysid.plants.plant import Trajectory
 from bo_sysid.plants.python_task import PythonTask
 from bo_sysid.recording import read_recording
 from bo_sysid.recording.writers import write_recording
-from bo_sysid.runs import Run
-from bo_sysid.runs.run import versions
+from bo_sysid.runs import Run, versions
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import fingerprints, load_model
 

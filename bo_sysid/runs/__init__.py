@@ -6,7 +6,9 @@ disk, and moved there. A command that is killed at any moment goes on from what 
 
 from bo_sysid.runs.files import atomic, canonical, digest, finite, plain, read_frame, read_json
 from bo_sysid.runs.lock import held
-from bo_sysid.runs.run import FITS, FORMAT, Run, read_record, versions
+from bo_sysid.runs.packages import versions
+from bo_sysid.runs.record import FORMAT, read_record
+from bo_sysid.runs.run import FITS, Run
 
 __all__ = [
     "FITS",

@@ -1,21 +1,16 @@
 """A run folder, which a killed command goes on with."""
 
 import contextlib
-import hashlib
 import json
-import platform
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Literal
 
 import yaml
 
-from bo_sysid import __version__
 from bo_sysid.errors import RunError, UserError, is_interrupt
 from bo_sysid.runs.files import (
     UNFINISHED,
@@ -25,27 +20,20 @@ from bo_sysid.runs.files import (
     plain,
     read_frame,
     read_json,
-    written,
 )
 from bo_sysid.runs.lock import NAME as LOCK
 from bo_sysid.runs.lock import locked
+from bo_sysid.runs.packages import PACKAGES, versions
+from bo_sysid.runs.record import FORMAT, RECORD, STUDY, existing
 
 if TYPE_CHECKING:
     import pandas as pd
 
-FORMAT = 1
-"""Version of the layout of run folders."""
-
 FITS = "fits"
 """Folder of a run with the fits that an unfinished diagnosis goes on with, as `*.npz`."""
 
-PACKAGES = ("botorch", "dm-control", "gpytorch", "mujoco", "numpy", "pandas", "scipy", "torch")
-"""Packages whose versions can change a result."""
-
 Status = Literal["running", "finished", "interrupted", "failed"]
 
-_RECORD = "run.json"
-_STUDY = "study.yaml"
 _MADE_OF = ("inputs.json", "problems.json", "recorded.json")
 """What `learn`, `compare` and `record` write of their files before they compute anything."""
 
@@ -100,7 +88,7 @@ class Run:
         lock = locked(folder)
         try:
             text = yaml.safe_dump(dict(study), sort_keys=False, allow_unicode=True)
-            record = _existing(folder, study, text, command, raised)
+            record = existing(folder, study, text, command, raised)
             _remove_leftovers(folder)
             run = cls(folder, record or _new_record(study, command, seed), lock, created=created)
             run._begin(text, arguments)
@@ -117,8 +105,8 @@ class Run:
         self._record["status"] = "running"
         self._record["sessions"].append(session)
         try:
-            self.write_text(_STUDY, study)
-            self.write_json(_RECORD, self._record)
+            self.write_text(STUDY, study)
+            self.write_json(RECORD, self._record)
         except KeyboardInterrupt:
             self.close("interrupted")
             raise
@@ -207,7 +195,7 @@ class Run:
         """Write how the command ended, and let go of the folder."""
         self._record["status"] = status
         self._record["sessions"][-1]["ended"] = _now()
-        self.write_json(_RECORD, self._record)
+        self.write_json(RECORD, self._record)
         self._lock.close()
 
     def __enter__(self) -> "Run":
@@ -228,65 +216,8 @@ class Run:
 
     def _remove_if_bare(self) -> None:
         """Remove the folder where the input was wrong before anything was computed."""
-        if {p.name for p in self.folder.iterdir()} <= {_RECORD, _STUDY, LOCK, *_MADE_OF}:
+        if {p.name for p in self.folder.iterdir()} <= {RECORD, STUDY, LOCK, *_MADE_OF}:
             shutil.rmtree(self.folder)
-
-
-def read_record(folder: str | Path) -> dict[str, Any]:
-    """Return what `run.json` of a run folder holds.
-
-    Raises:
-        RunError: the folder is no run, is damaged, or has another format.
-    """
-    folder = Path(folder)
-    if not (folder / _RECORD).is_file():
-        raise RunError(f"{folder}: not a run folder (it has no {_RECORD})")
-    record = read_json(folder, _RECORD)
-    if not isinstance(record, dict) or not {"format", "command", "status"} <= set(record):
-        raise RunError(f"{folder / _RECORD}: damaged; remove the folder and run again")
-    if record["format"] != FORMAT:
-        raise RunError(
-            f"{folder}: written in format {record['format']}, this version reads {FORMAT}; "
-            "use another --out"
-        )
-    if not record.get("sessions"):
-        raise RunError(f"{folder / _RECORD}: damaged; remove the folder and run again")
-    return record
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package, Python and what results depend on.
-
-    That of this package goes by its code: two states of a clone are no more the same than two
-    releases.
-    """
-    found = {"bo-sysid": f"{__version__}+{_source()}", "python": platform.python_version()}
-    for package in PACKAGES:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[package] = metadata.version(package)
-    return found
-
-
-@cache
-def _source() -> str:
-    """Return the first digits of a hash over the package's Python files."""
-    root, found = Path(__file__).parents[1], hashlib.sha256()
-    for file in sorted(root.rglob("*.py")):
-        found.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
-    return found.hexdigest()[:12]
-
-
-def differences(old: Any, new: Any, key: str = "") -> list[str]:
-    """Return in words where two resolved studies differ."""
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        keys = list(dict.fromkeys([*old, *new]))
-        return [
-            d for k in keys for d in differences(old.get(k), new.get(k), f"{key}.{k}".lstrip("."))
-        ]
-    if isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
-        pairs = enumerate(zip(old, new, strict=True))
-        return [d for k, (a, b) in pairs for d in differences(a, b, f"{key}.{k}")]
-    return [] if old == new else [f"{key}: {json.dumps(old)} there, {json.dumps(new)} now"]
 
 
 def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dict[str, Any]:
@@ -304,71 +235,6 @@ def _when_finished(record: Mapping[str, Any]) -> str:
     if record["status"] != "finished":
         return ""
     return str(record["sessions"][-1].get("ended", ""))
-
-
-def _existing(
-    folder: Path, study: Mapping[str, Any], text: str, command: str, raised: Sequence[str]
-) -> dict[str, Any] | None:
-    """Return the record of the run in `folder`, None where there is none yet.
-
-    A folder without a record is empty, or holds the very study file that a killed process wrote.
-    """
-    found = {p.name for p in folder.iterdir() if not p.name.startswith(UNFINISHED)} - {LOCK}
-    if not found or (found == {_STUDY} and (folder / _STUDY).read_bytes() == text.encode()):
-        return None
-    if _RECORD not in found:
-        raise RunError(
-            f"{folder}: not a run folder (it has no {_RECORD}) and not empty (it holds "
-            f"{min(found)}); use another --out"
-        )
-    record = read_record(folder)
-    way_out = _way_out(folder)
-    if record["command"] != command:
-        raise RunError(f"{folder}: holds a run of {record['command']}, not {command}; {way_out}")
-    now = plain(study)
-    differ = differences(_with_raised(_study_there(folder), now, raised), now)
-    if differ:
-        listed = "".join(f"\n  {d}" for d in differ[:10])
-        raise RunError(f"{folder}: holds a run of another study; {way_out}. It differs in{listed}")
-    return {**record, "study_sha256": digest(study)}
-
-
-def _way_out(folder: Path) -> str:
-    """Return what to do instead; a folder with recordings of a machine is none to remove."""
-    returned = sorted(folder.glob("recordings/trajectory-*"))
-    if not returned:
-        return "use another --out, or remove the folder"
-    return (
-        f"use another --out, and name {folder}/recordings/{returned[0].name} (and any others there)"
-        " under recordings.train: they are recordings of the machine"
-    )
-
-
-def _with_raised(there: Any, now: Mapping[str, Any], raised: Sequence[str]) -> Any:
-    """Return the study of a folder with the numbers that are larger now."""
-    for key in raised:
-        section, _, name = key.partition(".")
-        try:
-            grown = there[section][name] < now[section][name]
-        except (KeyError, TypeError):  # one of the two does not say
-            continue
-        if grown:
-            there = {**there, section: {**there[section], name: now[section][name]}}
-    return there
-
-
-def _study_there(folder: Path) -> Any:
-    """Return the study that a run folder holds.
-
-    Raises:
-        RunError: it is missing or damaged.
-    """
-    path = written(folder, _STUDY)
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        why = str(error).splitlines()[0]
-        raise RunError(f"{path}: damaged, not YAML ({why}); use another --out") from None
 
 
 def _remove_leftovers(folder: Path) -> None:
