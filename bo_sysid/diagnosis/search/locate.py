@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import sqrt
 
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
 from bo_sysid.diagnosis.search.beginnings import unheard
@@ -19,6 +18,7 @@ from bo_sysid.diagnosis.search.window_lengths import (
     calm,
     contact_decides,
     lengthened,
+    show_more,
     stable,
     telling,
     tractable,
@@ -27,7 +27,7 @@ from bo_sysid.diagnosis.search.window_lengths import (
 from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import meshing
-from bo_sysid.diagnosis.sets.rules import CLEAN, LOOSE, clean, explains_little, follows_anything
+from bo_sysid.diagnosis.sets.rules import clean, explains_little, follows_anything
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare
@@ -39,8 +39,6 @@ _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
 _BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
 _BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
-_RARE = 1.5  # times what the search leaves of its windows, above which it needs others
-_BY_CHANCE = 4  # standard deviations of rms², by which all windows may show more than those
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ def _located(
     tell(f"final fits: {_said(search.best)}")
     step = _step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
-    if _shows_more(final, search):
+    if show_more(final.best, search.best, search.prepared.problem.dof):
         tell(f"other windows, since they show more: {_said(final.best)}")
         search = carried(search, telling(final.prepared, final.best))
         search, step = _explored(evidence, search, horizon, step)
@@ -116,17 +114,6 @@ def _located(
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
     return Located(decision, final.prepared, final, evidence)
-
-
-def _shows_more(final: Search, search: Search) -> bool:
-    """Return whether all windows show what those of the search did not.
-
-    A limit that is reached once in a while is in few of them, and small over all.
-    """
-    seen, whole = search.best.rms, final.best.rms
-    chance = _BY_CHANCE * sqrt(2 / search.prepared.problem.dof)  # of rms², a mean of χ²
-    more = (whole / seen) ** 2 - 1 > max(CLEAN, chance)
-    return whole > _RARE * seen or (seen < LOOSE and more)
 
 
 def _searched(

@@ -1,8 +1,11 @@
 """How long the windows of a diagnosis are, and how many of them are taken."""
 
+from math import sqrt
+
 import numpy as np
 
 from bo_sysid.diagnosis.sets.fit import Fit
+from bo_sysid.diagnosis.sets.rules import CLEAN, LOOSE
 from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.diagnosis.windows.evidence import CONTACT_WINDOW, Evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -27,6 +30,8 @@ _OFTEN = 0.9  # quantile of λ over the recordings
 _BY_CHANCE = 2.0  # [sigma] that the noise of a start changes in half of the windows
 _SHAKEN = 100.0  # [sigma] that noise of the controls may move a window
 _WINDOWS = 24  # in the search
+_RARE = 1.5  # times what a search leaves of its windows, above which it needs others
+_MORE = 4  # standard deviations of rms², from which all windows show more than those
 _MOST = 10  # times that number at most in the final fits
 _MOST_IN_CONTACT = 4  # the same, where each is fitted by itself and takes its time
 
@@ -136,6 +141,21 @@ def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, 
 def lengthened(length: int, horizon: int) -> int:
     """Return how long windows are to be next, on the way to full ones."""
     return horizon if length * _ALMOST > horizon else int(length * _GROWTH)
+
+
+def show_more(whole: Fit, seen: Fit, dof: int) -> bool:
+    """Return whether all windows show what those of a search did not.
+
+    A limit that is reached once in a while is in few of them, and small over all.
+
+    Args:
+        whole: the best fit on all windows.
+        seen: the best one on those of the search.
+        dof: of the search.
+    """
+    chance = _MORE * sqrt(2 / dof)  # of rms², a mean of χ²
+    more = (whole.rms / seen.rms) ** 2 - 1 > max(CLEAN, chance)
+    return whole.rms > _RARE * seen.rms or (seen.rms < LOOSE and more)
 
 
 def telling(prepared: Prepared, fit: Fit) -> Prepared:
