@@ -87,8 +87,8 @@ class MachineSource:
             both = " and ".join(path.name for path in found)
             raise RecordingError(f"{self._run.path(stem)}: {both} are there; only one may be")
         read = read_files(self._scene.study, found, self._strict)
-        self._require_used(number, found[0], _digest(read))
         self._require_fitting(number, read, found[0])
+        self._require_used(number, found[0], _digest(read))
         step = self._scene.task.control_timestep
         self._files.append(found[0])
         self._further += [with_lost_commands(r, step) for r in read]

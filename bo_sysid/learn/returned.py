@@ -20,18 +20,11 @@ def unread(place: Path) -> str:
     Args:
         place: of the file that is waited for, without its ending.
     """
-    known = ("first-", "trajectory-")
-    others = [
-        p.name
-        for p in sorted(place.parent.glob("*"))
-        if p.is_file() and not (p.name.startswith(known) and p.name.endswith(tuple(READERS)))
-    ]
-    alike = [
-        p.name
-        for p in sorted(place.parent.glob("trajectory-*"))
-        if p.name.endswith(tuple(READERS)) and _number(p) == _number(place)
-    ]
-    named = [*others, *alike]
+    ours, endings = ("first-", "trajectory-"), tuple(READERS)
+    files = [p for p in sorted(place.parent.glob("[!.]*")) if p.is_file()]
+    known = [p for p in files if p.name.startswith(ours) and p.name.endswith(endings)]
+    alike = [p for p in known if _number(p) == _number(place)]  # trajectory-1.csv
+    named = [p.name for p in files if p not in known or p in alike]
     if not named:
         return ""
     are = "is" if len(named) == 1 else "are"

@@ -29,13 +29,14 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.effects.machine import JointScale
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Recording
-from bo_sysid.recording.alignment import OTHER_RATE, instants_in, interval_of
+from bo_sysid.recording.alignment import OTHER_RATE, Sampling, instants_in, interval_of
 
 _TURN = 2 * np.pi  # [rad]
 _BEYOND = 0.05  # of the unseen instants, outside what was trained on, that is worth telling
 _SPARE = 1.1  # times the length of a window, that a recording has at least
 _FREE = (1.0, 5.0)  # [s] length of a free run
 _FREE_SHARE = 0.1  # of the hold-out's length
+_JITTER = 0.2  # of an interval between samples, up to which they have a rate
 
 
 def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording]) -> Holdout:
@@ -85,24 +86,37 @@ def judge(evidence: Evidence, outcome: Outcome, recordings: Sequence[Recording])
 
 
 def _other_rate(evidence: Evidence, unseen: Sequence[Recording]) -> str:
-    """Return how the hold-out is sampled otherwise than all training recordings, in words."""
-    channels = (*evidence.model.qpos_channels, *evidence.model.ctrl_channels)
+    """Return how the hold-out is sampled otherwise than all training recordings, in words.
+
+    Commands that are logged when they change have no rate.
+    """
     apart = {}
-    for name in channels:
+    for name in (*evidence.model.qpos_channels, *evidence.model.ctrl_channels):
         known, new = (
-            [dt for r in told if np.isfinite(dt := interval_of(r, [name]))]
+            [interval_of(r, [name]) for r in told if _is_steady(r, name)]
             for told in (evidence.recordings, unseen)
         )
-        if known and new and not min(known) / OTHER_RATE < np.median(new) < OTHER_RATE * max(known):
-            apart[name] = (float(np.median(new)), float(np.median(known)))
+        if known and new:
+            usual = float(np.median(new))
+            if not min(known) / OTHER_RATE < usual < OTHER_RATE * max(known):
+                apart[name] = (usual, float(np.median(known)))
     if not apart:
         return ""
     name = max(apart, key=lambda n: abs(np.log(apart[n][0] / apart[n][1])))
-    new_dt, known_dt = apart[name]
+    here, there = apart[name]
     return (
-        f"The unseen recording has {name} every {new_dt:.3g} s, training every {known_dt:.3g} s: "
+        f"The unseen recording has {name} every {here:.3g} s, training every {there:.3g} s: "
         "windows have as many samples in each, and controls are held from one to the next."
     )
+
+
+def _is_steady(recording: Recording, name: str) -> bool:
+    """Whether a channel was sampled at a rate."""
+    channel = recording.channels.get(name)
+    if channel is None or len(channel.time) < 2:
+        return False
+    sampling = Sampling.of(channel.time)
+    return sampling.jitter <= _JITTER * sampling.median_dt
 
 
 def _lasting(recordings: Sequence[Recording], seconds: float) -> Sequence[Recording]:
