@@ -40,8 +40,9 @@ def test_a_summary_has_shares_and_means() -> None:
     assert row["runs"] == 3
     assert row["reached"] == pytest.approx(2 / 3)
     assert row["evaluations"] == pytest.approx(10 / 3)
-    assert row["evaluations_low"] == 2
-    assert row["evaluations_high"] == 4
+    half = 4.302653 * np.sqrt(4 / 3 / 3)  # Student's t of two degrees of freedom; of 2, 4 and 4
+    assert row["evaluations_low"] == pytest.approx(10 / 3 - half)
+    assert row["evaluations_high"] == pytest.approx(10 / 3 + half)
 
 
 def test_wilsons_interval_of_eight_in_ten() -> None:

@@ -104,10 +104,12 @@ class MachineSource:
 
     def _require_fitting(self, number: int, read: Sequence[Recording], file: Path) -> None:
         """Refuse what cannot be a recording of the policy before."""
-        about = self._run.read_json(f"policies/policy-{number - 1:02d}.json")
+        handed = f"policies/policy-{number - 1:02d}.json"
+        about = self._run.read_json(handed) if self._run.has(handed) else None
         for recording in read:
             require_new(recording, (*self._first, *self._further), file)
-            require_commands_within(recording, about, file)
+            if about is not None:
+                require_commands_within(recording, about, file)
 
     def _require_used(self, number: int, file: Path, digest: str) -> None:
         """Refuse another recording than the one with which an iteration was begun."""

@@ -83,7 +83,7 @@ class Column(Section):
     """Name of the column with the time stamps, in s."""
     missing: Literal["error", "skip"] = "error"
     """skip: an empty cell holds no new sample."""
-    rate: Positive | None = None
+    rate: NotNegative = 0.0
     """Of time alone, where no column has the time stamps: steady rows per second, in Hz."""
 
 
