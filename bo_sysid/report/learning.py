@@ -83,9 +83,13 @@ def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
     where = f"It was learned on {learned_on}"
     where += f", where it returns {_with_interval(model)}." if model else "."
     diagnosed = [r for r in rounds if r.get("diagnosis")]
-    found = [f"After {r['trajectories']} the diagnosis repaired the model." for r in diagnosed]
+    found = [f"{_after(r['trajectories'])} the diagnosis repaired the model." for r in diagnosed]
     sentences = [where, *found, f"Why it stopped: {why}", *(summary.get("to_run") or ()), *notes]
     return {"verdict": verdict, "sentences": sentences}
+
+
+def _after(trajectories: int) -> str:
+    return f"After {trajectories}" if trajectories else "On the study's recordings"
 
 
 def _with_interval(value: Mapping[str, Any]) -> str:
