@@ -345,12 +345,10 @@ def test_what_cannot_be_a_recording_of_the_policy_is_refused(tmp_path: Path) -> 
     told = learned(tmp_path, study)
     assert len(told.trajectories) == 1
     assert any("recorded every 0.1 s, and the policy acts every 0.02 s" in n for n in told.notes)
-    if told.waiting:
-        shutil.copyfile(folder / "trajectory-01.csv", folder / "trajectory-02.csv")
-        with pytest.raises(
-            RecordingError, match=r"02.csv: the positions are those of trajectory-01"
-        ):
-            learned(tmp_path, study)
+    assert "waiting for recording 2" in told.waiting
+    shutil.copyfile(folder / "trajectory-01.csv", folder / "trajectory-02.csv")
+    with pytest.raises(RecordingError, match=r"02.csv: the positions are those of trajectory-01"):
+        learned(tmp_path, study)
     (folder / "trajectory-01.csv").unlink()
     with pytest.raises(RunError, match=r"trajectory-01.* this run has used it and it is gone"):
         learned(tmp_path, study)

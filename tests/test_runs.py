@@ -183,6 +183,7 @@ def test_a_file_is_no_run_folder(tmp_path: Path) -> None:
 
 def test_whether_a_process_writes_to_a_run_is_told(tmp_path: Path) -> None:
     assert not held(tmp_path)
+    assert names(tmp_path) == set() == {p.name for p in tmp_path.iterdir()}  # asking makes no lock
     with opened(tmp_path / "run") as run:
         assert held(run.folder)
     assert not held(tmp_path / "run")

@@ -158,12 +158,13 @@ def identified(
 
 def long_enough(recordings: Sequence[Recording], horizon: int) -> tuple[Recording, ...]:
     """Return the recordings that hold a window of `horizon` instants; all where none does."""
-    found = [
-        r
-        for r in recordings
-        if max((len(c.time) for c in r.of_kind("qpos").values()), default=0) > horizon
-    ]
-    return tuple(found or recordings)
+    return tuple(r for r in recordings if is_long(r, horizon)) or tuple(recordings)
+
+
+def is_long(recording: Recording, horizon: int) -> bool:
+    """Whether a recording holds a window of `horizon` instants."""
+    positions = recording.of_kind("qpos").values()
+    return max((len(c.time) for c in positions), default=0) > horizon
 
 
 def evaluated_again(deviation: Deviation, points: Points, rows: Int[np.ndarray, " k"]) -> History:

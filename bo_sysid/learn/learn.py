@@ -18,7 +18,7 @@ from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import cautions, how_to_run, write_for_machine
-from bo_sysid.learn.identified import long_enough
+from bo_sysid.learn.identified import is_long
 from bo_sysid.learn.iterate import Teller, iterate
 from bo_sysid.learn.iteration import Iteration, reread
 from bo_sysid.learn.machine_source import MachineSource
@@ -233,12 +233,11 @@ def _notes(scene: Scene, done: list[Iteration], source: Source) -> tuple[str, ..
         notes.append("search.refine zooms in identify; learn keeps to the stated B")
     faults = [fault for fault in source.trajectories["fault"] if fault]
     notes += [f"{fault}; what was recorded until then is used" for fault in faults]
-    recorded, horizon = source.recordings(scene.study), scene.study.deviation.horizon
-    long = long_enough(recorded, horizon)
+    horizon = scene.study.deviation.horizon  # a loop goes on only where a recording is as long
     notes += [
         f"{r.name}: too short for a window of {horizon} instants (deviation.horizon), not compared"
-        for r in recorded
-        if r not in long
+        for r in source.recordings(scene.study)
+        if not is_long(r, horizon)
     ]
     return tuple(dict.fromkeys(notes))
 

@@ -38,7 +38,7 @@ def locked(folder: Path) -> IO[str]:
 def held(folder: Path) -> bool:
     """Return whether a process writes to a folder, also where that cannot be told."""
     try:
-        with open(folder / NAME, "a+", encoding="utf-8") as lock:
+        with open(folder / NAME, "r+", encoding="utf-8") as lock:  # which makes none
             _lock_file(lock)
     except FileNotFoundError:
         return False

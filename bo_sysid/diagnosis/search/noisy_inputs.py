@@ -34,7 +34,7 @@ _WHOLE = (0, 1)  # samples by which the whole of a control is late, whose gain m
 _LATE = (1, 2, 4, 8, 16)  # samples by which what arrives may be late
 _SHARE, _SURE = 0.3, 4.0  # of the noise that does not arrive, and in deviations, to be believed
 _ALIKE = 2.0  # deviations, where one actuator's is believed, for another's, or to be refuted
-_FEW = 24
+_FEW = 24  # windows that tell how far noise moves all of them
 _TINY = 1e-9
 _FELT = 0.3  # [sigma], and as a share of what the leading set leaves, that noise must do
 

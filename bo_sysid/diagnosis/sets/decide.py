@@ -163,7 +163,7 @@ def _completes(fit: Fit, best: Fit, fits: Sequence[Fit], cost: Callable[[Fit], f
     """
     more = best.names < fit.names and fit.size == best.size + 1
     explains = more and clean(fit) and not clean(best) and cost(fit) < cost(best) - _BAND
-    return explains and admissible(fit, fit, fits)
+    return explains and admissible(fit, fit, fits)  # what it leaves itself, for the nominal model
 
 
 def _says_more(fit: Fit) -> bool:
