@@ -270,7 +270,10 @@ def test_a_parameter_gives_way_to_bristles_that_stand_for_its_friction(tmp_path:
     edits = [lambda spec: bend(spec, Site("joint", "elbow"), np.array(level), machine)]
     arm().export(tmp_path / MODEL, edits)
     study, written = Study.load(tmp_path / "study.yaml"), Written((), {})
-    (tmp_path / "repaired.yaml").write_text(study_text(study, [found], tmp_path, written))
+    (tmp_path / "repaired.yaml").write_text(text := study_text(study, [found], tmp_path, written))
+    first, rest = text.split("\n", 1)
+    assert first.startswith("# no parameter: joint[elbow].frictionloss, since the law")
+    assert "#" not in rest
     named = [p.address for p in Study.load(tmp_path / "repaired.yaml").parameters]
     bristles = tuple(f"actuator[elbow_friction].biasprm[{k}]" for k in (3, 4))
     assert named == [("joint[shoulder].frictionloss",), ("joint[elbow].damping",), bristles]

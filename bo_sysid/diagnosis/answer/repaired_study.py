@@ -46,6 +46,7 @@ _NO_ADDRESS = {
     "contact_softness": "all contacts of the repaired model share it",
 }
 """Why effects are no parameter of the repaired study that numbers of the model may be."""
+_LAW = "the law that was found holds the whole friction of the joint"
 _NO_NUMBER = "no one number of the repaired model has its value"
 _BRISTLES = tuple(f"actuator[{{site}}_friction].biasprm[{k}]" for k in (3, 4))  # at speed, at rest
 
@@ -62,7 +63,7 @@ def study_text(
     joints that were added, which nothing measures. Where the study has a parameter at a finding's
     address, its bounds are widened to hold the repaired value; where it ties several numbers, the
     finding's leaves it. One that was the friction of a joint goes, where bristles have a part in
-    that, and one that the repaired model has no more, with the reason.
+    that, and one that the repaired model has no more; comments say why.
     """
     data: dict[str, Any] = {"version": 1} | study.resolved(relative_to=folder, defaults=False)
     data["name"] = f"{study.name}, repaired"
@@ -74,7 +75,8 @@ def study_text(
         data["model"]["unrecorded"] = {**study.model.unrecorded, **written.unrecorded}
     model = Model.from_file(folder / MODEL)
     absent = _readdressed(model, load_model(study), data)
-    _release(model, data, [f"joint[{f.site}].frictionloss" for f in found if _bristles(f)])
+    bristles = [f"joint[{f.site}].frictionloss" for f in found if _bristles(f)]
+    absent += _release(model, data, bristles)
     for f in found:
         for made in (parameters := _parameters(model, f)):
             if not _taken(model, data.get("parameters", ()), made):
@@ -136,16 +138,22 @@ def _of_body(nominal: Model, address: str) -> str | None:
     return f"body[{body.name}].mass" if alone else None
 
 
-def _release(model: Model, data: dict[str, Any], addresses: Sequence[str]) -> None:
-    """Take addresses out of a study's parameters, and parameters that are of no others."""
-    kept, out = [], set(_named(model, addresses))
+def _release(model: Model, data: dict[str, Any], addresses: Sequence[str]) -> list[str]:
+    """Take addresses out of a study's parameters, and parameters that are of no others.
+
+    Comments on the numbers that are parameters no more are returned.
+    """
+    kept, absent, out = [], [], set(_named(model, addresses))
     for p in data.get("parameters", ()):
         named = _named(model, _list(p["address"]))
         others = [a for a in named if a not in out]
+        gone = [" ".join(a.split()) for a in named if a in out]
+        absent += [f"# no parameter: {a}, since {_LAW}\n" for a in gone]
         if others and len(others) < len(named):
             p["address"] = others[0] if len(others) == 1 else others
         kept += [p] if others else []
     _keep(data, kept)
+    return absent
 
 
 def _keep(data: dict[str, Any], parameters: list[Any]) -> None:
