@@ -646,6 +646,21 @@ def test_a_repair_that_makes_longer_windows_worse_is_not_confirmed() -> None:
     assert "does not confirm the repair" in said
 
 
+@pytest.mark.parametrize(("after", "missed"), [(1.3, False), (3.68, True)])
+def test_longer_forecasts_that_miss_the_floor_are_told(after: float, missed: bool) -> None:
+    errors = {"refitted": (1.1, after), "repaired": (1.1, after), "noise_floor": (1.0, 1.06)}
+    rows = [
+        {"measure": "forecast", "horizon_s": ahead, "model": m, "error": e[k], "unit": ""}
+        for m, e in errors.items()
+        for k, ahead in enumerate([AHEAD, LONGER])
+    ]
+    said = Holdout(pd.DataFrame(rows), {}, pd.DataFrame()).sentences[1:]
+    assert said == (
+        f"Over {LONGER:g} s 3.68 sensor sigmas are left, where the floor is 1.06: these "
+        "recordings do not show all that is missing.",
+    ) * missed  # fmt: skip
+
+
 @pytest.mark.parametrize("after", [1.1, 4.0])
 def test_where_the_hold_out_goes_and_no_training_recording_went_is_said(after: float) -> None:
     models = {"refitted": 20.0, "repaired": after, "noise_floor": 1.0}

@@ -18,6 +18,7 @@ from bo_sysid.diagnosis.answer.judge import judge
 from bo_sysid.diagnosis.answer.notes import of_study, of_training, of_unseen
 from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.answer.repaired_study import study_text
+from bo_sysid.diagnosis.answer.seen_once import seen_once
 from bo_sysid.diagnosis.answer.sentences import (
     disputed_sentence,
     doubts,
@@ -152,6 +153,9 @@ class Diagnosis:
         fits, evidence = self.located.decision.fits, self.evidence
         said += hints(best, evidence.machine, fits, evidence.still)
         after = self.answer.next_experiment
+        if not self.contact and not self.answer.unexplained.flagged:
+            prepared = self.located.prepared
+            said += [once] if (once := seen_once(prepared.problem, prepared.linear.Q, best)) else []
         noise = noise_sentence(self.evidence.input_noise)
         shown = [*self.holdout.sentences, *((noise,) if noise else ())]
         return (*said, *shown, *((after.sentence,) if after else ()))

@@ -79,7 +79,8 @@ class Holdout:
 
     @property
     def _longer(self) -> str:
-        """Where the repair makes longer windows worse, in words; empty where it does not."""
+        """What longer windows say against the repair, in words; empty where they say nothing."""
+        missed = ""
         for measure, does in (("fit", "follows"), ("forecast", "forecasts")):
             models = ("refitted", "repaired", "noise_floor")
             errors = [self.error(measure, LONGER, m) for m in models]
@@ -92,7 +93,12 @@ class Holdout:
                     f"without what was found ({_figure(after)} for {_figure(before)} sensor "
                     "sigmas), which does not confirm the repair."
                 )
-        return ""
+            if after > _AT_FLOOR * floor:
+                missed = (
+                    f"Over {LONGER:g} s {_figure(after)} sensor sigmas are left, where the floor "
+                    f"is {_figure(floor)}: these recordings do not show all that is missing."
+                )
+        return missed
 
     @property
     def _elsewhere(self) -> tuple[str, ...]:
