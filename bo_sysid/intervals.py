@@ -37,8 +37,14 @@ def amount(quantity: Quantity) -> str:
     if half <= 0 or not np.isfinite(half):
         return f"{quantity.value:.4g}{spoken_unit}"
     exponent = int(np.floor(np.log10(half)))
-    digits = max(-exponent + (1 if half / 10.0**exponent < 2 else 0), 0)
+    digits = -exponent + (1 if half / 10.0**exponent < 2 else 0)
     if quantity.unit == "relative":
-        digits = max(digits - 2, 0)
-        return f"{100 * quantity.value:+.{digits}f} ± {100 * half:.{digits}f} %"
-    return f"{quantity.value:.{digits}f} ± {half:.{digits}f}{spoken_unit}"
+        value, half = (_rounded(100 * v, digits - 2) for v in (quantity.value, half))
+        return f"{value:+.{max(digits - 2, 0)}f} ± {half:.{max(digits - 2, 0)}f} %"
+    value, half = (_rounded(v, digits) for v in (quantity.value, half))
+    return f"{value:.{max(digits, 0)}f} ± {half:.{max(digits, 0)}f}{spoken_unit}"
+
+
+def _rounded(value: float, digits: int) -> float:
+    """Return a number to so many digits behind the point, before it where they are negative."""
+    return round(value, digits) if digits < 0 else value

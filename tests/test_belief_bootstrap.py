@@ -20,7 +20,6 @@ def test_resampled_means_have_the_variance_of_the_mean():
 def test_sessions_are_resampled_before_blocks():
     """Blocks that agree within three sessions: the spread is that between the sessions."""
     groups = np.repeat([7, 8, 9], [4, 10, 2])
-    values = np.repeat([1.0, 2.0, 6.0], [4, 10, 2])
     drawn = resample(groups, 100_000, np.random.default_rng(0))
     assert (drawn[:, :4].sum(axis=1) % 4 == 0).all()
     assert ((drawn[:, :4].sum(axis=1) > 0).astype(int).mean()) == pytest.approx(5 / 9, abs=0.01)
@@ -28,7 +27,40 @@ def test_sessions_are_resampled_before_blocks():
     means = per_session.T @ [1.0, 2.0, 6.0] / per_session.sum(axis=0)
     assert means.mean() == pytest.approx(3.0, abs=0.02)
     assert means.var() == pytest.approx(np.var([1.0, 2.0, 6.0], ddof=1) / 3, rel=0.02)
-    del values
+
+
+@pytest.mark.parametrize(("sessions", "blocks"), [(4, 10), (4, 2), (8, 5)])
+@pytest.mark.parametrize("between", [0.0, 1.0])
+def test_the_variance_over_sessions_is_as_stated(
+    sessions: int, blocks: int, between: float
+) -> None:
+    """τ²/S + σ²/(S n) (1 + S/(S - 1) (n - 1)/n) with σ = 1, over many sets of recordings."""
+    rng, groups = np.random.default_rng(0), np.repeat(np.arange(sessions), blocks)
+    drawn = resample(groups, 400, rng)
+    y = (
+        rng.normal(size=(4_000, len(groups)))
+        + between * rng.normal(size=(4_000, sessions))[:, groups]
+    )
+    found = (y @ drawn.T / drawn.sum(axis=1)).var(axis=1).mean()
+    twice = 1 + sessions / (sessions - 1) * (blocks - 1) / blocks
+    stated = between**2 / sessions + twice / (sessions * blocks)
+    assert found == pytest.approx(stated, rel=0.05)
+
+
+@pytest.mark.parametrize("cells", [1, 500])
+def test_bootstraps_are_counted_in_parts_as_whole(monkeypatch, cells: int) -> None:
+    """With every candidate evaluated nothing is drawn but bootstraps, and parts change nothing."""
+    candidates, _, _, weights = location_problem(np.random.default_rng(2), 0.1)
+    y = 0.1 + 0.3 * np.random.default_rng(2).normal(size=(len(weights), 6, 2))
+    contributions = np.linalg.norm(y[None] - candidates[::4][:, :, None, None], axis=3).mean(axis=2)
+    rows = np.arange(0, 161, 4)
+    surrogate = surrogate_of(candidates, rows, contributions, weights)
+    given = (surrogate, candidates[rows], np.arange(len(rows)), contributions, weights)
+    whole = bootstrap_argmin(*given, samples=500)
+    monkeypatch.setattr("bo_sysid.belief.bootstrap.CELLS", cells)
+    np.testing.assert_array_equal(
+        bootstrap_argmin(*given, samples=500).probabilities, whole.probabilities
+    )
 
 
 def location_problem(rng, truth, blocks=40, length=6, noise=0.3):

@@ -191,8 +191,17 @@ def test_correlation_time_of_a_first_order_process() -> None:
     x = np.zeros(100_000)
     for k in range(1, len(x)):
         x[k] = phi * x[k - 1] + rng.normal()
-    assert correlation_time(x) == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
-    assert correlation_time(rng.normal(size=10_000)) == pytest.approx(1.0, abs=0.1)
+    assert correlation_time([x]) == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
+    assert correlation_time([x + 9, x - 9]) == pytest.approx((1 + phi) / (1 - phi), rel=0.1)
+    assert correlation_time([rng.normal(size=10_000)]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_differs_between_recordings_is_no_correlation_within_them() -> None:
+    white = np.random.default_rng(0).normal(size=400)
+    apart = np.repeat([0.0, 10.0], 200)
+    found = Blocks.of(white + apart, np.repeat([0, 1], 200))
+    assert len(found.weight) == 40
+    assert not found.short
 
 
 def test_blocks_are_longer_than_the_correlation_time_and_know_their_recording() -> None:

@@ -189,6 +189,8 @@ def test_a_damaged_or_foreign_file_is_named(cart, tmp_path):
         LearnedPolicy.load(tmp_path / CHECKPOINT)
     with pytest.raises(RunError, match="training with other seed"):
         train(fresh(cart), SMALL, steps=2_000, seed=3, folder=tmp_path)
+    with pytest.raises(RunError, match="training with other about"):
+        train(fresh(cart), SMALL, steps=2_000, folder=tmp_path, about={"model": "heavier.xml"})
 
 
 def test_wrong_settings_name_the_rule(cart):

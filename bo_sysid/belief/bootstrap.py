@@ -7,11 +7,20 @@ the evaluated candidates. Where there are several sessions they are resampled fi
 within each: what differs between sessions is not visible within one.
 
 From n units n − 1 are drawn: then the variance of the resampled mean is unbiased (with n it is
-(n − 1)/n of the right one, half of it for two sessions).
+(n − 1)/n of the right one, half of it for two sessions). With S sessions of n blocks that holds for
+the variance between sessions, τ². The variance σ² of blocks within them is in the session means
+already and is counted again with the blocks: the variance of the resampled mean is
+
+    τ²/S + σ²/(S n) · (1 + S/(S − 1) · (n − 1)/n).
+
+It errs on the safe side, where quantiles over few sessions, narrower than Student's t, err on the
+other. Measured for means of 4 to 8 sessions, 95 % intervals hold the truth in 97 to 99 % if τ = 0,
+86 to 94 % if τ = σ and 80 to 91 % if τ = 5 σ; with sessions drawn whole in 80 to 92 % throughout.
 
 References:
     Künsch (1989), The jackknife and the bootstrap for general stationary observations.
     Rao & Wu (1988), Resampling inference with complex survey data.
+    Davison & Hinkley (1997), Bootstrap methods and their application, 3.8.
 """
 
 import numpy as np
@@ -19,7 +28,7 @@ from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from bo_sysid.arrays import Points, Probabilities, Rows
-from bo_sysid.belief.argmin import ArgminBelief, allot
+from bo_sysid.belief.argmin import CELLS, ArgminBelief, allot
 from bo_sysid.belief.gp import Conditional
 from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor, kept_by
 from bo_sysid.belief.surrogate import Surrogate
@@ -138,11 +147,16 @@ def _minima(
     factor = covariance_factor(
         member, x[open_rows], member.variance(V), None if exact else bound, rng
     )
-    draws = rng.standard_normal((values.shape[1], len(factor))) @ factor
-    draws += member.mean + residual.T @ V
-    everything = np.concatenate([draws, known_values.T], axis=1)
     labels = np.concatenate([open_rows, known_rows])
-    return labels[_lowest(everything, rng)], lost
+    winners = np.empty(values.shape[1], dtype=np.intp)
+    step = max(1, CELLS // len(labels))
+    for start in range(0, len(winners), step):
+        some = slice(start, start + step)
+        draws = rng.standard_normal((len(winners[some]), len(factor))) @ factor
+        draws += member.mean + residual[:, some].T @ V
+        everything = np.concatenate([draws, known_values[:, some].T], axis=1)
+        winners[some] = labels[_lowest(everything, rng)]
+    return winners, lost
 
 
 def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[np.ndarray, " b"]:

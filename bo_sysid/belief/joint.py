@@ -34,7 +34,7 @@ SUBSET = 2_000  # pivots are chosen among as many likely and as many random cont
 MASS = 1e-3  # bound on the probability that may be dropped
 CHUNK = 1024  # candidates per block when moments are computed
 TOLERANCE = 1e-8  # share of the prior variance at which no further pivot is worth adding
-JITTER = 1e-10  # share of the prior variance added before a factorisation
+JITTERS = (1e-12, 1e-10, 1e-8)  # shares of the prior variance added before a factorisation
 TIED = 1e-9  # of standardised values: those that are known and nearer differ by rounding
 
 
@@ -205,10 +205,18 @@ def dense_factor(
 ) -> Float[np.ndarray, "s s"]:
     """Return an upper factor `F` with `FᵀF` the posterior covariance at `x`."""
     V = member.whitened(x)
-    covariance = member.covariance(x, x) - V.T @ V
-    # rounding leaves eigenvalues of about -1e-15 s²; the jitter is far below any variance of note
-    for jitter in (1e-12, 1e-10, 1e-8):
-        covariance[np.diag_indices(len(x))] = variance + jitter * member.outputscale
+    return _upper_cholesky(member, member.covariance(x, x) - V.T @ V, variance)
+
+
+def _upper_cholesky(
+    member: Conditional, covariance: Float[np.ndarray, "s s"], variance: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, "s s"]:
+    """Return an upper factor of a posterior covariance with this diagonal, and the least jitter.
+
+    Rounding leaves eigenvalues of about -1e-15 s²; the jitter is far below any variance of note.
+    """
+    for jitter in JITTERS:
+        covariance[np.diag_indices(len(variance))] = variance + jitter * member.outputscale
         try:
             factor: Float[np.ndarray, "s s"] = cholesky(covariance, check_finite=False)
         except np.linalg.LinAlgError:
@@ -227,8 +235,7 @@ def nystrom_factor(
     """
     at_pivots = member.whitened(pivots)
     corner = member.covariance(pivots, pivots) - at_pivots.T @ at_pivots
-    corner[np.diag_indices(len(pivots))] += JITTER * member.outputscale
-    L = cholesky(corner, lower=True, check_finite=False)
+    L = _upper_cholesky(member, corner, np.diagonal(corner).copy()).T
     # F = L⁻¹ (k(pivots, x) - Vᵀ L_n⁻¹ k(points, x)), as one product
     left = solve_triangular(
         L,

@@ -7,19 +7,13 @@ the rows it was given) are found again by exact equality, never by distance.
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int, UInt64
-
-_MIX = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: spreads neighbouring bit patterns
+from jaxtyping import Float, Int
 
 
-def _hash_rows(points: Float[np.ndarray, "N d"]) -> UInt64[np.ndarray, " N"]:
-    """Return one 64-bit hash a row; equal rows have equal hashes (0.0 and -0.0 are equal)."""
-    bits = np.ascontiguousarray(points + 0.0).view(np.uint64)
-    code = np.zeros(len(points), dtype=np.uint64)
-    for column in bits.T:
-        code = (code ^ column) * _MIX
-        code ^= code >> np.uint64(29)
-    return code
+def _as_bytes(points: Float[np.ndarray, "N d"]) -> np.ndarray:
+    """Return each row as one scalar of its bytes, 0.0 for -0.0, which numpy sorts and compares."""
+    rows = np.ascontiguousarray(points + 0.0)
+    return rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
 
 
 @dataclass(frozen=True)
@@ -31,22 +25,21 @@ class RowIndex:
     """
 
     points: Float[np.ndarray, "N d"]
-    _codes: UInt64[np.ndarray, " N"] = field(repr=False)
+    _sorted: np.ndarray = field(repr=False)
     _order: Int[np.ndarray, " N"] = field(repr=False)
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "N d"]) -> "RowIndex":
         """Build the index of `points`."""
         points = np.asarray(points, dtype=np.float64)
-        codes = _hash_rows(points)
-        order = np.argsort(codes, kind="stable")
-        return cls(points, codes[order], order)
+        rows = _as_bytes(points)
+        order = np.argsort(rows, kind="stable")
+        return cls(points, rows[order], order)
 
     def find(self, queries: Float[np.ndarray, "m d"]) -> Int[np.ndarray, " m"]:
         """Return the first row equal to each query, -1 where there is none."""
         queries = np.asarray(queries, dtype=np.float64)
-        codes = _hash_rows(queries)
-        place = np.searchsorted(self._codes, codes, side="left")
+        place = np.searchsorted(self._sorted, _as_bytes(queries), side="left")
         rows = self._order[np.minimum(place, len(self._order) - 1)]
         known = (self.points[rows] == queries).all(axis=1)
         return np.where(known, rows, -1)

@@ -12,6 +12,7 @@ Engines for Data-Efficient Policy Search. IJCAI 2018.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -27,6 +28,7 @@ _MOST_BLOCKS = 40
 _LEAST_BLOCKS = 8  # a bootstrap of fewer says little
 _LONG = 5  # correlation times that a block lasts, where the recordings are long enough
 _SHORT = 2  # times as long as errors are alike (τ - 1), below which blocks are too much alike
+_CORRELATED = 4  # windows, below which a recording says nothing of correlation
 _ALIKE = 3.0  # correlation time from which errors are alike: of few windows none is told exactly
 SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
 
@@ -110,7 +112,7 @@ class Blocks:
             series: `W` deviations of one candidate, in order of time within each recording.
             recording: `W` number of the recording.
         """
-        time = correlation_time(series)
+        time = correlation_time([series[recording == k] for k in np.unique(recording)])
         total = np.clip(
             len(series) // max(int(np.ceil(_LONG * time)), 1), _LEAST_BLOCKS, _MOST_BLOCKS
         )
@@ -144,18 +146,19 @@ def blocks_of(
     return index, np.array(session, int)
 
 
-def correlation_time(series: Float[np.ndarray, " W"]) -> float:
-    """Return the integrated autocorrelation time in samples, at least 1.
+def correlation_time(series: Sequence[Float[np.ndarray, " _"]]) -> float:
+    """Return the integrated autocorrelation time of several series in samples, at least 1.
 
-    τ = 1 + 2 Σ_k ρ_k, summed until the estimate of ρ falls below .05.
+    τ = 1 + 2 Σ_k ρ_k, summed until the estimate of ρ falls below .05. Each series has its own
+    mean: what differs between recordings is no correlation within them.
     """
-    x = series - series.mean()
-    variance = float(x @ x)
-    if variance <= 0 or len(x) < 4:
+    apart = [x - x.mean() for x in series if len(x) >= _CORRELATED]
+    variance = sum(float(x @ x) for x in apart)
+    if variance <= 0:
         return 1.0
     tau = 1.0
-    for k in range(1, len(x) // 4 + 1):
-        rho = float(x[k:] @ x[:-k]) / variance
+    for k in range(1, max(map(len, apart)) // 4 + 1):
+        rho = sum(float(x[k:] @ x[:-k]) for x in apart) / variance
         if rho < 0.05:
             break
         tau += 2 * rho
@@ -181,9 +184,6 @@ class Evaluation:
 class Deviation:
     """Δ over the candidates, on fixed recordings.
 
-    The candidate in the middle of the bounds is simulated at once: the blocks of time follow from
-    how its errors correlate.
-
     Args:
         simulator: predicts.
         windows: what was recorded.
@@ -207,8 +207,12 @@ class Deviation:
         self._weight = 1.0 / whitening.scale
         self._complete = bool(np.isfinite(windows.observed).all())
         self.penalty = float(PENALTY * np.linalg.norm(_extent(windows) * self._weight))
-        middle = np.array([[(p.low + p.high) / 2 for p in simulator.parameters]])
-        self.blocks = Blocks.of(next(iter(self._norms(middle)))[0], windows.recording)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """Blocks of time, from how the errors of the candidate amid the bounds correlate."""
+        middle = np.array([[(p.low + p.high) / 2 for p in self.simulator.parameters]])
+        return Blocks.of(next(iter(self._norms(middle)))[0], self.windows.recording)
 
     def __call__(self, points: Points) -> Evaluation:
         """Return the deviation of each of the `C x d` points."""

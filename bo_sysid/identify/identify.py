@@ -218,8 +218,8 @@ class _Teller:
 
 _ALIKE = (
     "the model is off in the same way over long parts of the recordings, so that these are few "
-    "independent ones: the intervals are narrower than they should be. Longer recordings help, and "
-    "from four recordings on they are drawn as wholes"
+    "independent ones: the intervals are narrower than they should be. Longer recordings help, as "
+    "do four or more, between which what differs is then counted"
 )
 _AT_BOUND = 1e-9  # of the range between the bounds
 

@@ -54,9 +54,11 @@ def train(
         seed: of networks, actions and shuffles; the environment has its own.
         threads: of the update; results do not depend on it.
         folder: where checkpoints, log and policy are written. With a checkpoint there, training
-            goes on from it and ends as if it had never been interrupted.
+            goes on from it and ends as if it had never been interrupted. Models are not
+            compared: what tells them apart belongs into `about`.
         every: iterations between checkpoints.
-        about: what the policy is learned on, stored with it.
+        about: what the policy is learned on, stored with it; a checkpoint with another is
+            refused.
         watch: called with each iteration's log.
 
     Raises:
@@ -66,24 +68,23 @@ def train(
     if steps < 1 or every < 1:
         raise StudyError(f"policy: steps {steps} and every {every} must be at least 1")
     trainer = Trainer(environment, settings, seed=seed, threads=threads)
-    log = _resume(trainer, folder) if folder else []
+    own = dict(about or {})
+    log = _resume(trainer, folder, own) if folder else []
     while trainer.steps < steps:
         row = trainer.iterate()
         log.append(row)
         if watch:
             watch(row)
         if folder and (trainer.iterations % every == 0 or trainer.steps >= steps):
-            _checkpoint(trainer, folder, log)
-    learned = LearnedPolicy(
-        trainer.policy, trainer.theta.copy(), trainer.normaliser(), dict(about or {})
-    )
+            _checkpoint(trainer, folder, log, own)
+    learned = LearnedPolicy(trainer.policy, trainer.theta.copy(), trainer.normaliser(), own)
     if folder:
         learned.save(folder / POLICY)
     return Training(learned, _frame(log))
 
 
-def _identity(trainer: Trainer) -> dict[str, Any]:
-    """Return what must be equal for a checkpoint to be gone on from."""
+def _identity(trainer: Trainer, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what must be equal for a training to be resumed from a checkpoint."""
     environment = trainer.environment
     return {
         "settings": dataclasses.asdict(trainer.settings),
@@ -91,25 +92,28 @@ def _identity(trainer: Trainer) -> dict[str, Any]:
         "environments": environment.n,
         "observations": environment.observation_size,
         "actions": environment.action_size,
+        "about": dict(about),
     }
 
 
-def _checkpoint(trainer: Trainer, folder: Path, log: list[TrainingIteration]) -> None:
+def _checkpoint(
+    trainer: Trainer, folder: Path, log: list[TrainingIteration], about: Mapping[str, Any]
+) -> None:
     frame = _frame(log)
     with atomic(folder / LOG) as path:
         frame.to_parquet(path)
     columns = {f"log.{name}": frame[name].to_numpy() for name in TrainingIteration._fields}
-    write_arrays(folder / CHECKPOINT, {**trainer.get_state(), **columns}, _identity(trainer))
+    arrays = {**trainer.get_state(), **columns}
+    write_arrays(folder / CHECKPOINT, arrays, _identity(trainer, about))
 
 
-def _resume(trainer: Trainer, folder: Path) -> list[TrainingIteration]:
+def _resume(trainer: Trainer, folder: Path, about: Mapping[str, Any]) -> list[TrainingIteration]:
     """Put the trainer where its checkpoint is, if there is one; return the log so far."""
     path = folder / CHECKPOINT
     if not path.is_file():
         return []
     arrays, header = read_arrays(path)
-    own = _identity(trainer)
-    own["settings"] = _as_json(own["settings"])
+    own = _as_json(_identity(trainer, about))
     different = [key for key in own if header.get(key) != own[key]]
     if different:
         raise RunError(

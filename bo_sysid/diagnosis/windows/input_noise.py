@@ -9,7 +9,6 @@ from jaxtyping import Float
 from bo_sysid.diagnosis.windows.linear import Linear, linearise
 from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
-from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.recording import Recording
 
 _PIECES = 64  # of a window in which noise has a value each, at most
@@ -123,7 +122,7 @@ def _process(
 
 def _along(problem: Problem, process: ProcessNoise) -> Problem:
     """Return the problem with a course of noise in its controls, in units of the sensors."""
-    return replace(problem, process=process.unweighted, recent=Recent())
+    return replace(problem, process=process.unweighted)
 
 
 def _cost(

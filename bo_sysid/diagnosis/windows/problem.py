@@ -239,7 +239,10 @@ class Problem:
     def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
         """Simulate all windows; `finer` divides the time step."""
         windows = self.windows if finer == 1 else refined(self.windows, finer)
-        inputs = (float(windows.timestep), windows.ctrl.shape[1], windows.recording, windows.time)
+        inputs = (
+            float(windows.timestep), windows.ctrl.shape[1], windows.recording, windows.time,
+            *(() if self.process is None else (self.process.controls,)),
+        )  # fmt: skip
         found = self.recent.of(
             hypothesis, start, inputs, lambda: self._simulated(hypothesis, start, windows)
         )
