@@ -23,7 +23,7 @@ from bo_sysid.checks.check import check
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
-from bo_sysid.checks.numerics import contact_flags, far_flags
+from bo_sysid.checks.numerics import contact_flags, divergence_flags, far_flags, step_effect
 from bo_sysid.checks.proposal import as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.search import SUSPICIOUS
@@ -611,3 +611,25 @@ def test_the_file_of_a_check_has_all_notes(tmp_path: Path) -> None:
     written = (tmp_path / "checked" / "check.txt").read_text()
     assert all(f"- {n}" in written for n in (*notes, *(f.sentence for f in flags)))
     assert "more" not in written
+
+
+@pytest.mark.parametrize(("kp", "share"), [(2.0, 0.0), (8000.0, 1.0)])
+def test_a_model_that_diverges_determines_nothing_and_is_told(kp: float, share: float) -> None:
+    """A servo of 8000 N m/rad on a rod of 1.5 g m² is stiffer than Euler's 10 ms can follow."""
+    model = Model.from_xml(
+        f"""<mujoco><option timestep="0.01" integrator="Euler"/><worldbody><body>
+        <joint name="hinge" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".01" mass=".05"/></body></worldbody>
+        <actuator><position name="servo" joint="hinge" kp="{kp}"/></actuator></mujoco>"""
+    )
+    time = np.arange(0.0, 6.0, 0.01)
+    both = {"qpos": {"hinge": np.sin(3 * time)}, "ctrl": {"servo": np.sin(3 * time)}}
+    log = Recording.from_arrays(time, **both)
+    coarse, fine = (cut(model, [log], horizon=30, timestep=dt) for dt in (0.01, 0.005))
+    damping = Parameter("damping", ("joint[hinge].damping",), 0.0, 0.1)
+    simulator = MujocoSimulator(model, (damping,), Engine(1))
+    noise, point = {"qpos.hinge": 1e-3}, np.array([0.05])
+    determined = information(simulator, point, coarse, noise).table()["determined"].tolist()
+    assert determined == (["not"] if share else ["yes"])
+    flags = divergence_flags(step_effect(simulator, point, coarse, fine), 0.01)
+    assert [f.evidence["share"] for f in flags] == ([share] if share else [])

@@ -17,7 +17,13 @@ from bo_sysid.checks.channels import (
 from bo_sysid.checks.evidence import Laws
 from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.motion import excitation, excitation_flags, range_flags
-from bo_sysid.checks.numerics import contact_flags, far_flags, step_effect, step_flags
+from bo_sysid.checks.numerics import (
+    contact_flags,
+    divergence_flags,
+    far_flags,
+    step_effect,
+    step_flags,
+)
 from bo_sysid.checks.proposal import Rule, as_yaml, proposed_clocks, proposed_columns
 from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.sensitivity import bounds_flags, in_words, information
@@ -121,6 +127,7 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     flags += _grid_flags(summary)
     flags += [*attitude, *wiring.flags, *excitation_flags(motion), *weak]
     flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
+    flags += divergence_flags(step, windows.timestep)
     flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
     flags += contact_flags(compiled, right)
     flags += _beside_flags(simulator)

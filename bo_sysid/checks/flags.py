@@ -17,7 +17,7 @@ class Flag:
             should decide, "note" where it is good to know.
         kind: what it is about: sign, unit, scale, order, swap, zero, wrap, range, clock, sampling,
             excitation, identifiability, bounds, noise, saturation, frozen, outlier, step, far,
-            contact, balance, load.
+            divergence, contact, balance, load.
         channels: channels, joints or parameters concerned.
         sentence: in words, with the figures that support it.
         evidence: those figures by name.

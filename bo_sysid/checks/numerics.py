@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.arrays import Point
-from bo_sysid.checks.flags import Flag
+from bo_sysid.checks.flags import Flag, Level
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.recording import Recording
@@ -16,6 +16,7 @@ from bo_sysid.simulation import MujocoSimulator, Windows
 
 _WORTH = 1.0  # standard deviations that a step may cost
 _TWICE = 1.5  # from which a ratio is told as a number
+_MOSTLY = 0.5  # of the windows that diverge, from which nothing can be fitted
 _FAR = 100.0  # standard deviations
 _INSTANTS = 400
 _ALWAYS = 0.95  # of the recordings
@@ -34,7 +35,9 @@ def step_effect(
         fine: the same windows cut for half of it.
 
     Returns:
-        One row a channel: channel, change and left (root mean squares, in the channel's unit).
+        One row a channel: channel, change and left (root mean squares over the windows in which
+        neither diverges, in the channel's unit), and diverged, the share of the windows in which
+        the model does at its own step.
     """
     half = replace(simulator, timestep=fine.timestep)
     a = next(iter(simulator.predictions(point[None], coarse)))
@@ -48,7 +51,25 @@ def step_effect(
         return np.asarray(np.sqrt(np.nanmean(seen**2, axis=(0, 1))))
 
     change, left = rms(a.values - b.values), rms(coarse.residual(a.values))
-    return pd.DataFrame({"channel": coarse.channels, "change": change, "left": left})
+    share = float(a.diverged.mean())
+    return pd.DataFrame(
+        {"channel": coarse.channels, "change": change, "left": left, "diverged": share}
+    )
+
+
+def divergence_flags(table: pd.DataFrame, timestep: float) -> list[Flag]:
+    """Return a flag where the model diverges from recorded states."""
+    share = float(table["diverged"].max())
+    if not share > 0:
+        return []
+    sentence = (
+        f"The model as it is diverges in {max(100 * share, 1):.0f} % of the windows of 0.3 s that begin at "
+        f"recorded states, at its step of {1e3 * timestep:g} ms; these say nothing of parameters. "
+        'A smaller timestep or integrator="implicitfast" in the model\'s <option> helps where '
+        "gains, stiffness or damping are large for the step; otherwise masses or units are wrong."
+    )
+    level: Level = "wrong" if share > _MOSTLY else "look"
+    return [Flag(level, "divergence", (), sentence, {"share": share})]
 
 
 def step_flags(table: pd.DataFrame, noise: dict[str, float], timestep: float) -> list[Flag]:

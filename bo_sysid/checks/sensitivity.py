@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.checks.flags import Flag
@@ -107,7 +107,10 @@ def information(
 def sensitivities(
     simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
 ) -> Float[np.ndarray, "W m d"]:
-    """Return the whitened change of predictions per range of each parameter, starts projected."""
+    """Return the whitened change of predictions per range of each parameter, starts projected.
+
+    It is 0 in windows in which a simulation diverges, which says nothing of parameters.
+    """
     weight = np.array([1.0 / noise[n] if noise.get(n) else 0.0 for n in windows.channels])
     low = np.array([p.low for p in simulator.parameters])
     width = np.array([p.high for p in simulator.parameters]) - low
@@ -115,31 +118,31 @@ def sensitivities(
     points = [inside]
     for row in np.diag(_STEP * width):
         points += [inside + row, inside - row]
-    values = [
-        _whitened(p.values, windows, weight)
-        for p in simulator.predictions(np.array(points), windows)
-    ]
+    made = list(simulator.predictions(np.array(points), windows))
+    base, *beside = [_whitened(p.values, windows, weight) for p in made]
     effect = np.stack(
-        [(a - b) / (2 * _STEP) for a, b in zip(values[1::2], values[2::2], strict=True)], axis=-1
+        [(a - b) / (2 * _STEP) for a, b in zip(beside[::2], beside[1::2], strict=True)], axis=-1
     )
-    start = _start_effect(simulator, inside, windows, weight, values[0])
+    start, lost = _start_effect(simulator, inside, windows, weight, base)
+    effect[lost | np.any([p.diverged for p in made], axis=0)] = 0.0
     return np.stack([_without(e, s) for e, s in zip(effect, start, strict=True)])
 
 
 def _start_effect(
     simulator: Simulator, point: Point, windows: Windows, weight: np.ndarray, base: np.ndarray
-) -> Float[np.ndarray, "W m k"]:
+) -> tuple[Float[np.ndarray, "W m k"], Bool[np.ndarray, " W"]]:
+    """Return the change with the k numbers of each start, and the windows that diverge then."""
     dof = windows.start.qvel.shape[1]
     size = np.repeat(_MOVE, dof)
     starts: list[State] = [
         simulator.moved(windows.start, np.tile(row, (len(windows), 1))) for row in np.diag(size)
     ]
     points = np.repeat(point[None], len(starts), axis=0)
-    moved = simulator.predictions(points, windows, starts)
+    moved = list(simulator.predictions(points, windows, starts))
     columns = [
         (_whitened(p.values, windows, weight) - base) / h for p, h in zip(moved, size, strict=True)
     ]
-    return np.stack(columns, axis=-1)
+    return np.stack(columns, axis=-1), np.any([p.diverged for p in moved], axis=0)
 
 
 def _whitened(values: np.ndarray, windows: Windows, weight: np.ndarray) -> np.ndarray:
