@@ -254,6 +254,7 @@ def test_what_is_damaged_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
     (run / "diagnosis.json").write_text('{"verdict": 3}')
     seen = Outline(page(run))
     assert "not as this version writes it" in seen.words
+    assert "a file of the run is damaged" in seen.words
     assert "again" in seen.sections
 
 

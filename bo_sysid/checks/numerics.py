@@ -63,8 +63,9 @@ def divergence_flags(table: pd.DataFrame, timestep: float) -> list[Flag]:
     if not share > 0:
         return []
     sentence = (
-        f"The model as it is diverges in {max(100 * share, 1):.0f} % of the windows of 0.3 s that begin at "
-        f"recorded states, at its step of {1e3 * timestep:g} ms; these say nothing of parameters. "
+        f"The model as it is diverges in {max(100 * share, 1):.0f} % of the windows of 0.3 s that "
+        f"begin at recorded states, at its step of {1e3 * timestep:g} ms; these say nothing of "
+        "parameters. "
         'A smaller timestep or integrator="implicitfast" in the model\'s <option> helps where '
         "gains, stiffness or damping are large for the step; otherwise masses or units are wrong."
     )

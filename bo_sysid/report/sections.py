@@ -31,6 +31,7 @@ _CHANNELS = 12  # of a page; all are in the run folder
 
 def headline(found: Found) -> dict[str, Any]:
     """Return the name of the run, its verdict and the sentences that say it all."""
+    verdict = "No result yet."
     try:
         if found.has("diagnosis.json"):
             diagnosis = read_json(found.folder, "diagnosis.json")
@@ -60,13 +61,13 @@ def headline(found: Found) -> dict[str, Any]:
             made = read_json(found.folder, "comparison.json")
             said = conclusions(made, found.folder)
             return {"name": made["name"], "verdict": sentence(made), "sentences": said}
-    except (RunError, KeyError, TypeError, ValueError):
-        pass  # the sections say what is damaged
+    except (RunError, KeyError, TypeError, ValueError):  # the sections say what is damaged
+        verdict = "The result cannot be read: a file of the run is damaged."
     try:
         so_far = run_text(found.folder).splitlines()[1:]
     except RunError:  # told where it is shown
         so_far = []
-    return {"name": found.folder.name, "verdict": "No result yet.", "sentences": so_far}
+    return {"name": found.folder.name, "verdict": verdict, "sentences": so_far}
 
 
 def robot(found: Found) -> Section | None:
