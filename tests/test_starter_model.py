@@ -41,6 +41,29 @@ def test_bounds_hold_what_the_model_has(tmp_path: Path) -> None:
     assert high == {f"joint[wheel].{kind}": 2 * value for kind, value in own.items()}
 
 
+def test_bounds_hold_the_friction_of_a_servo_that_rests_most_of_the_time(tmp_path: Path) -> None:
+    text = (
+        '<mujoco><worldbody><body><joint name="arm" axis="0 0 1" damping=".2"/>'
+        '<geom size=".1" pos=".3 0 0" mass="1"/></body></worldbody>'
+        '<actuator><position name="arm" joint="arm" kp="40" kv="3"/></actuator></mujoco>'
+    )
+    (tmp_path / "arm.xml").write_text(text)
+    plant = mujoco.MjModel.from_xml_string(text)
+    plant.dof_frictionloss[0], data = 2.0, mujoco.MjData(plant)
+    goal = 0.5 * np.sin(2 * np.pi * np.clip(TIME, 0.0, 1.0))  # it moves for a second of four
+    shown = np.empty_like(TIME)
+    for k, now in enumerate(TIME):
+        data.ctrl[:] = goal[k]
+        while data.time < now - 1e-9:
+            mujoco.mj_step(plant, data)
+        shown[k] = data.qpos[0]
+    log = written(tmp_path / "log.csv", {"arm_pos": shown, "arm_goal": goal})
+    path = init(tmp_path / "arm.xml", [log], tmp_path / "arm.yaml").path
+    bounds = Study.load(path).parameter_set(Model.from_file(tmp_path / "arm.xml"))
+    (high,) = (p.high for p in bounds if p.addresses[0] == "joint[arm].frictionloss")
+    assert 2.0 < high < 20.0
+
+
 LINK = (
     '<link name="{0}"><inertial><mass value="1"/><origin xyz="0 0 -.1"/>'
     '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'

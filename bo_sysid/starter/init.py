@@ -30,6 +30,7 @@ from bo_sysid.starter.reading import constant_hint, without_constant
 from bo_sysid.starter.write import relative, study_text
 
 _WINDOW = 0.3  # [s]
+_RESTING = 2  # times the drive's standard deviation, that friction may be of what rests at times
 
 
 @dataclass(frozen=True)
@@ -252,9 +253,10 @@ def _motor_notes(
 def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
     """Return bounds of what a joint may lack, and how it moved in any recording.
 
-    Friction, damping or a rotor that alone needs what the actuators gave, as a standard deviation,
-    is the most that is worth trying, or twice what the model has where that is more; a joint
-    without any is bounded by what moved it.
+    Damping or a rotor that alone needs what the actuators gave, as a standard deviation, is the
+    most that is worth trying, or twice what the model has where that is more; a joint without any
+    is bounded by what moved it. Of friction it is twice that: a joint that rests most of the time
+    needs less than its friction, as a standard deviation.
     """
     compiled = model.compile()
     machine = survey(compiled, recordings)
@@ -276,7 +278,7 @@ def _scales(model: Model, recordings: Sequence[Recording]) -> pd.DataFrame:
                 else "is how the base floats: nothing rubs there"
                 if name in floating
                 else "",
-                "friction": _bound(force or joint.force, own.frictionloss),
+                "friction": _bound(_RESTING * (force or joint.force), own.frictionloss),
                 "damping": _bound((force or joint.force) / joint.speed, own.damping),
                 "armature": _bound(force / joint.acceleration or joint.inertia, own.armature),
                 "low": float(values.min()),
