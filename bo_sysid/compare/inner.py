@@ -14,7 +14,7 @@ from bo_sysid.arrays import Points
 from bo_sysid.belief.argmin import ArgminBelief
 from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.joint import TIED
-from bo_sysid.belief.stopping import StopRule, entropy_settled
+from bo_sysid.belief.stopping import StopRule, entropy_converged
 from bo_sysid.belief.surrogate import Surrogate
 from bo_sysid.compare.arms import Arm, remade
 from bo_sysid.compare.table import Table, recorded
@@ -246,9 +246,9 @@ def _settled(watch: _Watch, study: Study, history: History, rules: Rules) -> int
             continue
         window = range(count - rule.last, count + 1)
         known = [watch.saw[n].entropy for n in window if n in watch.saw]
-        if entropy_settled(known, rule.entropy, len(known) - 1):
+        if entropy_converged(known, rule.entropy, len(known) - 1):
             every = [watch.entropy(_first(history, n), rules) for n in window]
-            if entropy_settled(every, rule.entropy, rule.last):
+            if entropy_converged(every, rule.entropy, rule.last):
                 return count
     return None
 
