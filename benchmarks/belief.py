@@ -29,7 +29,7 @@ from common import Cases, benchmark
 
 from bo_sysid.belief import joint
 from bo_sysid.belief.argmin import SAMPLES_LARGE as SAMPLES
-from bo_sysid.belief.argmin import allot, argmin_probability, evaluated_rows
+from bo_sysid.belief.argmin import argmin_probability, evaluated_rows, samples_per_member
 from bo_sysid.belief.joint import contenders, dense_factor, nystrom_factor, posterior_moments
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.belief.surrogate import Surrogate, fit_surrogate
@@ -214,7 +214,9 @@ def estimators(name: str, steps: list[list[int]], seed: int, quick: bool) -> dic
 
     def total(samples: int, draw: Any, *more: Any) -> tuple[np.ndarray, float]:
         began, counts = time.perf_counter(), np.zeros(size)
-        for field, share in zip(fields, allot(surrogate.weights, samples), strict=True):
+        for field, share in zip(
+            fields, samples_per_member(surrogate.weights, samples), strict=True
+        ):
             counts += draw(field, int(share), size, *more)
         return counts / counts.sum(), time.perf_counter() - began
 

@@ -13,7 +13,7 @@ from common import Cases, benchmark
 
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Deviation, Evaluation, Whitening
-from bo_sysid.identify.search import History, Rules, believe, search
+from bo_sysid.identify.search import History, Rules, search, update_belief
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.plants.build import build_plant, record
 from bo_sysid.simulation import cut
@@ -63,7 +63,7 @@ def one_case(name: str, seed: int, fine: bool) -> dict[str, object]:
     blind = at_random(candidates, table, rules)
     for rule, history, belief in (
         ("argmin-entropy", outcome.history, outcome.belief),
-        ("random", blind, believe(candidates, blind, rules)[1]),
+        ("random", blind, update_belief(candidates, blind, rules)[1]),
     ):
         order = np.argsort(-belief.probabilities, kind="stable")
         best = history.rows[history.evaluation.deviation.argmin()]

@@ -25,7 +25,7 @@ import numpy as np
 from bo_sysid.belief.bootstrap import bootstrap_argmin
 from bo_sysid.belief.stopping import StopRule
 from bo_sysid.deviation import Deviation, Whitening
-from bo_sysid.identify.search import History, Rules, believe, search
+from bo_sysid.identify.search import History, Rules, search, update_belief
 from bo_sysid.mjcf import Model, parameter_edits
 from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.excitation import smooth_random
@@ -121,7 +121,9 @@ shown = np.unique(np.linspace(6, len(outcome.history), 4).astype(int))
 figure, axes = plt.subplots(1, len(shown), figsize=(3 * len(shown), 3), sharey=True)
 for axis, count in zip(np.atleast_1d(axes), shown, strict=True):
     history = next(h for h in steps if len(h) == count)
-    _, belief = believe(candidates, history, Rules("argmin-entropy", StopRule(BUDGET), seed=0))
+    _, belief = update_belief(
+        candidates, history, Rules("argmin-entropy", StopRule(BUDGET), seed=0)
+    )
     axis.imshow(
         on_grid(belief.probabilities), origin="lower", extent=extent, aspect="auto", cmap="magma"
     )

@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm, truncnorm
 from bo_sysid.acquisition import SelectionContext, build_acquisition
 from bo_sysid.acquisition.entropy_reduction import table as entropy_reduction
 from bo_sysid.acquisition.knowledge_gradient import table as knowledge_gradient
-from bo_sysid.acquisition.max_value_entropy import entropy_fall
+from bo_sysid.acquisition.max_value_entropy import entropy_decrease
 from bo_sysid.acquisition.thompson import table as thompson
 from bo_sysid.belief.argmin import ArgminBelief, argmin_probability
 from bo_sysid.belief.surrogate import fit_surrogate
@@ -96,7 +96,7 @@ def test_max_value_entropy_is_the_fall_of_the_entropy_of_a_truncated_normal(mini
     mean, std = 0.2, 0.7
     before = norm(mean, std).entropy()
     after = truncnorm((minimum - mean) / std, 40.0, mean, std).entropy()
-    found = entropy_fall(np.array([mean, 1.0]), np.array([std, 0.0]), minimum)
+    found = entropy_decrease(np.array([mean, 1.0]), np.array([std, 0.0]), minimum)
     assert found[0] == pytest.approx(before - after, rel=1e-6, abs=1e-9)
     assert found[1] == 0.0
 

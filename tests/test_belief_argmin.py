@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from bo_sysid.belief import joint as joint_module
-from bo_sysid.belief.argmin import ArgminBelief, allot, argmin_probability
-from bo_sysid.belief.gp import Conditional
+from bo_sysid.belief.argmin import ArgminBelief, argmin_probability, samples_per_member
+from bo_sysid.belief.gp import ConditionedGP
 from bo_sysid.belief.surrogate import Surrogate, fit_surrogate
 from bo_sysid.belief.warp import Warp
 
@@ -23,9 +23,9 @@ def one_member(points, values, lengthscale=0.5):
     """A surrogate with a single Gaussian process of given hyperparameters."""
     points, y = np.asarray(points, float), np.asarray(values, float)
     noise = np.full(len(y), 1e-6)
-    plain = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, np.eye(len(y)))
+    plain = ConditionedGP("matern", np.full(2, lengthscale), 1.0, 0.1, points, np.eye(len(y)))
     chol = np.linalg.cholesky(plain.covariance(points, points) + np.diag(noise))
-    member = Conditional("matern", np.full(2, lengthscale), 1.0, 0.1, points, chol)
+    member = ConditionedGP("matern", np.full(2, lengthscale), 1.0, 0.1, points, chol)
     return Surrogate(points, y, UNIT, noise, LOG, 0.0, 1.0, (member,), np.ones(1))
 
 
@@ -111,7 +111,7 @@ def test_members_are_mixed_by_their_weights(surrogate):
         argmin_probability(s, x, samples=SAMPLES).probabilities for s in (surrogate, other, both)
     )
     np.testing.assert_allclose(mixed, 0.25 * a + 0.75 * b, atol=2 * ERROR)
-    assert allot(both.weights, 10).sum() == 10
+    assert samples_per_member(both.weights, 10).sum() == 10
 
 
 def test_all_evaluated_is_certain():

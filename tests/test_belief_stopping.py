@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.belief.argmin import ArgminBelief
-from bo_sysid.belief.stopping import StopReason, StopRule, entropy_settled, has_converged
+from bo_sysid.belief.stopping import StopReason, StopRule, entropy_converged, has_converged
 from bo_sysid.study.sections import Search, Stop
 
 WIDE = ArgminBelief(np.array([0.5, 0.25, 0.25, 0.0]), "exact", 0.0)
@@ -24,7 +24,7 @@ FALLING = (3.0, 2.0, 1.0, 0.8)
     ],
 )
 def test_entropy_settled(entropies, settled):
-    assert entropy_settled(entropies, threshold=0.01, last=3) is settled
+    assert entropy_converged(entropies, threshold=0.01, last=3) is settled
 
 
 def test_converged_is_all_mass_on_evaluated_rows():

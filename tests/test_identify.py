@@ -24,7 +24,7 @@ from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import History, Rules, believe, initial_rows, search
+from bo_sysid.identify.search import History, Rules, initial_rows, search, update_belief
 from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import Run
@@ -426,9 +426,9 @@ def test_what_was_simulated_is_kept_before_the_next_belief_is_made(tmp_path: Pat
         simulated.append(row)
         return problem.deviation(problem.candidates.points[[row]])
 
-    def believing(*known: Any) -> Any:
+    def watched_update(*known: Any) -> Any:
         assert kept == simulated  # a kill from here on loses nothing
-        return believe(*known)
+        return update_belief(*known)
 
     def keep(history: History) -> None:
         kept[:] = history.rows.tolist()
@@ -439,7 +439,7 @@ def test_what_was_simulated_is_kept_before_the_next_belief_is_made(tmp_path: Pat
         rules,
         History.empty(len(problem.deviation.blocks.weight)),
         keep,
-        believing,
+        watched_update,
     )
     assert len(simulated) > 5  # the first four are the design
 

@@ -16,7 +16,7 @@ from bo_sysid.intervals import half_width
 from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import ABOVE, Floor, floor_of, lacks_physics
-from bo_sysid.learn.hand_over import share_beyond
+from bo_sysid.learn.hand_over import limit_violation_share
 from bo_sysid.learn.identified import Identified
 from bo_sysid.learn.iteration import Iteration
 from bo_sysid.learn.learn import doubts
@@ -481,7 +481,7 @@ def test_only_the_limits_count_as_left(task: VectorTask, velocity: float, share:
     scene = Scene.of(study, LimitedTask(task, study, load_model(study)))
     push = Mock(spec=LearnedPolicy)
     push.act = lambda observations: np.ones((len(observations), 1))
-    assert share_beyond(scene, push, scene.candidates.points[0]) == share
+    assert limit_violation_share(scene, push, scene.candidates.points[0]) == share
 
 
 def test_a_task_that_is_taken_to_a_model_with_other_joints_is_told() -> None:

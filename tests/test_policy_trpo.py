@@ -14,7 +14,7 @@ from bo_sysid.policy.trpo import (
     kl_divergence,
     line_search,
     log_probability,
-    mean,
+    mean_actions,
     normalised,
     surrogate,
     surrogate_gradient,
@@ -37,14 +37,18 @@ def batch(theta):
     rng = torch.Generator().manual_seed(1)
     observations = torch.randn(600, 5, generator=rng)
     noise = torch.randn(600, 3, generator=rng)
-    actions = mean(POLICY, theta, observations) + torch.exp(POLICY.log_std(theta)) * noise
+    actions = mean_actions(POLICY, theta, observations) + torch.exp(POLICY.log_std(theta)) * noise
     return Batch(observations, actions, normalised(noise[:, 0] + observations[:, 1]))
 
 
 def kl_at(new, old, observations, average):
     """The KL divergence by torch's own distributions."""
-    p = torch.distributions.Normal(mean(POLICY, new, observations), POLICY.log_std(new).exp())
-    q = torch.distributions.Normal(mean(POLICY, old, observations), POLICY.log_std(old).exp())
+    p = torch.distributions.Normal(
+        mean_actions(POLICY, new, observations), POLICY.log_std(new).exp()
+    )
+    q = torch.distributions.Normal(
+        mean_actions(POLICY, old, observations), POLICY.log_std(old).exp()
+    )
     each = torch.distributions.kl_divergence(p, q)
     return each.mean() if average else each.sum(dim=1).mean()
 
@@ -85,19 +89,19 @@ def test_kl_and_log_probability_are_torchs(theta, batch):
     new = theta + 0.05 * torch.randn(POLICY.size, generator=torch.Generator().manual_seed(2))
     for average in (True, False):
         own = kl_divergence(
-            mean(POLICY, new, batch.observations),
+            mean_actions(POLICY, new, batch.observations),
             POLICY.log_std(new),
-            mean(POLICY, theta, batch.observations),
+            mean_actions(POLICY, theta, batch.observations),
             POLICY.log_std(theta),
             average=average,
         )
         expected = kl_at(new, theta, batch.observations, average)
         assert float(own) == pytest.approx(float(expected), rel=1e-5)
     normal = torch.distributions.Normal(
-        mean(POLICY, theta, batch.observations), POLICY.log_std(theta).exp()
+        mean_actions(POLICY, theta, batch.observations), POLICY.log_std(theta).exp()
     )
     own = log_probability(
-        batch.actions, mean(POLICY, theta, batch.observations), POLICY.log_std(theta)
+        batch.actions, mean_actions(POLICY, theta, batch.observations), POLICY.log_std(theta)
     )
     torch.testing.assert_close(own, normal.log_prob(batch.actions).sum(dim=1))
 
@@ -108,10 +112,10 @@ def test_the_gradient_is_that_of_the_surrogate(theta, batch):
 
     def value(at):
         new = log_probability(
-            exact.actions, mean(POLICY, at, exact.observations), POLICY.log_std(at)
+            exact.actions, mean_actions(POLICY, at, exact.observations), POLICY.log_std(at)
         )
         old = log_probability(
-            exact.actions, mean(POLICY, theta, exact.observations), POLICY.log_std(theta)
+            exact.actions, mean_actions(POLICY, theta, exact.observations), POLICY.log_std(theta)
         )
         return surrogate(exact, new, old)
 

@@ -29,7 +29,7 @@ class ArgminEntropyContribution(RowAcquisition):
 
     P is a property of the whole set, so it is computed once, here, and `forward` looks it up.
     Pending rows have the value -inf: their contribution will be resolved by their evaluation. What
-    they do to the contributions of the others is told by `values_given_pending`.
+    they do to the contributions of the others is given by `values_given_pending`.
     """
 
     def __init__(

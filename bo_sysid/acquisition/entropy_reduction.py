@@ -37,7 +37,7 @@ class _Sampled:
     """Joint samples of one member, with its weight and its place of each row of B (-1: none)."""
 
     weight: float
-    field: ArgminPosterior
+    posterior: ArgminPosterior
     draws: Float[np.ndarray, "b s"]
     place: Int[np.ndarray, " N"]
 
@@ -48,8 +48,8 @@ class _Sampled:
         """
         at = self.place[row]
         if at < 0:
-            return np.zeros(len(self.field.rows))
-        covariance = self.field.factor[:, at] @ self.field.factor
+            return np.zeros(len(self.posterior.rows))
+        covariance = self.posterior.factor[:, at] @ self.posterior.factor
         return np.asarray(covariance / covariance[at])
 
     def given(
@@ -61,18 +61,18 @@ class _Sampled:
             return self.before
         moved = self.draws + (outcome - self.draws[:, [at]]) * gain
         moved[:, at] = outcome
-        counts = self.field.tally(moved, len(self.place))
+        counts = self.posterior.tally(moved, len(self.place))
         return np.asarray(counts / counts.sum())
 
     @cached_property
     def before(self) -> Float[np.ndarray, " N"]:
         """P of this member as it is."""
-        counts = self.field.tally(self.draws, len(self.place))
+        counts = self.posterior.tally(self.draws, len(self.place))
         return np.asarray(counts / counts.sum())
 
 
 def table(context: SelectionContext) -> Values:
-    """Return the expected fall of the entropy in nats.
+    """Return the expected decrease of the entropy in nats.
 
     Candidates that are not looked ahead to have 0, or less where sampling puts any other at or
     below 0: they are never preferred.
@@ -85,12 +85,12 @@ def table(context: SelectionContext) -> Values:
     means, deviations = surrogate.standardise(means), deviations / surrogate.scale
     open_rows = np.setdiff1d(np.flatnonzero(context.belief.probabilities), context.evaluated)
     likely = open_rows[np.argsort(-context.belief.probabilities[open_rows], kind="stable")[:MOST]]
-    falls = [
+    decreases = [
         now - _expected_entropy(members, int(row), means[:, row], deviations[:, row])
         for row in likely
     ]
-    values = np.full(len(context.candidates), min([0.0, *(fall - _LESS for fall in falls)]))
-    values[likely] = falls
+    values = np.full(len(context.candidates), min([0.0, *(d - _LESS for d in decreases)]))
+    values[likely] = decreases
     return values
 
 
@@ -99,12 +99,13 @@ def _sampled(context: SelectionContext) -> list[_Sampled]:
     rng = context.generator()
     size = max(1, SAMPLES // len(context.surrogate.members))
     found = []
-    fields = argmin_posteriors(context.surrogate, context.candidates, context.seed)
-    for weight, field in zip(context.surrogate.weights, fields, strict=True):
-        draws = field.mean + rng.standard_normal((size, len(field.factor))) @ field.factor
+    posteriors = argmin_posteriors(context.surrogate, context.candidates, context.seed)
+    for weight, posterior in zip(context.surrogate.weights, posteriors, strict=True):
+        normals = rng.standard_normal((size, len(posterior.factor)))
+        draws = posterior.mean + normals @ posterior.factor
         place = np.full(len(context.candidates), -1)
-        place[field.rows] = np.arange(len(field.rows))
-        found.append(_Sampled(float(weight), field, draws, place))
+        place[posterior.rows] = np.arange(len(posterior.rows))
+        found.append(_Sampled(float(weight), posterior, draws, place))
     return found
 
 
@@ -124,11 +125,11 @@ def _expected_entropy(
     for node, share in zip(nodes, shares / shares.sum(), strict=True):
         outcome = float(centre + spread * node)
         likelihood = np.asarray(norm.logpdf(outcome, mean, np.maximum(std, 1e-6)))
-        posterior = weights * np.exp(likelihood - likelihood.max())
-        posterior = posterior / posterior.sum()
+        posterior_weights = weights * np.exp(likelihood - likelihood.max())
+        posterior_weights = posterior_weights / posterior_weights.sum()
         P = sum(
             w * m.given(row, outcome, gain)
-            for w, m, gain in zip(posterior, members, gains, strict=True)
+            for w, m, gain in zip(posterior_weights, members, gains, strict=True)
             if w > 1e-6
         )
         expected += share * float(entr(P).sum())

@@ -1,4 +1,4 @@
-"""Knowledge gradient over a discrete set: the expected fall of the least posterior mean.
+"""Knowledge gradient over a discrete set: the expected decrease of the least posterior mean.
 
     α(β) = min_b μ(b) − E_z[ min_b ( μ(b) + z Cov(b, β)/σ(β) ) ],    z ~ N(0, 1)
 
@@ -23,21 +23,23 @@ MOST = 2_000  # candidates of a member's posterior that are considered, by least
 
 
 def table(context: SelectionContext) -> Values:
-    """Return the expected fall of the least mean, averaged over the ensemble."""
+    """Return the expected decrease of the least mean, averaged over the ensemble."""
     surrogate = context.surrogate
     values = np.zeros(len(context.candidates))
-    fields = argmin_posteriors(surrogate, context.candidates, context.seed)
-    for weight, field in zip(surrogate.weights, fields, strict=True):
-        rows, fall = expected_fall(field)
-        values[rows] += weight * surrogate.scale * fall
+    posteriors = argmin_posteriors(surrogate, context.candidates, context.seed)
+    for weight, posterior in zip(surrogate.weights, posteriors, strict=True):
+        rows, decrease = expected_decrease(posterior)
+        values[rows] += weight * surrogate.scale * decrease
     return values
 
 
-def expected_fall(field: ArgminPosterior) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return rows of B and the expected fall of one member's least mean when each is evaluated."""
-    std = np.sqrt(np.einsum("rs,rs->s", field.factor, field.factor))
-    kept = np.sort(np.argsort(field.mean - std, kind="stable")[:MOST])
-    factor, mean = field.factor[:, kept], field.mean[kept]
+def expected_decrease(
+    posterior: ArgminPosterior,
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Return rows of B and by how much evaluating each lowers one member's expected least mean."""
+    std = np.sqrt(np.einsum("rs,rs->s", posterior.factor, posterior.factor))
+    kept = np.sort(np.argsort(posterior.mean - std, kind="stable")[:MOST])
+    factor, mean = posterior.factor[:, kept], posterior.mean[kept]
     # column β: change of the means per unit of z; nothing follows from what is known already
     slopes = np.divide(
         factor.T @ factor, std[kept], out=np.zeros((len(kept),) * 2), where=std[kept] > 0
@@ -45,9 +47,9 @@ def expected_fall(field: ArgminPosterior) -> tuple[Int[np.ndarray, " k"], Float[
     expected = np.zeros(len(kept))
     for z in ndtri((np.arange(NODES) + 0.5) / NODES):
         lowest = (mean[:, None] + z * slopes).min(axis=0, initial=np.inf)
-        expected += np.minimum(lowest, field.floor) / NODES
-    now = min(float(mean.min(initial=np.inf)), field.floor)
-    return field.rows[kept], now - expected
+        expected += np.minimum(lowest, posterior.floor) / NODES
+    now = min(float(mean.min(initial=np.inf)), posterior.floor)
+    return posterior.rows[kept], now - expected
 
 
 def build(context: SelectionContext) -> RowAcquisition:

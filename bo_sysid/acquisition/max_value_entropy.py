@@ -18,33 +18,36 @@ from bo_sysid.acquisition.rows import RowAcquisition, Values, from_table
 from bo_sysid.belief.argmin import argmin_posteriors
 
 MINIMA = 64  # samples of f* of each member
-_FAR = 6.0  # standard deviations above every minimum from which the fall is below 1e-7 nats
+_FAR = 6.0  # standard deviations above every minimum from which the decrease is below 1e-7 nats
 
 
 def table(context: SelectionContext) -> Values:
-    """Return the expected fall of entropy of f(β), averaged over the ensemble, in nats."""
+    """Return the expected decrease of entropy of f(β), averaged over the ensemble, in nats."""
     surrogate = context.surrogate
     rng = context.generator()
     means, deviations = context.moments()
     values = np.zeros(len(context.candidates))
-    fields = argmin_posteriors(surrogate, context.candidates, context.seed)
-    for weight, mean, std, field in zip(surrogate.weights, means, deviations, fields, strict=True):
-        draws = field.mean + rng.standard_normal((MINIMA, len(field.factor))) @ field.factor
-        lowest = np.minimum(draws.min(axis=1, initial=np.inf), field.floor)
+    posteriors = argmin_posteriors(surrogate, context.candidates, context.seed)
+    for weight, mean, std, posterior in zip(
+        surrogate.weights, means, deviations, posteriors, strict=True
+    ):
+        normals = rng.standard_normal((MINIMA, len(posterior.factor)))
+        draws = posterior.mean + normals @ posterior.factor
+        lowest = np.minimum(draws.min(axis=1, initial=np.inf), posterior.floor)
         minima = surrogate.shift + surrogate.scale * lowest
         near = np.flatnonzero(mean - _FAR * std < minima.max())
         for minimum in minima:
-            values[near] += weight / MINIMA * entropy_fall(mean[near], std[near], minimum)
+            values[near] += weight / MINIMA * entropy_decrease(mean[near], std[near], minimum)
     return values
 
 
-def entropy_fall(mean: Values, std: Values, minimum: float) -> Values:
+def entropy_decrease(mean: Values, std: Values, minimum: float) -> Values:
     """Return `γ φ(γ) / (2 Φ(γ)) − log Φ(γ)`, zero where nothing is uncertain."""
     gamma = (mean - minimum) / np.where(std > 0, std, 1.0)
     log_density = -0.5 * gamma**2 - 0.5 * np.log(2 * np.pi)
     log_mass = log_ndtr(gamma)
-    fall = 0.5 * gamma * np.exp(log_density - log_mass) - log_mass
-    return np.asarray(np.where(std > 0, fall, 0.0))
+    decrease = 0.5 * gamma * np.exp(log_density - log_mass) - log_mass
+    return np.asarray(np.where(std > 0, decrease, 0.0))
 
 
 def build(context: SelectionContext) -> RowAcquisition:

@@ -20,10 +20,11 @@ def table(context: SelectionContext) -> Values:
     rng = context.generator()
     surrogate = context.surrogate
     drawn = int(rng.choice(len(surrogate.members), p=surrogate.weights))
-    field = next(argmin_posteriors(surrogate.only(drawn), context.candidates, context.seed))
-    rows = np.append(field.rows, field.incumbents)
-    known = np.full(len(field.incumbents), field.floor)
-    sample = np.append(field.mean + rng.standard_normal(len(field.factor)) @ field.factor, known)
+    posterior = next(argmin_posteriors(surrogate.only(drawn), context.candidates, context.seed))
+    rows = np.append(posterior.rows, posterior.incumbents)
+    known = np.full(len(posterior.incumbents), posterior.floor)
+    noise = rng.standard_normal(len(posterior.factor)) @ posterior.factor
+    sample = np.append(posterior.mean + noise, known)
     values = np.full(len(context.candidates), -sample.max() - 1.0)
     values[rows] = -sample
     return values

@@ -90,7 +90,7 @@ def argmin_posteriors(
         yield argmin_posterior(member, x, surrogate.standardised, known, known_values, rng)
 
 
-def allot(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:
+def samples_per_member(weights: Float[np.ndarray, " M"], samples: int) -> Int[np.ndarray, " M"]:
     """Return how many of `samples` each member gets, in proportion to its weight."""
     edges = np.round(np.cumsum(weights) / weights.sum() * samples).astype(int)
     return np.diff(edges, prepend=0)
@@ -101,17 +101,17 @@ def _distinct(
 ) -> tuple[Probabilities, float, bool]:
     """Return P over distinct candidates, the bound on the mass lost, and whether P is exact."""
     counts, lost, exact = np.zeros(len(candidates)), 0.0, True
-    shares = allot(surrogate.weights, samples)
-    fields = argmin_posteriors(surrogate, candidates, seed)
-    for number, (field, share) in enumerate(zip(fields, shares, strict=True)):
+    shares = samples_per_member(surrogate.weights, samples)
+    posteriors = argmin_posteriors(surrogate, candidates, seed)
+    for number, (posterior, share) in enumerate(zip(posteriors, shares, strict=True)):
         rng = np.random.default_rng((seed, number, 1))
-        lost += field.lost * share / samples
-        exact &= field.exact
-        step = 2 * max(1, CELLS // max(len(field.rows), 1))
+        lost += posterior.lost * share / samples
+        exact &= posterior.exact
+        step = 2 * max(1, CELLS // max(len(posterior.rows), 1))
         for start in range(0, share, step):
             size = min(step, share - start)
-            normals = rng.standard_normal(((size + 1) // 2, len(field.factor)))
-            noise = normals.astype(field.factor.dtype) @ field.factor
-            counts += field.tally(field.mean + noise, len(counts))
-            counts += field.tally(field.mean - noise[: size // 2], len(counts))
+            normals = rng.standard_normal(((size + 1) // 2, len(posterior.factor)))
+            noise = normals.astype(posterior.factor.dtype) @ posterior.factor
+            counts += posterior.tally(posterior.mean + noise, len(counts))
+            counts += posterior.tally(posterior.mean - noise[: size // 2], len(counts))
     return counts / counts.sum(), lost, exact

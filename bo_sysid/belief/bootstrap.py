@@ -28,12 +28,12 @@ from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from bo_sysid.arrays import Points, Probabilities, Rows
-from bo_sysid.belief.argmin import CELLS, ArgminBelief, allot
-from bo_sysid.belief.gp import Conditional
-from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor, kept_by
+from bo_sysid.belief.argmin import CELLS, ArgminBelief, samples_per_member
+from bo_sysid.belief.gp import ConditionedGP
+from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_factor, keep_largest
 from bo_sysid.belief.surrogate import Surrogate
 
-SURELY = 5.0  # standard deviations above its mean that the minimum does not exceed
+UPPER_BOUND_SIGMAS = 5.0  # standard deviations above a mean: the minimum hardly ever exceeds that
 
 
 def bootstrap_argmin(
@@ -74,7 +74,7 @@ def bootstrap_argmin(
     x = surrogate.unit(candidates)
     in_set = np.flatnonzero(rows >= 0)
     counts, lost = np.zeros(len(x)), 0.0
-    edges = np.cumsum(np.append(0, allot(surrogate.weights, samples)))
+    edges = np.cumsum(np.append(0, samples_per_member(surrogate.weights, samples)))
     for member, start, stop in zip(surrogate.members, edges[:-1], edges[1:], strict=True):
         if stop > start:
             mine = values[:, start:stop]
@@ -132,7 +132,7 @@ def credible_interval(
 
 
 def _minima(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     values: Float[np.ndarray, "n b"],
     known_values: Float[np.ndarray, "k b"],
@@ -162,8 +162,8 @@ def _minima(
 def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[np.ndarray, " b"]:
     """Return the column of the least value in each row, one of them at random where several are.
 
-    Candidates that recordings do not tell apart are equal in all, up to rounding: by a parameter
-    without effect, or along a valley of two that stand for each other.
+    Candidates that recordings do not distinguish are equal in all, up to rounding: by a parameter
+    without effect, or along a valley of two that compensate each other.
     """
     columns: Int[np.ndarray, " b"] = values.argmin(axis=1)
     tied = values <= values[np.arange(len(values)), columns][:, None] + TIED
@@ -174,7 +174,7 @@ def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[n
 
 
 def _open_rows(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     residual: Float[np.ndarray, "n b"],
     known_values: Float[np.ndarray, "k b"],
@@ -198,12 +198,14 @@ def _open_rows(
     if len(known_rows):
         level = known_values.min(axis=0)
     else:
-        upper = [(mean + SURELY * std).min(axis=0) for mean, std in map(moments, blocks)]
+        upper = [
+            (mean + UPPER_BOUND_SIGMAS * std).min(axis=0) for mean, std in map(moments, blocks)
+        ]
         level = np.min(upper, axis=0)
     bound = np.empty(0)
     for mean, std in map(moments, blocks):
         bound = np.append(bound, ndtr((level - mean) / std).mean(axis=1))
-    kept, lost = kept_by(bound, MASS)
+    kept, lost = keep_largest(bound, MASS)
     return uncertain[kept], bound[kept], lost
 
 

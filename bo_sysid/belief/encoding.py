@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Categories, Points
 
-APART = 1.0 / np.sqrt(2.0)
+INDICATOR_SCALE = 1.0 / np.sqrt(2.0)  # puts any two categories at distance 1
 
 
 def encoded(
@@ -44,5 +44,5 @@ def encoded(
         if not is_value.any(axis=1).all():
             wrong = points[~is_value.any(axis=1), column][0]
             raise ValueError(f"column {column}: {wrong} is none of the categories {values}")
-        parts.append(APART * is_value)
+        parts.append(INDICATOR_SCALE * is_value)
     return np.concatenate(parts, axis=1)

@@ -114,7 +114,7 @@ class MarginalLikelihood:
     def _one_by_one(
         self, theta: Float[np.ndarray, "b p"]
     ) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, "b p"]]:
-        """Weigh each θ apart where the covariance of one of the batch is not positive."""
+        """Evaluate each θ by itself where the covariance of one of the batch is not positive."""
         if len(theta) == 1:
             return np.full(1, -np.inf), np.zeros_like(theta)
         parts = [self(row[None]) for row in theta]
@@ -122,7 +122,7 @@ class MarginalLikelihood:
 
 
 @dataclass(frozen=True)
-class Conditional:
+class ConditionedGP:
     """A Gaussian process with fixed hyperparameters, conditioned on data.
 
     Attributes:
@@ -143,7 +143,7 @@ class Conditional:
 
     def extended(
         self, x: Float[np.ndarray, "k d"], noise: Float[np.ndarray, " k"]
-    ) -> "Conditional":
+    ) -> "ConditionedGP":
         """Return the process conditioned on values at further points `x` as well."""
         V = self.whitened(x)
         corner = np.linalg.cholesky(self.covariance(x, x) - V.T @ V + np.diag(noise))
@@ -152,7 +152,7 @@ class Conditional:
         chol[:n, :n], chol[n:, :n], chol[n:, n:] = self.chol, V.T, corner
         return replace(self, points=np.concatenate([self.points, x]), chol=chol)
 
-    def rescaled(self, shift: float, scale: float) -> "Conditional":
+    def rescaled(self, shift: float, scale: float) -> "ConditionedGP":
         """Return the process of `shift + scale · y`."""
         return replace(
             self,

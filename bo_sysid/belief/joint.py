@@ -25,7 +25,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.special import ndtr
 
 from bo_sysid.arrays import Points
-from bo_sysid.belief.gp import Conditional
+from bo_sysid.belief.gp import ConditionedGP
 
 EXACT = 3_000  # candidates up to which the posterior covariance is always factored exactly
 DENSE = 800  # contenders up to which it is exact in larger sets too
@@ -52,7 +52,7 @@ class PosteriorMoments:
 
 
 def posterior_moments(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     values: Float[np.ndarray, " n"],
     known: Int[np.ndarray, " k"],
@@ -71,7 +71,7 @@ def posterior_moments(
 
 
 def contenders(
-    member: Conditional, x: Points, moments: PosteriorMoments, mass: float
+    member: ConditionedGP, x: Points, moments: PosteriorMoments, mass: float
 ) -> tuple[Int[np.ndarray, " s"], Float[np.ndarray, " s"], float]:
     """Return the rows that may be the arg-min, their bounds, and the sum of all other bounds.
 
@@ -100,11 +100,13 @@ def contenders(
     with np.errstate(over="ignore"):
         bound = np.where(difference > 0, ndtr(gap / sigma), gap >= -TIED)
     bound[reference] = 1.0
-    rows, lost = kept_by(bound, mass)
+    rows, lost = keep_largest(bound, mass)
     return rows, bound[rows], lost
 
 
-def kept_by(bound: Float[np.ndarray, " m"], mass: float) -> tuple[Int[np.ndarray, " s"], float]:
+def keep_largest(
+    bound: Float[np.ndarray, " m"], mass: float
+) -> tuple[Int[np.ndarray, " s"], float]:
     """Drop the least bounds that add up to at most `mass`; return the other rows, and that sum."""
     order = np.argsort(bound, kind="stable")
     lost = np.cumsum(bound[order])
@@ -119,11 +121,12 @@ class ArgminPosterior:
     Attributes:
         rows: `s` rows whose value is uncertain.
         mean: `s` posterior means there.
-        factor: `r x s` matrix `F`; `FᵀF` is the posterior covariance of `rows`.
+        factor: `r x s` matrix `F`; `FᵀF` is the posterior covariance of `rows` where `exact`, else
+            its low-rank approximation, which lacks some of the variance on the diagonal.
         floor: least value that is known exactly; +inf where none is.
         incumbents: the rows that have it, up to rounding.
         lost: bound on the probability of all other candidates.
-        exact: whether `factor` is exact.
+        exact: whether `FᵀF` is the posterior covariance up to jitter, not of low rank.
     """
 
     rows: Int[np.ndarray, " s"]
@@ -148,7 +151,7 @@ class ArgminPosterior:
 
 
 def argmin_posterior(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     values: Float[np.ndarray, " n"],
     known: Int[np.ndarray, " k"],
@@ -176,13 +179,13 @@ def argmin_posterior(
 
 
 def covariance_factor(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     variance: Float[np.ndarray, " s"],
     weight: Float[np.ndarray, " s"] | None,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "r s"]:
-    """Return a factor `F` with `FᵀF` the posterior covariance at `x`.
+    """Return a factor `F` with `FᵀF` the posterior covariance at `x`, or near it at low rank.
 
     Args:
         member: the Gaussian process.
@@ -201,7 +204,7 @@ def covariance_factor(
 
 
 def dense_factor(
-    member: Conditional, x: Points, variance: Float[np.ndarray, " s"]
+    member: ConditionedGP, x: Points, variance: Float[np.ndarray, " s"]
 ) -> Float[np.ndarray, "s s"]:
     """Return an upper factor `F` with `FᵀF` the posterior covariance at `x`."""
     V = member.whitened(x)
@@ -209,7 +212,7 @@ def dense_factor(
 
 
 def _upper_cholesky(
-    member: Conditional, covariance: Float[np.ndarray, "s s"], variance: Float[np.ndarray, " s"]
+    member: ConditionedGP, covariance: Float[np.ndarray, "s s"], variance: Float[np.ndarray, " s"]
 ) -> Float[np.ndarray, "s s"]:
     """Return an upper factor of a posterior covariance with this diagonal, and the least jitter.
 
@@ -226,9 +229,9 @@ def _upper_cholesky(
 
 
 def nystrom_factor(
-    member: Conditional, x: Points, pivots: Float[np.ndarray, "r d"]
+    member: ConditionedGP, x: Points, pivots: Float[np.ndarray, "r d"]
 ) -> Float[np.ndarray, "r s"]:
-    """Return the factor `F`, of as many rows as there are pivots, that is exact at the pivots.
+    """Return the Nyström factor `F`: one row a pivot, `FᵀF` exact between pivots and any point.
 
     It is the pivoted Cholesky decomposition completed for all points at once, in single precision:
     `F = L⁻¹ C(pivots, x)` with `L Lᵀ = C(pivots, pivots)` and C the posterior covariance.
@@ -251,7 +254,7 @@ def nystrom_factor(
 
 
 def _pivots(
-    member: Conditional,
+    member: ConditionedGP,
     x: Points,
     variance: Float[np.ndarray, " s"],
     weight: Float[np.ndarray, " s"],

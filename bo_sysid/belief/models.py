@@ -9,14 +9,14 @@ from gpytorch.means import ConstantMean
 from gpytorch.settings import min_fixed_noise
 from torch import Tensor
 
-from bo_sysid.belief.encoding import APART
-from bo_sysid.belief.gp import Conditional
+from bo_sysid.belief.encoding import INDICATOR_SCALE
+from bo_sysid.belief.gp import ConditionedGP
 from bo_sysid.belief.surrogate import Surrogate
 
 LEAST_NOISE = 1e-12  # variance, in standardised units
 
 
-def as_single_task_gp(surrogate: Surrogate, member: Conditional) -> SingleTaskGP:
+def as_single_task_gp(surrogate: Surrogate, member: ConditionedGP) -> SingleTaskGP:
     """Return the `SingleTaskGP` on y = g(Δ) that has the member's hyperparameters.
 
     Inputs are normalised with the bounds of B and outputs standardised inside the model, so its
@@ -64,5 +64,5 @@ class Encoded(InputTransform):
         ordered = [k for k in range(X.shape[-1]) if k not in self._categories]
         parts = [scaled[..., ordered]]
         for column, values in self._categories.items():
-            parts.append(APART * (X[..., [column]] == values.to(X)).to(X))
+            parts.append(INDICATOR_SCALE * (X[..., [column]] == values.to(X)).to(X))
         return torch.cat(parts, dim=-1)

@@ -63,7 +63,7 @@ class StopRule:
             return StopReason.CONVERGED
         if len(evaluated) >= self.budget:
             return StopReason.BUDGET
-        if self.entropy is not None and entropy_settled(entropies, self.entropy, self.last):
+        if self.entropy is not None and entropy_converged(entropies, self.entropy, self.last):
             return StopReason.ENTROPY
         return None
 
@@ -75,10 +75,10 @@ def has_converged(belief: ArgminBelief, evaluated: Rows) -> bool:
     return not belief.probabilities[unseen].any()
 
 
-def entropy_settled(entropies: Sequence[float], threshold: float, last: int) -> bool:
+def entropy_converged(entropies: Sequence[float], threshold: float, last: int) -> bool:
     """Return whether the entropy stayed within `threshold` nats over the last `last` picks.
 
-    A rising entropy is news as well (a second valley was found), so the spread of the window is
+    A rising entropy counts as well (a second valley was found), so the spread of the window is
     watched, not only its fall.
     """
     if len(entropies) <= last:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Categories, Deviations, Points
 from bo_sysid.belief.encoding import encoded
-from bo_sysid.belief.gp import MEAN_VARIANCE, Conditional, Kernel, MarginalLikelihood
+from bo_sysid.belief.gp import MEAN_VARIANCE, ConditionedGP, Kernel, MarginalLikelihood
 from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
 from bo_sysid.belief.warp import Warp
 
@@ -59,7 +59,7 @@ class Surrogate:
     warp: Warp
     shift: float
     scale: float
-    members: tuple[Conditional, ...]
+    members: tuple[ConditionedGP, ...]
     weights: Float[np.ndarray, " M"]
     categories: Categories = field(default_factory=dict)
 
@@ -161,8 +161,8 @@ def fit_surrogate(
     points, bounds = np.asarray(points, dtype=float), np.asarray(bounds, dtype=float)
     deviations = np.asarray(deviations, dtype=float)
     _check(points, deviations, bounds)
-    apart = categories or {}
-    fits = [_fit(points, deviations, bounds, members, p, apart, seed) for p in powers]
+    categories = categories or {}
+    fits = [_fit(points, deviations, bounds, members, p, categories, seed) for p in powers]
     return max(fits, key=lambda fit: fit[1])[0]
 
 
@@ -214,16 +214,16 @@ def condition(
     theta: Float[np.ndarray, " p"],
     x: Float[np.ndarray, "n d"],
     rng: np.random.Generator,
-) -> Conditional:
+) -> ConditionedGP:
     """Return the Gaussian process of one θ, its constant drawn from the constant's posterior."""
     lengthscales, outputscale = np.exp(theta[:-1]), float(np.exp(theta[-1]))
-    plain = Conditional(evidence.kernel, lengthscales, outputscale, 0.0, x, np.eye(len(x)))
+    plain = ConditionedGP(evidence.kernel, lengthscales, outputscale, 0.0, x, np.eye(len(x)))
     chol = np.linalg.cholesky(plain.covariance(x, x) + np.diag(evidence.noise))
     whitened = np.linalg.solve(chol, np.stack([np.ones(len(x)), evidence.values], axis=1))
     precision = float(whitened[:, 0] @ whitened[:, 0]) + 1.0 / MEAN_VARIANCE
     centre = float(whitened[:, 0] @ whitened[:, 1]) / precision
     mean = centre + float(rng.standard_normal()) / np.sqrt(precision)
-    return Conditional(evidence.kernel, lengthscales, outputscale, mean, x, chol)
+    return ConditionedGP(evidence.kernel, lengthscales, outputscale, mean, x, chol)
 
 
 def _check(

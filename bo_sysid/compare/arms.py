@@ -16,7 +16,7 @@ from bo_sysid.study.inputs import load_model
 from bo_sysid.study.source import KeyPath
 
 _INSIDE = (0.15, 0.85)  # of the bounds, where the parameters of a drawn plant lie
-_DRAW = 20_181  # keeps the draw of a plant apart from the seeds of the search
+_DRAW = 20_181  # separates the draw of a plant from the seeds of the search
 _LONGEST = 60  # letters of a name in the names of files, of 1 to 4 bytes; systems take 255 bytes
 
 
@@ -169,7 +169,7 @@ def slug(name: str) -> str:
 
 
 def _slug(study: Study, name: str, key: KeyPath) -> str:
-    """Return `slug`, and tell the file and key of a name of which nothing is left."""
+    """Return `slug`, or raise with file and key where nothing is left of a name."""
     try:
         return slug(name)
     except StudyError as error:

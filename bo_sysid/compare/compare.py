@@ -42,7 +42,7 @@ class Comparison:
         costs: one row a run and level of regret: what it took to reach it.
         summary: their means by problem, arm and level, with 95 % intervals.
         paired: each arm against the first on the same seeds: ratio, interval, p.
-        agreement: how alike the arms pick; empty for outer loops.
+        agreement: how much the arms' picks agree; empty for outer loops.
         ends: how each search ended; empty for outer loops.
         skipped: why a problem was left out, by its name.
     """
@@ -68,13 +68,13 @@ def compare(
     """Compare the arms of a study on its problems, with paired seeds.
 
     The runs are made in processes of their own: a script that calls this does so under
-    ``if __name__ == "__main__":``, as Python asks of all that start processes.
+    ``if __name__ == "__main__":``, as Python requires of all that start processes.
 
     Args:
         study: its key `compare` names arms, seeds and problems; `execution` says where they run.
         run: folder that keeps every finished run and the tables; a comparison that was interrupted
             goes on. A temporary one by default.
-        progress: told after every table and every run.
+        progress: called after every table and every run.
         trust_code: run the Python files that the studies under `compare.problems` name.
         strict: refuse messy recordings.
 
@@ -120,7 +120,7 @@ def _available(
 
 
 def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
-    """Refuse to go on with a run whose problems were others.
+    """Refuse to resume a run whose problems were others.
 
     Raises:
         RunError: the message names the problem, and what of it changed.
@@ -130,8 +130,8 @@ def _require_unchanged(run: Run, problems: tuple[ComparedProblem, ...]) -> None:
     now = {}
     for name, study in ((p.name, p.study) for p in problems):
         files = fingerprints(study, recorded=study.plant is None)
-        asked = {k: v for k, v in study.resolved().items() if k != "compare"}
-        now[name] = {_STUDY: digest(asked), **files}
+        settings = {k: v for k, v in study.resolved().items() if k != "compare"}
+        now[name] = {_STUDY: digest(settings), **files}
         what = changed(there.get(name, now[name]), now[name])
         if what:
             raise RunError(

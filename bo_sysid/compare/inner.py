@@ -14,13 +14,13 @@ from bo_sysid.arrays import Points
 from bo_sysid.belief.argmin import ArgminBelief
 from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.joint import TIED
-from bo_sysid.belief.stopping import StopRule, entropy_settled
+from bo_sysid.belief.stopping import StopRule, entropy_converged
 from bo_sysid.belief.surrogate import Surrogate
 from bo_sysid.compare.arms import Arm, remade
 from bo_sysid.compare.table import Table, recorded
 from bo_sysid.deviation import Evaluation
 from bo_sysid.deviation.measure import Blocks
-from bo_sysid.identify.search import History, Rules, SearchOutcome, believe, search
+from bo_sysid.identify.search import History, Rules, SearchOutcome, search, update_belief
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -29,7 +29,7 @@ from bo_sysid.study.overview import candidate_set
 BLIND = ("full-grid", "random", "sobol")
 """Acquisitions that do not look at the belief; it is computed at every fifth evaluation alone."""
 EVERY = 5
-_KEPT = 160  # beliefs that a process keeps: arms that pick alike share them
+_KEPT = 160  # beliefs that a process caches: arms with the same picks share them
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def run_search(job: SearchJob) -> dict[str, Any]:
         right (whether the row of the largest P is an arg-min of Δ on B); these three None where
         the belief was not computed or Δ is not known on B. The belief is first computed when the
         initial design ends, also for blind acquisitions. And at the end: stopped; settled, after
-        how many evaluations the study's rule on the entropy would have stopped, had it been asked
+        how many evaluations the study's rule on the entropy would have stopped, had it been applied
         whenever the belief was computed; lowest and median Δ on B; truth, low95 and high95 of each
         parameter.
     """
@@ -76,12 +76,12 @@ def run_search(job: SearchJob) -> dict[str, Any]:
         watch.evaluate,
         rules,
         History.empty(len(scene.blocks.weight)),
-        believing=watch.believe,
+        belief_update=watch.update_belief,
     )
     deviation = None if job.table is None else job.table.evaluation.deviation
     lowest = None if deviation is None else float(deviation.min())
     least = None if deviation is None else deviation - lowest <= TIED * deviation.std()
-    seen = watch.told(len(outcome.history))
+    seen = watch.beliefs(len(outcome.history))
     return {
         "row": outcome.history.rows.tolist(),
         "deviation": outcome.history.evaluation.deviation.tolist(),
@@ -91,7 +91,7 @@ def run_search(job: SearchJob) -> dict[str, Any]:
         "steps": [steps for steps, _ in watch.costs],
         "seconds": [seconds for _, seconds in watch.costs],
         "stopped": outcome.reason.value,
-        "settled": _settled(watch, study, outcome.history, rules),
+        "settled": _entropy_convergence(watch, study, outcome.history, rules),
         "lowest": lowest,
         "median": None if deviation is None else float(np.median(deviation)),
         **_intervals(scene, outcome, study, job.seed),
@@ -135,7 +135,7 @@ def _scene(job: SearchJob, study: Study) -> _Scene:
     )
 
 
-class _Saw(NamedTuple):
+class _BeliefSummary(NamedTuple):
     """A belief in three numbers."""
 
     entropy: float
@@ -144,7 +144,7 @@ class _Saw(NamedTuple):
 
 
 class _Watch:
-    """Evaluates and believes for a search, and notes what both saw and took.
+    """Evaluates and updates the belief for a search, and records results and costs of both.
 
     Args:
         scene: what is searched.
@@ -154,25 +154,25 @@ class _Watch:
 
     def __init__(self, scene: _Scene, budget: int, *, blind: bool) -> None:
         self._scene, self._budget, self._blind = scene, budget, blind
-        self._simulated = self._thought = 0.0  # seconds
-        self._believed_at: float | None = None
+        self._simulation_time = self._decision_time = 0.0  # seconds
+        self._belief_ready_at: float | None = None
         self._surrogate: Surrogate | None = None
-        self.saw: dict[int, _Saw] = {}
+        self.summaries: dict[int, _BeliefSummary] = {}
         self.costs: list[tuple[float, float]] = []  # engine steps and seconds so far
 
     def evaluate(self, row: int) -> Evaluation:
         """Return Δ of a row; the time since the belief was that of the acquisition."""
         began = time.perf_counter()
-        if self._believed_at is not None:
-            self._thought += began - self._believed_at
-            self._believed_at = None
+        if self._belief_ready_at is not None:
+            self._decision_time += began - self._belief_ready_at
+            self._belief_ready_at = None
         found = self._scene.evaluate(row)
-        self._simulated += time.perf_counter() - began
-        steps, seconds = self._scene.cost(len(self.costs) + 1, self._simulated)
-        self.costs.append((steps, seconds + self._thought))
+        self._simulation_time += time.perf_counter() - began
+        steps, seconds = self._scene.cost(len(self.costs) + 1, self._simulation_time)
+        self.costs.append((steps, seconds + self._decision_time))
         return found
 
-    def believe(
+    def update_belief(
         self, candidates: CandidateSet, history: History, rules: Rules
     ) -> tuple[Surrogate, ArgminBelief]:
         """Return surrogate and belief; for a blind acquisition mostly the surrogate of before."""
@@ -180,26 +180,28 @@ class _Watch:
         whole = count == len(candidates)  # there is nothing left to pick blindly
         skipped = self._blind and count % EVERY and count < self._budget and not whole
         if skipped and self._surrogate is not None:
-            self._believed_at = time.perf_counter()
+            self._belief_ready_at = time.perf_counter()
             return self._surrogate, _unknown(len(candidates))
-        surrogate, belief, seconds = _believed(candidates, history, rules)
-        if not self._blind:  # who does not look at the belief does not wait for it
-            self._thought += seconds
+        surrogate, belief, seconds = _cached_belief(candidates, history, rules)
+        if not self._blind:  # an acquisition that ignores the belief does not wait for it
+            self._decision_time += seconds
         self._surrogate = surrogate
-        self.saw[count] = _Saw(belief.entropy, float(belief.probabilities.max()), belief.best)
-        self._believed_at = time.perf_counter()
+        self.summaries[count] = _BeliefSummary(
+            belief.entropy, float(belief.probabilities.max()), belief.best
+        )
+        self._belief_ready_at = time.perf_counter()
         return surrogate, belief
 
     def entropy(self, history: History, rules: Rules) -> float:
-        """Return the entropy after a history, also where nobody looked at it."""
-        seen = self.saw.get(len(history))
+        """Return the entropy after a history, also where it was not computed before."""
+        seen = self.summaries.get(len(history))
         if seen is None:
-            return _believed(self._scene.candidates, history, rules)[1].entropy
+            return _cached_belief(self._scene.candidates, history, rules)[1].entropy
         return seen.entropy
 
-    def told(self, count: int) -> list[_Saw | None]:
+    def beliefs(self, count: int) -> list[_BeliefSummary | None]:
         """Return what was seen after each of so many evaluations."""
-        return [self.saw.get(n) for n in range(1, count + 1)]
+        return [self.summaries.get(n) for n in range(1, count + 1)]
 
 
 def _unknown(size: int) -> ArgminBelief:
@@ -209,19 +211,19 @@ def _unknown(size: int) -> ArgminBelief:
 _beliefs: OrderedDict[bytes, tuple[Surrogate, ArgminBelief, float]] = OrderedDict()
 
 
-def _believed(
+def _cached_belief(
     candidates: CandidateSet, history: History, rules: Rules
 ) -> tuple[Surrogate, ArgminBelief, float]:
-    """Return the belief and the seconds that it takes.
+    """Return the belief, cached, and the seconds that it takes.
 
-    It follows from B, the history and the seed, not from the acquisition: arms that have picked
-    alike so far have one belief, which is computed once in a process.
+    It follows from B, the history and the seed, not from the acquisition: arms with the same
+    picks so far share one belief, which is computed once in a process.
     """
     parts = (candidates.points, history.rows, history.evaluation.deviation, np.array(rules.seed))
     key = b"|".join(_digest(p) for p in parts)
     if key not in _beliefs:
         began = time.perf_counter()
-        found = believe(candidates, history, rules)
+        found = update_belief(candidates, history, rules)
         _beliefs[key] = (*found, time.perf_counter() - began)
         if len(_beliefs) > _KEPT:
             _beliefs.popitem(last=False)
@@ -233,32 +235,36 @@ def _digest(values: Points | np.ndarray) -> bytes:
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).digest()
 
 
-def _settled(watch: _Watch, study: Study, history: History, rules: Rules) -> int | None:
-    """Return after how many evaluations the entropy was settled; None where it never was.
+def _entropy_convergence(watch: _Watch, study: Study, history: History, rules: Rules) -> int | None:
+    """Return after how many evaluations the entropy had converged; None where it never had.
 
-    A blind acquisition is asked where it was looked at; the entropies between, which the rule
-    watches as well, are computed where those that are known do not vary.
+    For a blind acquisition the rule is applied where the belief was computed; the entropies
+    between, which the rule needs as well, are computed where the known ones do not vary.
     """
     rule = study.search.stop
-    counts = sorted(watch.saw)
+    counts = sorted(watch.summaries)
     for count in counts:
         if count - rule.last < counts[0]:
             continue
         window = range(count - rule.last, count + 1)
-        known = [watch.saw[n].entropy for n in window if n in watch.saw]
-        if entropy_settled(known, rule.entropy, len(known) - 1):
+        known = [watch.summaries[n].entropy for n in window if n in watch.summaries]
+        if entropy_converged(known, rule.entropy, len(known) - 1):
             every = [watch.entropy(_first(history, n), rules) for n in window]
-            if entropy_settled(every, rule.entropy, rule.last):
+            if entropy_converged(every, rule.entropy, rule.last):
                 return count
     return None
 
 
 def _first(history: History, count: int) -> History:
     """Return a history as it was after so many evaluations."""
-    told = history.evaluation
+    evaluation = history.evaluation
     return History(
         history.rows[:count],
-        Evaluation(told.deviation[:count], told.contributions[:count], told.diverged[:count]),
+        Evaluation(
+            evaluation.deviation[:count],
+            evaluation.contributions[:count],
+            evaluation.diverged[:count],
+        ),
         history.entropy[:count],
     )
 

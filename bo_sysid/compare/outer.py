@@ -20,7 +20,7 @@ class LearnJob:
         folder: that its paths are relative to.
         arm: how to search, choose and stop.
         seed: of everything drawn at random.
-        place: folder of its own run, which a job that was interrupted goes on with.
+        place: folder of its own run, which an interrupted job resumes.
     """
 
     study: Mapping[str, Any]
@@ -52,9 +52,9 @@ def run_learn(job: LearnJob) -> dict[str, Any]:
     if learned.waiting:
         raise study.error(("plant",), "a comparison of outer loops needs a simulated plant")
     table = learned.iterations
-    told = ("trajectories", "plant_return", "plant_error", "model_return")
+    columns = ("trajectories", "plant_return", "plant_error", "model_return")
     return {
-        **{name: table[name].tolist() for name in told},
+        **{name: table[name].tolist() for name in columns},
         "evaluations": table["evaluations"].cumsum().tolist(),
         "steps": table["training_steps"].cumsum().tolist(),
         "stopped": learned.reason,

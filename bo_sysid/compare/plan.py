@@ -27,7 +27,7 @@ class Plan:
         run: keeps every finished run and the tables of Δ.
         arms: of the study.
         problems: whose recordings there are.
-        progress: told after every table and every run.
+        progress: called after every table and every run.
     """
 
     study: Study
@@ -107,7 +107,7 @@ class Plan:
         step: int,
         of: int,
     ) -> None:
-        """Run jobs and keep each result as it comes; what failed is told at the end.
+        """Run jobs and keep each result as it comes; what failed is reported at the end.
 
         Raises:
             RunError: what a job was given is wrong; the others are kept.

@@ -60,7 +60,7 @@ def costs(paths: pd.DataFrame, levels: Sequence[float], units: Sequence[str]) ->
         paths: one row a step of a run, in order: problem, arm, seed, regret (of what the run had
             found until then) and the units, cumulated.
         levels: of regret.
-        units: columns of `paths` that count cost; the first one is limited alike for all runs.
+        units: columns of `paths` that count cost; the first one is limited equally for all runs.
 
     Returns:
         One row a run and level: problem, arm, seed, level, reached, and each unit. A run that did
@@ -132,10 +132,12 @@ def paired(spent: pd.DataFrame, units: Sequence[str], reference: str) -> pd.Data
         for where, part in _with_all(logs):
             for level, at_level in part.groupby("level", sort=False):
                 for unit in units:
-                    told = _compared(at_level[unit].to_numpy(float))
+                    comparison = _compared(at_level[unit].to_numpy(float))
                     which = {"problem": where, "arm": arm, "level": level, "unit": unit}
                     unreached = int(at_level["unreached"].sum())
-                    rows.append({**which, "pairs": len(at_level), "unreached": unreached, **told})
+                    rows.append(
+                        {**which, "pairs": len(at_level), "unreached": unreached, **comparison}
+                    )
     columns = ["problem", "arm", "level", "unit", "pairs", "unreached", "ratio", "low", "high", "p"]
     return pd.DataFrame(rows, columns=columns)
 
@@ -155,7 +157,7 @@ def _compared(logs: Float[np.ndarray, " n"]) -> dict[str, float]:
 
 
 def agreement(paths: pd.DataFrame) -> pd.DataFrame:
-    """Return how alike the arms pick, for every pair of arms on the same seeds.
+    """Return how much the picks of every pair of arms agree on the same seeds.
 
     Args:
         paths: one row an evaluation, in order: problem, arm, seed, row, and chosen (False for the

@@ -52,9 +52,9 @@ class Table:
     def write(self, path: Path) -> None:
         """Write it as NPZ."""
         session = np.zeros(0, int) if self.session is None else self.session
-        with atomic(path) as beside:
+        with atomic(path) as temporary:
             np.savez_compressed(
-                beside,
+                temporary,
                 deviation=self.evaluation.deviation,
                 contributions=self.evaluation.contributions.astype(np.float32),
                 diverged=self.evaluation.diverged,

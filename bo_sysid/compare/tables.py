@@ -61,7 +61,7 @@ def inner_paths(records: Records) -> pd.DataFrame:
 
 
 def _designed(record: Mapping[str, Any]) -> int:
-    """Return how many evaluations were the initial design: nobody believes before its end."""
+    """Return how many evaluations were the initial design: no belief is computed before its end."""
     return next(n for n, entropy in enumerate(record["entropy"], 1) if entropy is not None)
 
 

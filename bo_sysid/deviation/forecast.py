@@ -46,26 +46,26 @@ def prediction_residual(deviation: Deviation, point: Float[np.ndarray, " d"]) ->
 
 
 def fit_residual(
-    deviation: Deviation, point: Float[np.ndarray, " d"], following: int = 0
+    deviation: Deviation, point: Float[np.ndarray, " d"], dependent: int = 0
 ) -> Residual:
     """Return the residual with starts fitted inside the windows.
 
-    It is divided by √((n - p)/n) for the p start values fitted to the n numbers of each window. It
-    flatters every model: the start absorbs part of what is wrong. The honest figure is
-    `forecast_residual`.
+    It is divided by √((n - p)/n) for the p start values fitted in a window and n, the mean count of
+    recorded numbers a window. It is optimistic for every model, as the start absorbs part of
+    its error; `forecast_residual` is not.
 
     Args:
         deviation: on the recordings set aside.
         point: the candidate.
-        following: coordinates that follow from others, as in closed chains; none of their own is
-            fitted.
+        dependent: coordinates that follow from others, as in closed chains; no start values of
+            theirs are fitted.
     """
     windows = fit_starts(
         deviation.simulator, point, deviation.windows, 1.0 / deviation.whitening.scale
     )
     left = _residual(deviation, point, windows)
     n = np.isfinite(windows.observed).sum() / len(windows)
-    p = 2 * (windows.start.qvel.shape[1] - following)
+    p = 2 * (windows.start.qvel.shape[1] - dependent)
     return Residual(left.channels, left.values / np.sqrt(max(n - p, 1) / n), left.diverged)
 
 

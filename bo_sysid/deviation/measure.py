@@ -26,10 +26,10 @@ from bo_sysid.simulation import Prediction, Simulator, Windows
 PENALTY = 10.0  # a diverged window deviates by this many times the recorded range
 _MOST_BLOCKS = 40
 _LEAST_BLOCKS = 8  # a bootstrap of fewer says little
-_LONG = 5  # correlation times that a block lasts, where the recordings are long enough
-_SHORT = 2  # times as long as errors are alike (τ - 1), below which blocks are too much alike
-_CORRELATED = 4  # windows, below which a recording says nothing of correlation
-_ALIKE = 3.0  # correlation time from which errors are alike: of few windows none is told exactly
+_BLOCK_PER_TAU = 5  # correlation times that a block lasts, where the recordings are long enough
+_MIN_BLOCK_PER_TAU = 2  # times τ - 1, plus one window: shorter blocks are still correlated
+_MIN_WINDOWS = 4  # of a recording, below which it says nothing of correlation
+_TAU_CORRELATED = 3.0  # τ from which errors count as correlated; few windows give τ roughly
 SESSIONS = 4  # from this many recordings on, a bootstrap draws recordings
 
 
@@ -93,8 +93,8 @@ class Blocks:
         weight: `b` share of all windows in each block.
         session: `b` number of the recording that each block comes from; None where there are too
             few recordings to draw from.
-        short: whether blocks last less than twice as long as errors are alike. What the bootstrap
-            says is then narrower than what other recordings would show.
+        short: whether errors are correlated and blocks last less than twice their correlation
+            time. The bootstrap is then narrower than the spread of other recordings.
     """
 
     index: Int[np.ndarray, " W"]
@@ -112,15 +112,15 @@ class Blocks:
             series: `W` deviations of one candidate, in order of time within each recording.
             recording: `W` number of the recording.
         """
-        time = correlation_time([series[recording == k] for k in np.unique(recording)])
+        tau = correlation_time([series[recording == k] for k in np.unique(recording)])
         total = np.clip(
-            len(series) // max(int(np.ceil(_LONG * time)), 1), _LEAST_BLOCKS, _MOST_BLOCKS
+            len(series) // max(int(np.ceil(_BLOCK_PER_TAU * tau)), 1), _LEAST_BLOCKS, _MOST_BLOCKS
         )
         index, session = blocks_of(recording, int(total))
         weight = np.bincount(index, minlength=len(session)) / len(series)
         several = len(np.unique(recording)) >= SESSIONS
-        apart = len(series) / len(weight)  # windows in a block
-        short = time > _ALIKE and apart < 1 + _SHORT * (time - 1)
+        size = len(series) / len(weight)  # windows in a block
+        short = tau > _TAU_CORRELATED and size < 1 + _MIN_BLOCK_PER_TAU * (tau - 1)
         return cls(index, weight, session if several else None, short and not several)
 
 
@@ -152,13 +152,13 @@ def correlation_time(series: Sequence[Float[np.ndarray, " _"]]) -> float:
     τ = 1 + 2 Σ_k ρ_k, summed until the estimate of ρ falls below .05. Each series has its own
     mean: what differs between recordings is no correlation within them.
     """
-    apart = [x - x.mean() for x in series if len(x) >= _CORRELATED]
-    variance = sum(float(x @ x) for x in apart)
+    centred = [x - x.mean() for x in series if len(x) >= _MIN_WINDOWS]
+    variance = sum(float(x @ x) for x in centred)
     if variance <= 0:
         return 1.0
     tau = 1.0
-    for k in range(1, max(map(len, apart)) // 4 + 1):
-        rho = sum(float(x[k:] @ x[:-k]) for x in apart) / variance
+    for k in range(1, max(map(len, centred)) // 4 + 1):
+        rho = sum(float(x[k:] @ x[:-k]) for x in centred) / variance
         if rho < 0.05:
             break
         tau += 2 * rho
@@ -172,8 +172,8 @@ class Evaluation:
     Attributes:
         deviation: `C` values of Δ, positive and finite.
         contributions: `C x b` mean deviation over each block.
-        diverged: `C` share of windows in which the simulation diverged, or went as far astray as
-            one that does is said to.
+        diverged: `C` share of windows in which the simulation diverged, or whose prediction
+            was off by the penalty of a diverged one.
     """
 
     deviation: Float[np.ndarray, " C"]

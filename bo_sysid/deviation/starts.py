@@ -1,4 +1,4 @@
-"""Starts as nuisances: the state at the start of a window is fitted, not believed."""
+"""Starts as nuisance parameters: the state at the start of a window is fitted, not measured."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,7 +9,7 @@ _STEP_POSITION = 1e-6  # finite-difference steps in [m] or [rad] and in [m/s] or
 _STEP_VELOCITY = 1e-4
 _ITERATIONS = 3
 _SHORTER, _TRIES = 0.3, 3  # factor by which a step that does not help is shortened
-_GAIN = 1e-4  # relative decrease below which a window has settled
+_GAIN = 1e-4  # relative decrease of the total cost at which the iteration has converged
 
 
 def fit_starts(
@@ -105,7 +105,7 @@ def _jacobian(
 ) -> Float[np.ndarray, "W m n"]:
     """Return how the weighted prediction changes with the start, by finite differences.
 
-    A start that makes a window diverge tells no slope: that window does not move along it.
+    A start that makes a window diverge gives no slope: that window does not move along it.
     """
     size = np.repeat([_STEP_POSITION, _STEP_VELOCITY], dof)
     starts = [simulator.moved(start, np.tile(row, (len(start), 1))) for row in np.diag(size)]

@@ -1,4 +1,4 @@
-"""How many threads, which processes or cluster, and what is told about progress."""
+"""How many threads, which processes or cluster, and how progress is reported."""
 
 from bo_sysid.execution.cluster import RayEngine
 from bo_sysid.execution.jobs import JobEngine, JobOutcome

@@ -18,9 +18,9 @@ _AHEAD = 2  # jobs handed over for every core of the cluster; the others wait he
 class RayEngine:
     """A Ray cluster, one core a job.
 
-    A job whose machine is lost is run again on another one; its outcome is told once. The package
-    must be installed on every machine, and files that jobs read or write must lie where all of
-    them see them.
+    A job whose machine is lost is run again on another one; its outcome is reported once. The
+    package must be installed on every machine, and files that jobs read or write must lie where all
+    of them see them.
 
     Attributes:
         address: of the cluster; "auto" finds a running one, None starts one on this machine.

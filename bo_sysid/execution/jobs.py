@@ -25,9 +25,9 @@ class JobOutcome:
     error: str | None = None
     wrong_input: bool = False
 
-    def failure(self, wrong: type[UserError], said: str) -> BoSysidError:
+    def failure(self, wrong: type[UserError], message: str) -> BoSysidError:
         """Return what a job that failed raises: `wrong` where its input is, else a `JobError`."""
-        return (wrong if self.wrong_input else JobError)(said)
+        return (wrong if self.wrong_input else JobError)(message)
 
 
 @runtime_checkable

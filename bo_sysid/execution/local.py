@@ -85,12 +85,12 @@ class _Worker:
     def give(self, function: Callable[[Any], Any], key: str, job: Any) -> None:
         self.key = key
         try:
-            told = ForkingPickler.dumps((function, job))
+            payload = ForkingPickler.dumps((function, job))
         except Exception:  # the job cannot be sent: the process says so, as of any that fails
-            told = ForkingPickler.dumps((_fail, traceback.format_exc()))
+            payload = ForkingPickler.dumps((_fail, traceback.format_exc()))
         # a process that has just died is noticed when its answer is taken
         with contextlib.suppress(BrokenPipeError):
-            self.connection.send_bytes(told)
+            self.connection.send_bytes(payload)
 
     def take(self) -> tuple[JobOutcome, bool]:
         """Return the outcome of the job, and whether the process lives on."""
@@ -126,8 +126,8 @@ def _safe_path() -> Iterator[None]:
             os.environ[_SAFE_PATH] = before
 
 
-def _fail(said: str) -> None:
-    raise JobError(said)
+def _fail(message: str) -> None:
+    raise JobError(message)
 
 
 def _work(connection: Connection) -> None:

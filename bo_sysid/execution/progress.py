@@ -1,4 +1,4 @@
-"""What is told about the progress of long computations."""
+"""How long computations report their progress."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ class Progress:
         step: units done.
         of: units in all.
         message: what is being done or was found, one short sentence.
-        passing: whether it is said while a unit is at it, which is worth no line of its own.
-        share: of the whole work that is done by then, roughly, in 0 to 1, where units are unlike;
-            None where they are alike.
+        passing: whether it is reported within a unit, which is worth no line of its own.
+        share: of the whole work that is done by then, roughly, in 0 to 1, where units differ;
+            None where they take equally long.
     """
 
     step: int

@@ -12,19 +12,19 @@ _threads: int | None = None
 
 
 def cores() -> int:
-    """Return the number of cores that this process may use; $BO_SYSID_THREADS says otherwise."""
-    told = os.environ.get("BO_SYSID_THREADS", "")
-    if told:
-        if not told.isdecimal() or int(told) < 1:
-            raise StudyError(f"$BO_SYSID_THREADS is {told!r}; it must be a whole number from 1")
-        return int(told)
+    """Return $BO_SYSID_THREADS where it is set, else how many cores this process may use."""
+    value = os.environ.get("BO_SYSID_THREADS", "")
+    if value:
+        if not value.isdecimal() or int(value) < 1:
+            raise StudyError(f"$BO_SYSID_THREADS is {value!r}; it must be a whole number from 1")
+        return int(value)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def threads() -> int:
-    """Return the number of threads that computations use: all cores, unless told otherwise."""
+    """Return the number of threads that computations use: all cores, unless set otherwise."""
     return _threads or cores()
 
 

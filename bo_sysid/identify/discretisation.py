@@ -12,7 +12,7 @@ from bo_sysid.identify.problem import Problem
 _STEP = 0.01  # of a parameter's range, for its column
 _MOST = 200_000  # predicted numbers that are looked at
 _RUNGE_KUTTA, _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4), 4  # an integrator, and its order
-_DEAD = 1e-3  # of the largest singular value: directions that say less say nothing
+_RCOND = 1e-3  # of the largest singular value: smaller ones are taken as zero
 
 
 def step_shift(problem: Problem, best: Point) -> Float[np.ndarray, " d"]:
@@ -24,8 +24,8 @@ def step_shift(problem: Problem, best: Point) -> Float[np.ndarray, " d"]:
 
     with J the response of the whitened predictions F_h to the parameters. κ is 2 since the error of
     an integrator of first order, as MuJoCo's Euler's and implicit ones are, halves with the step;
-    that of order p falls to 1/2ᵖ, and κ = 1/(1 - 1/2ᵖ). Starts are fitted to each prediction where
-    they are nuisances.
+    that of order p falls to 1/2ᵖ, and κ = 1/(1 - 1/2ᵖ). Where starts are
+    nuisances they are fitted to the recordings, anew at each parameter vector and time step.
 
     Args:
         problem: what was searched.
@@ -43,11 +43,11 @@ def step_shift(problem: Problem, best: Point) -> Float[np.ndarray, " d"]:
     low, high = problem.candidates.bounds
     sizes = _STEP * (high - low) * np.where(best > (low + high) / 2, -1.0, 1.0)
     moved = [_whitened(own, best + size, every) for size in np.diag(sizes)[free]]
-    told = np.isfinite([there, finer, *moved]).all(axis=0)
-    if not (free and told.any()):
+    finite = np.isfinite([there, finer, *moved]).all(axis=0)
+    if not (free and finite.any()):
         return shift
-    columns = np.stack([(m - there)[told] for m in moved], axis=1)
-    solved = np.linalg.lstsq(columns, (finer - there)[told], rcond=_DEAD)[0]
+    columns = np.stack([(m - there)[finite] for m in moved], axis=1)
+    solved = np.linalg.lstsq(columns, (finer - there)[finite], rcond=_RCOND)[0]
     order = _RK4 if problem.model.compile().opt.integrator == _RUNGE_KUTTA else 1
     shift[free] = solved * sizes[free] / (1 - 0.5**order)
     return shift
@@ -62,7 +62,7 @@ def _whitened(deviation: Deviation, point: Point, every: int) -> Float[np.ndarra
 
 
 def step_notes(problem: Problem, best: Point, parameters: pd.DataFrame) -> list[str]:
-    """Return in words which parameters the time step moves by more than their intervals tell.
+    """Return in words which parameters the time step moves by more than half of their interval.
 
     Args:
         problem: what was searched.
@@ -70,8 +70,8 @@ def step_notes(problem: Problem, best: Point, parameters: pd.DataFrame) -> list[
         parameters: name, unit, low95 and high95 of each.
     """
     step, notes = problem.deviation.windows.timestep, []
-    told = parameters[["name", "unit", "low95", "high95"]].to_numpy()
-    for (name, unit, low, high), shift in zip(told, step_shift(problem, best), strict=True):
+    rows = parameters[["name", "unit", "low95", "high95"]].to_numpy()
+    for (name, unit, low, high), shift in zip(rows, step_shift(problem, best), strict=True):
         if abs(shift) > (high - low) / 2:
             notes.append(
                 f"the model's time step of {1e3 * step:g} ms moves {name} by about {shift:+.2g}"

@@ -60,8 +60,8 @@ def compared(
 def side_by_side(nominal: Residual, identified: Residual) -> pd.DataFrame:
     """Return what two models leave in the same windows, one row a channel; see `compared`.
 
-    A model is not flattered by what it lost: an error over the windows that it survived would be
-    compared with one over all.
+    Only windows in which neither diverges count: a model must not gain by diverging where it is
+    worst.
     """
     models = {"nominal": nominal, "identified": identified}
     alone = any(left.diverged.all() for left in models.values())
@@ -81,10 +81,10 @@ def remarks(errors: pd.DataFrame) -> tuple[str, ...]:
     for (part, kind), table in errors.groupby(["recordings", "kind"], sort=False):
         lost = {m: float(table[f"{m}_diverged"].iloc[0]) for m in ("nominal", "identified")}
         found = [f"the {m} model diverges in {_in(share)}" for m, share in lost.items() if share]
-        told = table[list(lost)].notna().any(axis=1)
-        if told.any():
-            silent = table.loc[~told, "channel"]
-            found += [f"{name} was recorded in no window that is compared" for name in silent]
+        has_error = table[list(lost)].notna().any(axis=1)
+        if has_error.any():
+            unrecorded = table.loc[~has_error, "channel"]
+            found += [f"{name} was recorded in no window that is compared" for name in unrecorded]
         elif max(lost.values()) < 1:
             found.append("there is no window in which neither diverges")
         if part == "holdout" and _worse(table):
@@ -118,13 +118,15 @@ def instants_needed(problem: Problem) -> int:
 def past_of(problem: Problem) -> int:
     """Return how many instants a forecast's start uses.
 
-    Where joints have unlike rates, many instants tell nothing of the slowest: position and speed
-    need two of its samples at least.
+    Where joints are sampled at different rates, many instants have no sample of the slowest:
+    position and speed need two of its samples at least.
     """
     windows = problem.deviation.windows
     places = [k for k, name in enumerate(windows.channels) if name.startswith("qpos.")]
-    told = np.isfinite(windows.observed[:, :, places])
-    each = [told[windows.recording == r].mean(axis=(0, 1)) for r in np.unique(windows.recording)]
+    observed = np.isfinite(windows.observed[:, :, places])
+    each = [
+        observed[windows.recording == r].mean(axis=(0, 1)) for r in np.unique(windows.recording)
+    ]
     share = max(float(np.min(each)), 1 / problem.horizon)
     return ceil(max(problem.horizon // _PAST, 2) / share)
 

@@ -15,9 +15,9 @@ from bo_sysid.identify.discretisation import step_notes
 from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
-from bo_sysid.identify.refine import Level, joined, resolved, zoomed
+from bo_sysid.identify.refine import Level, is_fine_enough, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, believe, search
+from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, search, update_belief
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.recording import Recording, kind_of, sensor_noise, stated_for
@@ -36,15 +36,15 @@ def identify(
 ) -> Identification:
     """Find the candidate that predicts the recordings best, and how sure one can be.
 
-    Ask, simulate, tell: Gaussian processes over Δ, taken to a power, give the probability P of each
+    Ask, simulate, tell: Gaussian processes on a power of Δ give the probability P of each
     candidate to be the arg-min, the acquisition picks the next one to simulate, until a stop rule
     holds. The hold-out is read once, after the answer is written.
 
     Args:
         study: what is asked.
         run: folder that keeps every evaluation and the results; an interrupted run of the same
-            study is gone on with.
-        progress: told after every evaluation.
+            study is resumed.
+        progress: called after every evaluation.
         strict: refuse messy recordings.
 
     Raises:
@@ -89,7 +89,7 @@ def identify(
 
 
 def _noise(recordings: Sequence[Recording], stated: Mapping[str, float]) -> dict[str, float]:
-    """Return the deviation of the noise of each recorded position: as stated, or as it looks."""
+    """Return the standard deviation of each recorded position's noise, as stated or estimated."""
     found: dict[str, list[float]] = {}
     for recording in recordings:
         for name, sigma in sensor_noise(recording).items():
@@ -136,7 +136,7 @@ def _write_answer(
 
 @dataclass(frozen=True)
 class _Searched:
-    """All candidates, `N x d` sides of the box that each stands for, what is known, and P_boot."""
+    """All candidates, `N x d` sides of the box that each stands for, the outcome, and P_boot."""
 
     candidates: CandidateSet
     cells: Points
@@ -152,12 +152,12 @@ def _searched(problem: Problem, journal: Journal, progress: OnProgress) -> _Sear
     levels: list[Level] = []
     for number in count():
         rules = _rules(problem.study, number, spent)
-        tell = _Teller(journal, progress, number, candidates, spent, most)
-        outcome = search(candidates, evaluation(problem, candidates), rules, history, tell)
+        on_step = _ProgressReporter(journal, progress, number, candidates, spent, most)
+        outcome = search(candidates, evaluation(problem, candidates), rules, history, on_step)
         levels.append(Level(candidates, outcome.history))
         found = _together(problem, levels, outcome)
         over = not settings.refine or spent + len(outcome.history) >= settings.budget
-        if over or resolved(candidates, found.candidates, found.bootstrap):
+        if over or is_fine_enough(candidates, found.candidates, found.bootstrap):
             break
         mass = outcome.belief.probabilities
         finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
@@ -177,7 +177,7 @@ def _together(problem: Problem, levels: list[Level], last: SearchOutcome) -> _Se
     if len(levels) > 1:
         whole, cells = joined(levels)
         candidates, history = whole.candidates, whole.history
-        surrogate, belief = believe(candidates, history, _rules(problem.study, 0, 0))
+        surrogate, belief = update_belief(candidates, history, _rules(problem.study, 0, 0))
         outcome = SearchOutcome(history, surrogate, belief, last.reason)
     blocks, seed = problem.deviation.blocks, problem.study.search.seed
     bootstrap = outcome.bootstrap(candidates.points, blocks.weight, blocks.session, seed)
@@ -199,8 +199,8 @@ def evaluation(problem: Problem, candidates: CandidateSet) -> Evaluate:
 
 
 @dataclass(frozen=True)
-class _Teller:
-    """Keeps and reports the history of one level of the search."""
+class _ProgressReporter:
+    """Writes the history of one level of the search to the journal, and reports progress."""
 
     journal: Journal
     progress: OnProgress
@@ -216,7 +216,7 @@ class _Teller:
         self.progress(Progress(done, self.most, f"lowest deviation {lowest:.4g}"))
 
 
-_ALIKE = (
+_CORRELATED_ERRORS = (
     "the model is off in the same way over long parts of the recordings, so that these are few "
     "independent ones: the intervals are narrower than they should be. Longer recordings help, as "
     "do four or more, between which what differs is then counted"
@@ -260,7 +260,7 @@ def _notes(problem: Problem) -> tuple[str, ...]:
         + [*problem.deviation.windows.left_out, *problem.deviation.windows.notes]
     )
     if problem.deviation.blocks.short:
-        notes.append(_ALIKE)
+        notes.append(_CORRELATED_ERRORS)
     notes += [_compared(problem, k) for k in range(len(problem.deviation.whitening.channels))]
     return tuple(dict.fromkeys(notes))
 

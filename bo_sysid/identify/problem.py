@@ -31,7 +31,7 @@ _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
 
 @dataclass(frozen=True)
 class Problem:
-    """What a study asks: which candidate predicts these recordings best.
+    """The problem of a study: which candidate predicts these recordings best.
 
     Attributes:
         study: the study.
@@ -211,7 +211,7 @@ def _framing(
 def _require_two(
     study: Study, model: Model, recordings: Sequence[Recording], windows: Windows
 ) -> None:
-    """Refuse a single window: what one recording says cannot be told from what others would.
+    """Refuse a single window: it leaves no others to bootstrap an interval from.
 
     Raises:
         StudyError: there are not two windows to draw from.

@@ -1,7 +1,7 @@
 """Zooming: a new discrete set B around the mass of P, where the stated one is too coarse.
 
-P shrinks to a point as the search goes on, P_boot does not: it is as wide as the recordings leave
-it. So the last set alone says where the minimum lies, and all sets together how sure one can be.
+P shrinks to a point as the search goes on, P_boot does not: its width is what the recordings leave
+uncertain. So the last set alone gives the minimum, and all sets together the uncertainty.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,7 @@ from bo_sysid.parameters import CandidateSet, Parameter
 MASS = 0.999  # of P that the new box must hold
 WORTHWHILE = 0.8  # a box that keeps more than this share of every side is no zoom
 _SAME = 1e-6  # of a cell: nearer candidates are one
-# of what P_boot leaves open, between candidates: nearer ones say nothing of the machine
-_FINE = 0.1
+_FINE = 0.1  # share of P_boot's 95 % interval below which a finer spacing adds nothing
 _FINEST = 1e-6  # of the stated range, the same where the recordings are explained exactly
 
 
@@ -61,11 +60,11 @@ def joined(levels: Sequence[Level]) -> tuple[Level, Points]:
         [index.find(level.candidates.points[level.history.rows]) for level in levels]
     )
     rows, once = np.unique(rows, return_index=True)
-    told = [level.history.evaluation for level in levels]
+    evaluations = [level.history.evaluation for level in levels]
     evaluation = Evaluation(
-        np.concatenate([e.deviation for e in told])[once],
-        np.concatenate([e.contributions for e in told])[once],
-        np.concatenate([e.diverged for e in told])[once],
+        np.concatenate([e.deviation for e in evaluations])[once],
+        np.concatenate([e.contributions for e in evaluations])[once],
+        np.concatenate([e.diverged for e in evaluations])[once],
     )
     return Level(whole, History(rows, evaluation, np.full(len(rows), np.nan))), cells
 
@@ -79,11 +78,12 @@ def _inside(points: Points, finer: CandidateSet, stated: CandidateSet) -> Bool[n
     return np.asarray((above & below).all(axis=1))
 
 
-def resolved(candidates: CandidateSet, known: CandidateSet, bootstrap: Probabilities) -> bool:
-    """Return whether no finer set would say anything of the machine.
+def is_fine_enough(candidates: CandidateSet, known: CandidateSet, bootstrap: Probabilities) -> bool:
+    """Return whether the spacing is at most a tenth of the 95 % interval of P_boot.
 
-    P shrinks with every evaluation, so that it asks for finer sets without end. Candidates need not
-    be nearer to each other than a tenth of the 95 % interval of P_boot.
+    That holds for every parameter; where the interval is nearly a point, a spacing of 1e-6 of the
+    stated range will do. P itself shrinks with every evaluation: it would never end the
+    refinement.
 
     Args:
         candidates: the set that was searched last.
@@ -124,10 +124,10 @@ def zoomed(
     count = int(inside.sum())
     new = fresh.points
     if count:  # a grid in the box may hit what was evaluated, but for rounding
-        # categories, which have no cell, are apart by more than that in shares of their range
+        # categories, which have no cell, differ by more than that in shares of their range
         unit = np.where(fresh.cell > 0, fresh.cell, np.ptp(fresh.bounds, axis=0))
-        apart = cKDTree(points[inside] / unit).query(new / unit)[0]
-        new = new[apart > _SAME]
+        distance = cKDTree(points[inside] / unit).query(new / unit)[0]
+        new = new[distance > _SAME]
     new = _on_values_of(candidates.points, new, fresh.cell)
     together = CandidateSet(parameters, np.concatenate([points[inside], new]), fresh.spacing)
     return together, History(np.arange(count), known, np.full(count, np.nan))
@@ -138,7 +138,7 @@ def _on_values_of(
 ) -> Float[np.ndarray, "N d"]:
     """Return new candidates with the values that known ones have, where they are but for rounding.
 
-    A value that is there twice, a rounding apart, would share what P and P_boot say of it.
+    The mass that P and P_boot give to a value would be split between two that differ by rounding.
     """
     made = new.copy()
     for k in np.flatnonzero(cell):

@@ -97,7 +97,7 @@ class Identification:
         Begins with how far they are from being explained, where they are not.
         """
         rows = self.identifiability.to_dict(orient="records")
-        said = [
+        sentences = [
             f"These recordings say little about {r['name']}: its interval takes "
             f"{float(r['of_range']):.0%} of the range that was searched."
             for r in rows
@@ -111,11 +111,11 @@ class Identification:
         for pair, rho in pairs.items():
             one, other = sorted(pair)
             how = "together" if rho > 0 else "against each other"
-            said.append(
+            sentences.append(
                 f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
                 "combination of the two better than either."
             )
-        return (*self._unexplained, *said, *self._cut, *self._outside)
+        return (*self._unexplained, *sentences, *self._cut, *self._outside)
 
     @property
     def _cut(self) -> tuple[str, ...]:
@@ -159,7 +159,7 @@ class Identification:
     def _unexplained(self) -> tuple[str, ...]:
         """What is left of the training recordings from fitted starts, where that is far from noise.
 
-        Starts that are measured are as noisy as what is predicted from them, and tell nothing.
+        Measured starts make predictions as noisy as they are: their errors are no sign.
         """
         if not self.noise:
             return ()

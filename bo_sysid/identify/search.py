@@ -1,7 +1,7 @@
 """The search for the arg-min of Δ over the discrete set B: ask, simulate, tell.
 
 Nothing here knows of models or recordings: Δ comes from a function of a row. Every step follows
-from the history alone, so that an interrupted search goes on to the same result.
+from the history alone, so that an interrupted search, resumed, has the same result.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from bo_sysid.parameters import CandidateSet
 Evaluate = Callable[[int], Evaluation]
 """Returns Δ of one row of B."""
 
-Believe = Callable[[CandidateSet, "History", "Rules"], tuple[Surrogate, ArgminBelief]]
+UpdateBelief = Callable[[CandidateSet, "History", "Rules"], tuple[Surrogate, ArgminBelief]]
 """Returns surrogate and belief after a history."""
 
 
@@ -114,9 +114,9 @@ class SearchOutcome:
             seed: of bootstraps and samples.
         """
         found = self.history
-        told = found.evaluation.contributions
+        contributions = found.evaluation.contributions
         return bootstrap_argmin(
-            self.surrogate, points, found.rows, told, weights, groups=groups, seed=seed
+            self.surrogate, points, found.rows, contributions, weights, groups=groups, seed=seed
         ).probabilities
 
 
@@ -126,7 +126,7 @@ def search(
     rules: Rules,
     history: History,
     on_step: Callable[[History], None] = lambda _: None,
-    believing: Believe | None = None,
+    belief_update: UpdateBelief | None = None,
 ) -> SearchOutcome:
     """Search the candidate with the smallest Δ.
 
@@ -134,19 +134,19 @@ def search(
         candidates: the set B.
         evaluate: returns Δ of a row.
         rules: how to search.
-        history: what was evaluated before, to go on from.
+        history: what was evaluated before; the search resumes from it.
         on_step: called with the history so far after every evaluation, again once its entropy is
             known.
-        believing: makes the belief; `believe` by default.
+        belief_update: fits surrogate and belief; `update_belief` by default.
     """
-    believing = believing or believe
+    updated = belief_update or update_belief
     design = initial_rows(candidates, rules)
     room = max(rules.stop.budget - len(history), 0)
     for row in np.sort(design[~np.isin(design, history.rows)][:room]).tolist():
         history = history.with_evaluation(row, evaluate(row))
         on_step(history)
     while True:
-        surrogate, belief = believing(candidates, history, rules)
+        surrogate, belief = updated(candidates, history, rules)
         if np.isnan(history.entropy[-1]):
             history = history.with_entropy(belief.entropy)
             on_step(history)
@@ -154,7 +154,7 @@ def search(
         reason = rules.stop(entropies.tolist(), belief, history.rows)
         if reason is not None:
             return SearchOutcome(history, surrogate, belief, reason)
-        row = ask(candidates, history, surrogate, belief, rules)
+        row = select_next(candidates, history, surrogate, belief, rules)
         history = history.with_evaluation(row, evaluate(row))
         on_step(history)  # before the next belief is made: an evaluation may have taken long
 
@@ -174,10 +174,10 @@ def initial_rows(candidates: CandidateSet, rules: Rules) -> Int[np.ndarray, " n"
     return np.concatenate([rows, spare])[:wanted]
 
 
-def believe(
+def update_belief(
     candidates: CandidateSet, history: History, rules: Rules
 ) -> tuple[Surrogate, ArgminBelief]:
-    """Return the surrogate of Δ and the belief about its arg-min, after a history."""
+    """Fit the surrogate of Δ to a history; return it and the belief about the arg-min."""
     seed = rules.seed * 100_003 + len(history)
     surrogate = fit_surrogate(
         candidates.points[history.rows],
@@ -189,7 +189,7 @@ def believe(
     return surrogate, argmin_probability(surrogate, candidates.points, seed=seed)
 
 
-def ask(
+def select_next(
     candidates: CandidateSet,
     history: History,
     surrogate: Surrogate,

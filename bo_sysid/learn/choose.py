@@ -1,4 +1,8 @@
-"""Which candidate the policy is learned on."""
+"""Which candidate the policy is learned on.
+
+Every choice takes P(β), `N`, which need not be normalised; the `N` posterior means of g(Δ(β)), in
+units of g; and a generator, which only `sample` uses. It returns the row of B.
+"""
 
 from collections.abc import Callable, Mapping
 
@@ -20,7 +24,7 @@ g is the power of Δ that the surrogate models; see `bo_sysid.belief.warp`.
 def sample(
     probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
 ) -> int:
-    """Draw β ~ P: the seed method's choice, which goes on exploring while P is broad."""
+    """Draw β ~ P, the seed method's choice (Thompson sampling): explores while P is broad."""
     return int(rng.choice(len(probabilities), p=probabilities / probabilities.sum()))
 
 
@@ -34,7 +38,7 @@ def argmax(
 def minimum_mean(
     probabilities: Probabilities, mean: Float[np.ndarray, " N"], rng: np.random.Generator
 ) -> int:
-    """Return the candidate whose expected g(Δ) is least."""
+    """Return the row whose expected g(Δ) is least."""
     return int(mean.argmin())
 
 

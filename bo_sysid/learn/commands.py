@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from bo_sysid.policy.store import LearnedPolicy
 
@@ -16,7 +17,12 @@ class _Commands(torch.nn.Module):
     middle: torch.Tensor
     reach: torch.Tensor
 
-    def __init__(self, actions: torch.nn.Module, low: np.ndarray, high: np.ndarray) -> None:
+    def __init__(
+        self,
+        actions: torch.nn.Module,
+        low: Float[np.ndarray, " a"],
+        high: Float[np.ndarray, " a"],
+    ) -> None:
         super().__init__()
         self.actions = actions
         self.register_buffer("middle", torch.tensor((low + high) / 2, dtype=torch.float32))
@@ -27,12 +33,17 @@ class _Commands(torch.nn.Module):
         return commands
 
 
-def write_module(policy: LearnedPolicy, low: np.ndarray, high: np.ndarray, path: Path) -> None:
+def write_module(
+    policy: LearnedPolicy,
+    low: Float[np.ndarray, " a"],
+    high: Float[np.ndarray, " a"],
+    path: Path,
+) -> None:
     """Write the module.
 
     Args:
         policy: gives actions in [-1, 1].
-        low: `a` lowest commands.
+        low: `a` lowest commands, in the actuators' units.
         high: `a` highest commands.
         path: of the file.
     """

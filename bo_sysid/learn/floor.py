@@ -97,16 +97,16 @@ def noise_by_channel(problem: Problem, known: Mapping[str, float]) -> dict[str, 
     """Return σ of every observed channel: the study's, else what is known, else estimated.
 
     The estimate takes motion that is too fast for differences of the highest order for noise, see
-    `sensor_noise`: there, without a word about the sensors, the floor is expected too high, and
+    `sensor_noise`: there, where no noise is stated, the floor is expected too high, and
     missing physics may hide beneath it.
     """
     given = {**known, **problem.study.recordings.noise}
     found = [sensor_noise(r) for r in problem.recordings]
     sigma = {}
     for name in problem.deviation.windows.channels:
-        told = stated_for(name, given, None)
+        stated = stated_for(name, given, None)
         estimated = float(np.median([f[name] for f in found if name in f] or [0.0]))
-        sigma[name] = estimated if told is None else float(told)
+        sigma[name] = estimated if stated is None else float(stated)
     return sigma
 
 
@@ -129,7 +129,7 @@ def _noise_part(
     )
     seen = np.array([sigma[name] for name in windows.channels])
     noise = seen * rng.standard_normal(windows.observed.shape)
-    return _apart(problem, clean, shaken, noise)
+    return _deviation_between(problem, clean, shaken, noise)
 
 
 def _resolution_part(problem: Problem, best: Point) -> float:
@@ -148,10 +148,10 @@ def _resolution_part(problem: Problem, best: Point) -> float:
     own, *others = problem.deviation.simulator.predictions(
         np.array(points), problem.deviation.windows
     )
-    return sum((0.5 * _mean(_apart(problem, own, o)) for o in others), 0.0)
+    return sum((0.5 * _mean(_deviation_between(problem, own, o)) for o in others), 0.0)
 
 
-def _apart(
+def _deviation_between(
     problem: Problem,
     a: Prediction,
     b: Prediction,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.errors import StudyError
@@ -25,8 +26,13 @@ from bo_sysid.study.sections import Column
 _EPISODES = 20
 
 
-def command_range(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest command of every actuator, limits included."""
+def command_range(scene: Scene) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " a"]]:
+    """Return the lowest and the highest command of every actuator, limits included.
+
+    Returns:
+        `a` commands at the actions -1 and `a` at the actions 1, in the actuators' units (those of
+        MuJoCo's `ctrl`).
+    """
     model = scene.compiled(scene.candidates.points[0])
     if isinstance(scene.task, PythonTask):
         return command_ends(PythonMachine(scene.task, model, 0))
@@ -52,7 +58,7 @@ def write_commands(scene: Scene, policy: LearnedPolicy, path: Path) -> None:
 
 
 def observed(scene: Scene) -> tuple[str, ...]:
-    """Return the names of a task's observations in order, none where the task does not say.
+    """Return the names of a task's observations in order, none where the task does not name them.
 
     An entry of several numbers has their count behind its name.
     """
@@ -75,8 +81,16 @@ def observed(scene: Scene) -> tuple[str, ...]:
     return machine.observed
 
 
-def share_beyond(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
-    """Return the share of simulated episodes in which the policy leaves the study's limits."""
+def limit_violation_share(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
+    """Return the share of simulated episodes in which the policy leaves the study's limits.
+
+    It is from 0 to 1, and 0 where the study has no limits.
+
+    Args:
+        scene: task and limits.
+        policy: what acts.
+        point: `d` parameter values of the model that it acts on.
+    """
     if not isinstance(scene.task, LimitedTask):
         return 0.0
     task = copy(scene.task)
@@ -112,7 +126,7 @@ def write_for_machine(scene: Scene, policy: LearnedPolicy, run: Run, name: str) 
 
 
 def how_to_run(about: Mapping[str, Any]) -> str:
-    """Return what a module takes and gives, in words, from what is written beside it."""
+    """Return what a module takes and gives, in words, from its JSON file."""
     return (
         f"The module takes the {_observations(about)} of the task every "
         f"{about['control_timestep']:g} s and gives the commands of "
@@ -161,8 +175,8 @@ def _columns(scene: Scene) -> str:
         return f"time, qpos.<joint> of every joint, {', '.join(model.ctrl_channels)}"
     shown = [n for n in model.qpos_channels if n.removeprefix("qpos.") not in model.unrecorded]
     names = dict.fromkeys(["time", *shown, *model.ctrl_channels, *rules])
-    told = ", ".join(_column(name, rules.get(name)) for name in names)
-    return f"{told}, as under recordings.columns of the study, which is applied to the file"
+    columns = ", ".join(_column(name, rules.get(name)) for name in names)
+    return f"{columns}, as under recordings.columns of the study, which is applied to the file"
 
 
 def _column(channel: str, rule: Column | None) -> str:

@@ -23,7 +23,7 @@ from bo_sysid.runs import Run, finite
 
 _BETWEEN = 5  # evaluations between two looks at the values, where these end the search
 
-Settled = Callable[[Probabilities], Verdict]
+ValueStop = Callable[[Probabilities], Verdict]
 """Returns whether what P leaves open matters no longer for the policy."""
 
 
@@ -61,7 +61,7 @@ class Identified:
         return int(self.probabilities.argmax())
 
     def figures(self) -> dict[str, Any]:
-        """Return what `learning.json` tells of it."""
+        """Return its entry in `learning.json`."""
         return {
             "evaluated": len(self.rows),
             "new": self.fresh,
@@ -97,7 +97,7 @@ class Identified:
         """Return what was written; None where it is not complete."""
         if not run.has(f"{folder}/identified.json"):
             return None
-        told = run.read_json(f"{folder}/identified.json")
+        figures = run.read_json(f"{folder}/identified.json")
         evaluations = run.read_frame(f"{folder}/evaluations.parquet")
         belief = run.read_frame(f"{folder}/belief.parquet")
         return cls(
@@ -107,10 +107,10 @@ class Identified:
             belief["P"].to_numpy(float),
             belief["P_boot"].to_numpy(float),
             belief["mean"].to_numpy(float),
-            told["new"],
-            StopReason(told["search_stopped"]),
-            Floor(**told["floor"]),
-            told["search_values"],
+            figures["new"],
+            StopReason(figures["search_stopped"]),
+            Floor(**figures["floor"]),
+            figures["search_values"],
         )
 
 
@@ -118,7 +118,7 @@ def identified(
     scene: Scene,
     recordings: Sequence[Recording],
     known: Int[np.ndarray, " k"],
-    settled: Settled | None = None,
+    value_stop: ValueStop | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> Identified:
     """Search for the arg-min of Δ on all recordings, from what earlier iterations had evaluated.
@@ -129,16 +129,16 @@ def identified(
 
     Args:
         scene: gives model and B.
-        recordings: all so far; those too short for a window count for nothing beside others.
+        recordings: all so far; those too short for a window are left out, unless all are.
         known: rows of B that were evaluated before.
-        settled: ends the search in place of the entropy.
+        value_stop: ends the search in place of the entropy.
         noise: of the machine's sensors, see `floor_of`.
     """
     long = long_enough(recordings, scene.study.deviation.horizon)
     problem = make_problem(scene.study, long, threads=threads())
     deviation, points = problem.deviation, scene.candidates.points
     history = evaluated_again(deviation, points, known)
-    outcome, guided = _searched(scene, deviation, history, settled)
+    outcome, guided = _searched(scene, deviation, history, value_stop)
     rows, found = outcome.history.rows, outcome.history.evaluation
     best = int(found.deviation.argmin())
     blocks = deviation.blocks
@@ -175,7 +175,7 @@ def evaluated_again(deviation: Deviation, points: Points, rows: Int[np.ndarray, 
 
 
 def _searched(
-    scene: Scene, deviation: Deviation, history: History, settled: Settled | None
+    scene: Scene, deviation: Deviation, history: History, value_stop: ValueStop | None
 ) -> tuple[SearchOutcome, Mapping[str, Any]]:
     candidates, search_of = scene.candidates, scene.study.search
     budget = len(history) + search_of.budget
@@ -184,14 +184,14 @@ def _searched(
         rules = Rules(search_of.acquisition, rule, scene.seed)
         return search(candidates, lambda row: deviation(candidates.points[[row]]), rules, history)
 
-    if settled is None:
+    if value_stop is None:
         rule = StopRule(budget, search_of.stop.entropy, search_of.stop.last)
         return run(history, rule), {}
     enough = len(history) + 2 * len(candidates.parameters) + 2  # the initial design
     while True:
         outcome = run(history, StopRule(min(enough, budget), entropy=None))
         history = outcome.history
-        verdict = settled(outcome.belief.probabilities)
+        verdict = value_stop(outcome.belief.probabilities)
         if verdict.stop:
             return replace(outcome, reason=StopReason.CONVERGED), verdict.figures
         if outcome.reason is StopReason.CONVERGED or len(history) >= budget:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
+from bo_sysid.arrays import Probabilities
 from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import command_range, machine_names, share_beyond
+from bo_sysid.learn.hand_over import command_range, limit_violation_share, machine_names
 from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration, repaired_scene, stored_repair
 from bo_sysid.learn.repair import MOST, Repair, repaired
@@ -30,24 +31,24 @@ from bo_sysid.policy.trainer import TrainingIteration
 from bo_sysid.runs import Run, finite
 
 PHASES = 4  # of an iteration, for its progress
-_SETTLED = 0.95  # probability of the chosen candidate from which on the belief is settled
+_CONVERGED = 0.95  # probability of the chosen candidate from which on the belief has converged
 
 
 @dataclass(frozen=True)
-class Teller:
-    """Tells the progress of the loop: four phases an iteration."""
+class ProgressReporter:
+    """Reports the progress of the loop, four phases an iteration."""
 
-    report: OnProgress
+    on_progress: OnProgress
     of: int
 
     def __call__(self, number: int, phase: int, message: str) -> None:
-        """Tell which phase of which iteration is done."""
+        """Report that a phase of an iteration is done."""
         step = min(PHASES * (number - 1) + phase, PHASES * self.of)
-        self.report(Progress(step, PHASES * self.of, f"iteration {number}: {message}"))
+        self.on_progress(Progress(step, PHASES * self.of, f"iteration {number}: {message}"))
 
 
 def iterate(
-    scene: Scene, source: Source, before: Iteration | None, run: Run, tell: Teller
+    scene: Scene, source: Source, before: Iteration | None, run: Run, report: ProgressReporter
 ) -> Iteration:
     """Identify on all recordings, choose a candidate, learn a policy on it, and judge.
 
@@ -56,18 +57,18 @@ def iterate(
         source: has recorded one trajectory more.
         before: the iteration before; None in the first.
         run: folder of the loop.
-        tell: told after every phase.
+        report: called after every phase.
     """
     number = before.number + 1 if before else 1
     folder = f"iterations/{number:02d}"
     count = len(source.trajectories)
-    tell(number, 1, f"{count} real trajector{'y' if count == 1 else 'ies'}")
+    report(number, 1, f"{count} real trajector{'y' if count == 1 else 'ies'}")
     known = before.found.rows if before else np.zeros(0, int)
     found = _believed(scene, source, known, before, run, folder)
     evaluations = len(found.rows)  # those of before were evaluated again
-    tell(number, 2, f"least deviation {found.floor.deviation:.4g}")
+    report(number, 2, f"least deviation {found.floor.deviation:.4g}")
     repairs = before.repairs if before else ()
-    repair = _repaired(scene, source, found, repairs, run, number, tell)
+    repair = _repaired(scene, source, found, repairs, run, number, report)
     if repair is not None:
         repairs += (repair,)
         if repair.study is not None:
@@ -77,14 +78,14 @@ def iterate(
             evaluations += len(found.rows)
     row = _chosen(scene, found, number)
     steps = _steps(scene, source, found, row)
-    policy = _learned(scene, found, row, steps, before, run, number, tell)
-    tell(number, 3, "judged")
+    policy = _learned(scene, found, row, steps, before, run, number, report)
+    report(number, 3, "judged")
     verdict = _judged(scene, source, found, row, policy, before)
     figures = _figures(scene, source, found, row, policy, verdict, repair)
     figures["evaluations"] = evaluations
     result = Iteration(number, scene, found, row, policy, verdict, repairs, figures)
     run.write_json(f"{folder}/iteration.json", figures)
-    tell(number, 4, verdict.sentence)
+    report(number, 4, verdict.sentence)
     return result
 
 
@@ -99,15 +100,15 @@ def _believed(
     stored = Identified.read(run, folder)
     if stored is not None:
         return stored
-    learn, settled = scene.study.learn, None
+    learn, value_stop = scene.study.learn, None
     if STOP_RULES[learn.stop].guided and before is not None:
         valued = partial(value_candidates, scene, before.policy)
 
-        def settled(probabilities: np.ndarray) -> Verdict:
+        def value_stop(probabilities: Probabilities) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
 
     try:
-        found = identified(scene, source.recordings(scene.study), known, settled, source.noise)
+        found = identified(scene, source.recordings(scene.study), known, value_stop, source.noise)
     except RecordingError as error:
         faults = [fault for fault in source.trajectories["fault"] if fault]
         if not faults:
@@ -124,7 +125,7 @@ def _repaired(
     repairs: Sequence[Repair],
     run: Run,
     number: int,
-    tell: Teller,
+    report: ProgressReporter,
 ) -> Repair | None:
     """Diagnose, where no candidate will do and no diagnosis was in vain before."""
     folder = f"iterations/{number:02d}"
@@ -137,11 +138,11 @@ def _repaired(
     if not lacks_physics(found.floor, found.reason):
         return None
     ratio = found.floor.ratio
-    tell(number, 2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
+    report(number, 2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
 
     def diagnosing(progress: Progress) -> None:
         if not progress.passing:
-            tell(number, 2, f"diagnosis: {progress.message}")
+            report(number, 2, f"diagnosis: {progress.message}")
 
     repair = repaired(scene, run, source.training, number, diagnosing)
     run.write_json(
@@ -163,13 +164,13 @@ def _learned(
     before: Iteration | None,
     run: Run,
     number: int,
-    tell: Teller,
+    report: ProgressReporter,
 ) -> LearnedPolicy:
     """Learn a policy by TRPO on the model at the chosen candidate, or over P_boot.
 
     A fresh policy begins with the networks and the draws of every other one: they differ by their
-    models alone, and none inherits what a wrong model taught it. A warm one goes on from the
-    checkpoint before, under the new model.
+    models alone, and none inherits what a wrong model taught it. A warm one resumes from the
+    previous checkpoint, under the new model.
     """
     place = run.path(f"iterations/{number:02d}/policy.npz")
     if place.is_file():
@@ -181,7 +182,7 @@ def _learned(
     probabilities = found.bootstrap if scene.study.learn.models == "bootstrap" else None
 
     def watch(batch: TrainingIteration) -> None:
-        tell(number, 2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
+        report(number, 2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
 
     environment = scene.training(point, probabilities, threads())
     start = Beginning()
@@ -192,7 +193,7 @@ def _learned(
         start = Beginning(before.number)  # the same training: its result is taken over
     policy = train_on(scene, environment, run, number, start, steps, watch)
     about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
-    about["share_beyond"] = share_beyond(scene, policy, point)
+    about["share_beyond"] = limit_violation_share(scene, policy, point)
     about["commands"] = dict(zip(("low", "high"), command_range(scene), strict=True))
     about["machine"] = machine_names(scene)
     policy = replace(policy, about=about)
@@ -228,8 +229,8 @@ def _judged(
     learn = scene.study.learn
     all_spent = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
     if not STOP_RULES[learn.stop].near:
-        if _spent(scene, source):
-            return Verdict(True, all_spent, spent=True)
+        if _budget_exhausted(scene, source):
+            return Verdict(True, all_spent, budget_exhausted=True)
         return Verdict(False, "The loop goes on until its trajectories are spent.")
     valued = partial(value_candidates, scene, policy)
     verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
@@ -239,20 +240,22 @@ def _judged(
             "would tell no more."
         )
         return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
-    if _spent(scene, source) and not verdict.stop:
-        return Verdict(True, f"{all_spent} {verdict.sentence}", verdict.figures, spent=True)
+    if _budget_exhausted(scene, source) and not verdict.stop:
+        return Verdict(
+            True, f"{all_spent} {verdict.sentence}", verdict.figures, budget_exhausted=True
+        )
     return verdict
 
 
 def _repeats(found: Identified, row: int, policy: LearnedPolicy, before: Iteration | None) -> bool:
-    """Return whether the next trajectory would repeat the last one, under a settled belief."""
-    if before is None or found.probabilities[row] < _SETTLED:
+    """Return whether the next trajectory would repeat the last one, under a converged belief."""
+    if before is None or found.probabilities[row] < _CONVERGED:
         return False
-    same = before.row == row and before.found.probabilities[row] >= _SETTLED
+    same = before.row == row and before.found.probabilities[row] >= _CONVERGED
     return bool(same and np.array_equal(before.policy.theta, policy.theta))
 
 
-def _spent(scene: Scene, source: Source) -> bool:
+def _budget_exhausted(scene: Scene, source: Source) -> bool:
     return len(source.trajectories) >= scene.study.learn.trajectories
 
 
@@ -260,7 +263,11 @@ def _steps(scene: Scene, source: Source, found: Identified, row: int) -> int:
     """Return how long to learn: a policy that cannot be the last may be a draft."""
     policy, learn = scene.study.policy, scene.study.learn
     near = distances(scene.candidates, row)[found.best] <= learn.epsilon + 1e-12
-    if policy.draft is None or _spent(scene, source) or (near and STOP_RULES[learn.stop].near):
+    if (
+        policy.draft is None
+        or _budget_exhausted(scene, source)
+        or (near and STOP_RULES[learn.stop].near)
+    ):
         return policy.steps
     return policy.draft
 
@@ -294,7 +301,7 @@ def _figures(
         "model_return": finite(value._asdict()),
         "plant_return": None if plant is None else finite(plant._asdict()),
         "stop": verdict.stop,
-        "spent": verdict.spent,
+        "spent": verdict.budget_exhausted,
         "verdict": verdict.sentence,
         "conditions": finite(verdict.figures),
     }

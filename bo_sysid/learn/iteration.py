@@ -27,7 +27,7 @@ class Iteration:
         policy: what was learned.
         verdict: whether the loop ends.
         repairs: the diagnoses of the loop so far.
-        figures: what `learning.json` tells of it.
+        figures: its entry in `learning.json`.
     """
 
     number: int
@@ -62,10 +62,10 @@ def reread(scene: Scene, before: Iteration | None, run: Run) -> Iteration | None
     found = Identified.read(run, folder)
     assert found is not None  # noqa: S101 - written before the iteration was
     policy = LearnedPolicy.load(run.path(f"iterations/{number:02d}/policy.npz"))
-    spent = figures.get("spent", False)
+    exhausted = figures.get("spent", False)
     more = figures["trajectories"] < scene.study.learn.trajectories  # than when it was written
-    stop = figures["stop"] and not (spent and more)
-    verdict = Verdict(stop, figures["verdict"], spent=spent)
+    stop = figures["stop"] and not (exhausted and more)
+    verdict = Verdict(stop, figures["verdict"], budget_exhausted=exhausted)
     return Iteration(number, scene, found, figures["row"], policy, verdict, repairs, figures)
 
 
@@ -81,5 +81,5 @@ def stored_repair(run: Run, folder: str) -> Repair | None:
     """Return the diagnosis of an iteration as it was written; None where there was none."""
     if not run.has(f"{folder}/repair.json"):
         return None
-    told = run.read_json(f"{folder}/repair.json")
-    return Repair(told["study"], tuple(told["sentences"]))
+    stored = run.read_json(f"{folder}/repair.json")
+    return Repair(stored["study"], tuple(stored["sentences"]))

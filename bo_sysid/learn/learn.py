@@ -19,7 +19,7 @@ from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
 from bo_sysid.learn.hand_over import cautions, how_to_run, write_for_machine
 from bo_sysid.learn.identified import is_long
-from bo_sysid.learn.iterate import Teller, iterate
+from bo_sysid.learn.iterate import ProgressReporter, iterate
 from bo_sysid.learn.iteration import Iteration, reread
 from bo_sysid.learn.machine_source import MachineSource
 from bo_sysid.learn.plant_source import PlantSource
@@ -33,7 +33,7 @@ from bo_sysid.study import Study
 from bo_sysid.study.inputs import changed, fingerprints
 
 INPUTS = "inputs.json"
-_TELLS = 2.0  # times the noise in Δ that the worst candidate leaves at least, where Δ tells much
+_INFORMATIVE = 2.0  # times the noise in Δ that the worst candidate leaves, where Δ is informative
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ def learn(
     Args:
         study: names the task, the model, what is uncertain, and the plant; without a plant the
             machine is a person's, and the loop waits for recordings.
-        run: folder that keeps every phase; a run that was interrupted goes on to the result that
-            it would have had. By default a temporary one, where the study has a plant.
-        progress: told after every phase.
+        run: folder that keeps every phase; an interrupted run, resumed, has the result that it
+            would have had. By default a temporary one, where the study has a plant.
+        progress: called after every phase.
         strict: refuse messy recordings of a person's machine.
 
     Raises:
@@ -88,7 +88,7 @@ def learn(
 
     if run is not None:
         # simulations have threads of their own; those of linear algebra would change roundings,
-        # and with them what an interrupted run goes on to
+        # and with them the result of a resumed run
         with limit_threads(1):
             return _learned(study, run, progress, strict)
     if study.plant is None:
@@ -106,7 +106,7 @@ def _learned(study: Study, run: Run, progress: OnProgress, strict: bool) -> Lear
     scene = Scene.of(study)
     _require_unchanged(study, run)
     source = PlantSource(scene, run) if study.plant else MachineSource(scene, run, strict)
-    tell = Teller(progress, study.learn.trajectories)
+    report = ProgressReporter(progress, study.learn.trajectories)
     done: list[Iteration] = []
     while not done or not done[-1].verdict.stop:
         before = done[-1] if done else None
@@ -114,15 +114,15 @@ def _learned(study: Study, run: Run, progress: OnProgress, strict: bool) -> Lear
         now = before.scene if before else scene
         waiting = source.take(number, before.policy if before else None, now)
         if waiting is not None:
-            return _told(study, scene, source, done, run, waiting.message)
-        done.append(reread(now, before, run) or iterate(now, source, before, run, tell))
-    return _told(study, scene, source, done, run)
+            return _write_results(study, scene, source, done, run, waiting.message)
+        done.append(reread(now, before, run) or iterate(now, source, before, run, report))
+    return _write_results(study, scene, source, done, run)
 
 
 def _require_unchanged(study: Study, run: Run) -> None:
-    """Refuse to go on with a run under another model or other files beside it.
+    """Refuse to resume a run under another model or other files that it needs.
 
-    First recordings of a person's machine are looked at by their source.
+    The first recordings of a person's machine are checked by their source.
 
     Raises:
         RunError: the message names what changed.
@@ -138,7 +138,7 @@ def _require_unchanged(study: Study, run: Run) -> None:
     run.write_json(INPUTS, now)
 
 
-def _told(
+def _write_results(
     study: Study,
     scene: Scene,
     source: Source,
@@ -252,31 +252,31 @@ def _recorded(study: Study) -> bool:
 
 def doubts(last: Iteration) -> list[str]:
     """Return why the last policy may not be the machine's: what B and the model do not hold."""
-    floor, said = last.found.floor, []
+    floor, sentences = last.found.floor, []
     for p in last.scene.parameters:
         name, value, ends = p.name, last.figures["chosen"][p.name], (p.low, p.high)
         if p.ordered and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
-            said.append(f"{name} = {value:.4g} is an end of B; widen it if it may lie beyond")
+            sentences.append(f"{name} = {value:.4g} is an end of B; widen it if it may lie beyond")
     most = float(last.found.deviation.max())
-    if most < _TELLS * floor.noise:
-        told = last.scene.study.deviation
-        said.append(
+    if most < _INFORMATIVE * floor.noise:
+        deviation = last.scene.study.deviation
+        sentences.append(
             f"the worst of the candidates that were tried leaves {most / floor.noise:.1f} times "
-            f"what the sensors' noise alone makes: over {told.horizon} recorded "
-            f"instant{'' if told.horizon == 1 else 's'} (deviation.horizon) parameters change "
+            f"what the sensors' noise alone makes: over {deviation.horizon} recorded "
+            f"instant{'' if deviation.horizon == 1 else 's'} (deviation.horizon) parameters change "
             "little; "
             "a longer horizon"
-            + ("" if told.starts == "fitted" else ", or starts: fitted,")
+            + ("" if deviation.starts == "fitted" else ", or starts: fitted,")
             + " tells them better apart"
         )
     if lacks_physics(floor, last.found.reason):
-        asked = last.scene.study.learn.diagnose != "never"
-        hint = "" if asked else "; learn: {diagnose: auto} looks for what it lacks"
-        said.append(
+        diagnoses = last.scene.study.learn.diagnose != "never"
+        hint = "" if diagnoses else "; learn: {diagnose: auto} looks for what it lacks"
+        sentences.append(
             f"no candidate explains the recordings: {floor.ratio:.1f} times what noise and the "
             f"spacing of B leave is left{hint}"
         )
-    return said
+    return sentences
 
 
 def _summary(result: Learning, done: list[Iteration]) -> dict[str, Any]:

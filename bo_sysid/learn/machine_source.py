@@ -27,7 +27,7 @@ from bo_sysid.study import Study
 from bo_sysid.study.inputs import corrected, read_files, read_train
 
 _USED = "used_recordings.json"
-"""Digests of the recordings of policies that a run has used, by the iteration that began so."""
+"""Digests of the recordings of policies that a run has used, by the iteration that used them."""
 _WHOLE = 0.95  # share of an episode that a recording of it should have
 
 
@@ -52,7 +52,7 @@ class MachineSource:
         self._scene, self._run, self._strict = scene, run, strict
         self._first = _first_recordings(scene, strict)
         self._files: list[Path] = []
-        self._further: list[Recording] = []  # those of policies, as the machine told them
+        self._further: list[Recording] = []  # those of policies, as recorded on the machine
         digest = _digest(corrected(scene.study, self._first))
         if run.has("first_recordings.json"):
             if run.read_json("first_recordings.json")["sha256"] != digest:
@@ -137,15 +137,15 @@ class MachineSource:
     @property
     def training(self) -> Mapping[str, Any]:
         """The study's own key, with the recordings of policies added."""
-        told = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
+        section = self._scene.study.resolved(relative_to=self._run.folder)["recordings"]
         own = [str(f.relative_to(self._run.folder)) for f in self._files]
-        if told.pop("dataset", None) is not None:
-            told["train"] = self._copies
-        return {**told, "train": [*told["train"], *own]}
+        if section.pop("dataset", None) is not None:
+            section["train"] = self._copies
+        return {**section, "train": [*section["train"], *own]}
 
     @property
     def noise(self) -> Mapping[str, float]:
-        """What the study says."""
+        """σ of the sensors as the study states it."""
         return self._scene.study.recordings.noise
 
     @property

@@ -27,7 +27,7 @@ _LONGEST = 20.0  # [s] of the first excitation, where a task has no end
 class PlantSource:
     """A simulated plant; the first trajectory is an excitation, the others are policies'.
 
-    An excitation moves every actuator over its range and has something to tell about every
+    An excitation moves every actuator over its range and is informative about every
     parameter; an untrained policy hardly moves at all. Recordings that the study names are not
     used: only what the plant has counted is.
 
@@ -39,8 +39,8 @@ class PlantSource:
     def __init__(self, scene: Scene, run: Run) -> None:
         self._scene, self._run = scene, run
         self._plant = build_plant(scene.study, budget=scene.study.learn.trajectories)
-        told = run.read_json("trajectories.json") if run.has("trajectories.json") else []
-        self._plant.resume([Trajectory(**entry) for entry in told])
+        stored = run.read_json("trajectories.json") if run.has("trajectories.json") else []
+        self._plant.resume([Trajectory(**entry) for entry in stored])
 
     def take(self, number: int, policy: LearnedPolicy | None, scene: Scene) -> Waiting | None:
         """Roll out one trajectory; one that breaks off is kept as far as it went.
@@ -87,10 +87,10 @@ class PlantSource:
 
     @property
     def noise(self) -> Mapping[str, float]:
-        """What the study says of the plant's sensors; those it says nothing of are exact."""
+        """σ of the plant's sensors as the study states it, 0 for those that it leaves out."""
         study = self._scene.study
-        told = study.plant.noise if study.plant is not None else {}
-        return {**dict.fromkeys(KINDS, 0.0), **told, **study.recordings.noise}
+        stated = study.plant.noise if study.plant is not None else {}
+        return {**dict.fromkeys(KINDS, 0.0), **stated, **study.recordings.noise}
 
     @property
     def trajectories(self) -> pd.DataFrame:
@@ -107,7 +107,7 @@ class PlantSource:
         return ()
 
     def evaluate(self, policy: LearnedPolicy) -> Estimate | None:
-        """Return the policy's return over episodes that are counted apart.
+        """Return the policy's return over episodes that do not count as trajectories.
 
         They start like those by which the policy is valued on models, so that the two compare.
         """

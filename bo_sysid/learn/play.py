@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import RunError, UserError
 from bo_sysid.learn.hand_over import machine_names
@@ -35,7 +36,7 @@ class Played:
         not_rendered: why not, else empty.
     """
 
-    returns: np.ndarray
+    returns: Float[np.ndarray, " E"]
     recording: Path
     pictures: Path | None
     not_rendered: str
@@ -43,11 +44,11 @@ class Played:
     @property
     def sentence(self) -> str:
         """The returns in words."""
-        told = Estimate.of(self.returns)
+        estimate = Estimate.of(self.returns)
         count = len(self.returns)
-        half = float(f"{told.half_width:.2g}")
+        half = float(f"{estimate.half_width:.2g}")
         error = f" ± {half:g} (95 %)" if count > 1 else ""
-        return f"Return on the plant: {told.mean:.4g}{error}, {count} episodes."
+        return f"Return on the plant: {estimate.mean:.4g}{error}, {count} episodes."
 
 
 def play(

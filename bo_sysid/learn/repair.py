@@ -23,7 +23,7 @@ class Repair:
     """What a diagnosis led to.
 
     Attributes:
-        study: path of the repaired study in the run folder; None where the loop goes on as it was.
+        study: path of the repaired study in the run folder; None where the loop keeps its own.
         sentences: what was found, or why nothing could be repaired.
     """
 
@@ -34,14 +34,14 @@ class Repair:
 def repaired(
     scene: Scene, run: Run, training: Mapping[str, Any], number: int, progress: OnProgress
 ) -> Repair:
-    """Diagnose what was recorded, and return the study to go on with.
+    """Diagnose what was recorded, and return the study to continue with.
 
     Args:
         scene: whose model explains too little.
         run: folder of the loop; the diagnosis has a run folder in it.
         training: the study's key `recordings` for what was recorded.
         number: of the iteration.
-        progress: told after every stage.
+        progress: called after every stage.
     """
     from bo_sysid.diagnosis import diagnose
 
@@ -50,8 +50,8 @@ def repaired(
     data["recordings"] = _relocated(training, run, folder)
     effects = study_effects(scene.study).values()
     further = [e.id for e in effects if e.hidden]  # joints that no policy could observe
-    asked = data.get("diagnosis", {})
-    data["diagnosis"] = {**asked, "exclude": sorted({*asked.get("exclude", ()), *further})}
+    diagnosis = data.get("diagnosis", {})
+    data["diagnosis"] = {**diagnosis, "exclude": sorted({*diagnosis.get("exclude", ()), *further})}
     trusted = bool(scene.study.code)
     folder.mkdir(exist_ok=True)  # paths that lead out of a folder lead out of one that is there
     try:

@@ -23,8 +23,8 @@ def unread(place: Path) -> str:
     ours, endings = ("first-", "trajectory-"), tuple(READERS)
     files = [p for p in sorted(place.parent.glob("[!.]*")) if p.is_file()]
     known = [p for p in files if p.name.startswith(ours) and p.name.endswith(endings)]
-    alike = [p for p in known if _number(p) == _number(place)]  # trajectory-1.csv
-    named = [p.name for p in files if p not in known or p in alike]
+    same_number = [p for p in known if _number(p) == _number(place)]  # trajectory-1.csv
+    named = [p.name for p in files if p not in known or p in same_number]
     if not named:
         return ""
     are = "is" if len(named) == 1 else "are"
@@ -44,7 +44,7 @@ def require_commands_within(recording: Recording, about: Mapping[str, Any], file
 
     Args:
         recording: as the study's rules read it.
-        about: what was written beside the policy: actuators, low, high.
+        about: content of the policy's JSON file: actuators, low, high.
         file: that it was read from.
 
     Raises:
@@ -94,10 +94,10 @@ def with_lost_commands(recording: Recording, step: float) -> Recording:
         step: time in [s] between two of its commands.
     """
     notes = [
-        f"{recording.name}: ctrl.{name} was recorded every {apart:.3g} s, and the policy acts "
+        f"{recording.name}: ctrl.{name} was recorded every {interval:.3g} s, and the policy acts "
         f"every {step:g} s: what it commanded in between is lost. Record at least as often."
         for name, channel in recording.of_kind("ctrl").items()
         if len(channel.time) > 1
-        and (apart := float(np.median(np.diff(channel.time)))) > _SLOW * step
+        and (interval := float(np.median(np.diff(channel.time)))) > _SLOW * step
     ]
     return recording.with_notes(notes) if notes else recording

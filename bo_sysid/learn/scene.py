@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from bo_sysid.arrays import Point
+from bo_sysid.arrays import Point, Probabilities
 from bo_sysid.errors import UserError
 from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.mjcf import Edit, Model, parameter_edits
@@ -40,7 +40,7 @@ class Scene:
         parameters: what is uncertain.
         candidates: the discrete set B.
         limits: edits that keep commands within the study's limits.
-        laws: forces beside the model, as a diagnosis may have put them there; stepped with it.
+        laws: forces that are no part of the MJCF, as from a diagnosis; stepped with the model.
     """
 
     study: Study
@@ -57,7 +57,7 @@ class Scene:
 
         Args:
             study: the study.
-            task: what is learned, where it is not the study's to say.
+            task: what is learned; by default the study's.
 
         Raises:
             UserError: there is no task, nothing is uncertain, or something does not fit.
@@ -142,7 +142,9 @@ class Scene:
             laws=self.laws,
         )
 
-    def training(self, point: Point, probabilities: np.ndarray | None, threads: int) -> Environment:
+    def training(
+        self, point: Point, probabilities: Probabilities | None, threads: int
+    ) -> Environment:
         """Return the environment that a policy is learned in.
 
         Args:
@@ -173,7 +175,7 @@ class Scene:
         shorter.time_limit = seconds
         return shorter
 
-    def _draw(self, probabilities: np.ndarray) -> ModelDraw:
+    def _draw(self, probabilities: Probabilities) -> ModelDraw:
         """Return a function that draws a candidate's model; each is compiled once."""
         models: dict[int, mujoco.MjModel] = {}
         edges = np.cumsum(probabilities) / probabilities.sum()

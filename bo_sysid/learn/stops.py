@@ -1,18 +1,18 @@
 """When the outer loop ends, and when the search within it does.
 
-- `seed`: the search ends when the entropy of P settles; the loop ends when the chosen candidate is
-  within ε of argmax P and its value is within r of that of every candidate within ε of it, or of
-  the nearest ones where B is spaced wider.
+- `seed`: the search ends when the entropy of P converges; the loop ends when the chosen candidate
+  is within ε of argmax P and its value is within r of that of every candidate within ε of it, or
+  of the nearest ones where B is spaced wider.
 - `zhu`: the search ends when what P leaves open no longer matters for the policy,
   Σ_{P(β) ≥ η} P(β) |V(β) - V(argmax P)| ≤ ε |V(argmax P)|; the loop ends by time out.
   S. Zhu, A. Kimmel, K. E. Bekris, A. Boularias. Fast Model Identification via Physics Engines for
   Data-Efficient Policy Search. IJCAI 2018.
 - `timeout`: the entropy ends the search, time out the loop.
 
-`seed` also ends where P has settled on the chosen candidate and the trajectory of the very policy
+`seed` also ends where P has converged to the chosen candidate and the trajectory of the very policy
 that was learned on it left it there: another one would repeat it. Time out is `learn.trajectories`;
 it ends every loop. Distances are the largest over parameters, in shares of the bounds; two values
-of a parameter without an order are as far apart as its bounds.
+of a parameter without an order are at the distance of its bounds.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ MOST_PROBABLE = 32
 AGAIN = 4  # times the episodes, over which neighbours are valued again
 _FARTHEST = 0.25  # share of the bounds within which a candidate may be a neighbour
 _LEVEL = 0.05  # of the tests of all neighbours together
-_LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to say anything
+_LEAST_MASS = 0.5  # of P that candidates above η must hold for the value-guided sum to be used
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Verdict:
         stop: whether the loop ends.
         sentence: why, or why not.
         figures: JSON values by name.
-        spent: whether it ends for want of trajectories alone, and goes on where there are more.
+        budget_exhausted: whether it ends because all trajectories are used; more let it resume.
     """
 
     stop: bool
     sentence: str
     figures: Mapping[str, Any] = field(default_factory=dict)
-    spent: bool = False
+    budget_exhausted: bool = False
 
 
 class Rule(NamedTuple):
@@ -77,11 +77,11 @@ STOP_RULES: Mapping[str, Rule] = {
 
 def distances(candidates: CandidateSet, row: int) -> Float[np.ndarray, " N"]:
     """Return the distance of each candidate from one: largest over parameters, in shares."""
-    farthest: np.ndarray = _away(candidates, row).max(axis=1)
+    farthest: np.ndarray = _distance_by_parameter(candidates, row).max(axis=1)
     return farthest
 
 
-def _away(candidates: CandidateSet, row: int) -> Float[np.ndarray, "N d"]:
+def _distance_by_parameter(candidates: CandidateSet, row: int) -> Float[np.ndarray, "N d"]:
     """Return how far each candidate is from one in each parameter, in shares of the bounds."""
     low, high = candidates.bounds
     away = np.abs(candidates.points - candidates.points[row]) / (high - low)
@@ -99,12 +99,12 @@ def neighbours(
     policy is compared on. Where there are more than `most`, those farthest in all parameters
     together (the corners): the values of a smooth V differ most there.
     """
-    apart = distances(candidates, row)
-    apart[row] = np.inf
-    nearest = float(apart.min())
+    distance = distances(candidates, row)
+    distance[row] = np.inf
+    nearest = float(distance.min())
     reach = max(epsilon, nearest if nearest <= _FARTHEST else 0.0)
-    rows = np.flatnonzero(apart <= reach + 1e-9)
-    away = np.linalg.norm(_away(candidates, row)[rows], axis=1)
+    rows = np.flatnonzero(distance <= reach + 1e-9)
+    away = np.linalg.norm(_distance_by_parameter(candidates, row)[rows], axis=1)
     order: np.ndarray = np.argsort(-np.round(away, 9), kind="stable")
     return np.asarray(rows[order[:most]], int)
 
@@ -142,20 +142,20 @@ def near_enough(
         text = f"argmax P is {away:.3g} of the bounds away from the chosen candidate"
         return Verdict(False, f"{text}, more than {epsilon:g}.", figures)
     around = neighbours(candidates, chosen, epsilon)
-    told = valued(np.concatenate([[chosen], around]), 1)
-    own = told.value(0)
+    values = valued(np.concatenate([[chosen], around]), 1)
+    own = values.value(0)
     figures |= {"value": own._asdict(), "neighbours": len(around)}
     if not len(around):
         return Verdict(
             True, "argmax P is the chosen candidate; no other is near enough to compare.", figures
         )
-    if not own.mean and not any(d.mean for d in _apart(told)):
+    if not own.mean and not any(d.mean for d in _differences(values)):
         text = "The policy is worth nothing on any candidate nearby, which says nothing of them."
         return Verdict(False, text, figures)
     allowed = r * abs(own.mean)
-    apart = _surer(told, chosen, around, allowed, valued)
-    agree, text = _agreement(apart, allowed)
-    worst, episodes = max(apart, key=lambda d: abs(d[0].mean))
+    differences = _refined_differences(values, chosen, around, allowed, valued)
+    agree, text = _agreement(differences, allowed)
+    worst, episodes = max(differences, key=lambda d: abs(d[0].mean))
     figures |= {
         "largest_difference": worst._asdict(),
         "allowed": allowed,
@@ -178,39 +178,40 @@ def _which(
     return f"the nearest candidates, {farthest:.3g} of the bounds away (epsilon is {epsilon:g}),"
 
 
-_Apart = tuple[Estimate, int]
+_Difference = tuple[Estimate, int]
 """A difference of values, and over how many paired episodes."""
 
 
-def _surer(
-    told: Values, chosen: int, around: Int[np.ndarray, " k"], allowed: float, valued: Valued
-) -> list[_Apart]:
+def _refined_differences(
+    values: Values, chosen: int, around: Int[np.ndarray, " k"], allowed: float, valued: Valued
+) -> list[_Difference]:
     """Return the difference of each neighbour, over more episodes where the test leaves it open."""
-    apart, among = [(d, told.episodes) for d in _apart(told)], len(around)
-    if any(_beyond(*d, allowed, among) for d in apart):
-        return apart
-    open_ = [k for k, d in enumerate(apart) if not _within(*d, allowed, among)]
+    differences = [(d, values.episodes) for d in _differences(values)]
+    among = len(around)
+    if any(_beyond(*d, allowed, among) for d in differences):
+        return differences
+    open_ = [k for k, d in enumerate(differences) if not _within(*d, allowed, among)]
     if open_:
         again = valued(np.concatenate([[chosen], around[open_]]), AGAIN)
-        for k, d in zip(open_, _apart(again), strict=True):
-            apart[k] = (d, again.episodes)
-    return apart
+        for k, d in zip(open_, _differences(again), strict=True):
+            differences[k] = (d, again.episodes)
+    return differences
 
 
-def _agreement(apart: list[_Apart], allowed: float) -> tuple[bool, str]:
-    """Return whether the values differ by no more than is allowed, and how that is said."""
-    if any(_beyond(*d, allowed, len(apart)) for d in apart):
+def _agreement(differences: list[_Difference], allowed: float) -> tuple[bool, str]:
+    """Return whether the values differ by no more than is allowed, and the words for it."""
+    if any(_beyond(*d, allowed, len(differences)) for d in differences):
         return False, "more than"
-    if max(d.error for d, _ in apart) > allowed:
+    if max(d.error for d, _ in differences) > allowed:
         return False, "too uncertain to be told from"
-    if max(abs(d.mean) for d, _ in apart) <= allowed:
+    if max(abs(d.mean) for d, _ in differences) <= allowed:
         return True, "within"
     return True, "not significantly more than"
 
 
-def _apart(told: Values) -> list[Estimate]:
-    """Return how far the first model's value is from each other one's."""
-    return [told.difference(0, k) for k in range(1, len(told.returns))]
+def _differences(values: Values) -> list[Estimate]:
+    """Return the first model's value minus that of each other one."""
+    return [values.difference(0, k) for k in range(1, len(values.returns))]
 
 
 def _beyond(d: Estimate, episodes: int, allowed: float, among: int) -> bool:
@@ -244,18 +245,18 @@ def value_guided(
     if mass < _LEAST_MASS:
         text = f"candidates of at least {eta:g} hold {mass:.2g} of P"
         return Verdict(False, text, {"mass": mass})
-    told = valued(rows, 1)
-    apart = np.array([abs(told.difference(k, 0).mean) for k in range(len(rows))])
-    errors = np.array([told.difference(k, 0).error for k in range(1, len(rows))])
-    total = float(probabilities[rows] @ apart)
-    own = told.value(0)
+    values = valued(rows, 1)
+    differences = np.array([abs(values.difference(k, 0).mean) for k in range(len(rows))])
+    errors = np.array([values.difference(k, 0).error for k in range(1, len(rows))])
+    total = float(probabilities[rows] @ differences)
+    own = values.value(0)
     figures = {
         "mass": mass,
         "expected_difference": total,
         "error": float(probabilities[rows[1:]] @ errors) if len(rows) > 1 else 0.0,
         "value": own._asdict(),
     }
-    if len(rows) > 1 and not own.mean and not apart.any():
+    if len(rows) > 1 and not own.mean and not differences.any():
         return Verdict(False, "the policy is worth nothing wherever P is open", figures)
     allowed = epsilon * abs(own.mean)
     text = f"the expected difference of value is {total:.3g}; {allowed:.3g} is allowed"

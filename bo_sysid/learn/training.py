@@ -46,8 +46,8 @@ def train_on(
         number: of the iteration.
         start: where it begins.
         steps: control steps in all, those of a checkpoint that it begins with included unless it
-            goes on on a new model.
-        watch: told every batch.
+            continues on a new model.
+        watch: called after every batch.
     """
     folder = run.path(f"iterations/{number:02d}/training")
     before = _taken_over(run, start, folder) * scene.settings.batch

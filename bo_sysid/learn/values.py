@@ -23,7 +23,13 @@ VALUE_SEED = 1_000_003  # starts of valuation are none of those of training
 
 
 class Estimate(NamedTuple):
-    """A mean and its standard error, of so many independent `samples`."""
+    """A mean and its standard error, in the unit of the samples.
+
+    Attributes:
+        mean: of the samples.
+        error: standard error of the mean; infinite for one sample.
+        samples: number of independent samples.
+    """
 
     mean: float
     error: float
@@ -31,14 +37,14 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of(cls, samples: Float[np.ndarray, " E"]) -> "Estimate":
-        """Return the mean of independent samples; the error of a single one is infinite."""
+        """Return the mean of `E` independent samples; the error of a single one is infinite."""
         count = len(samples)
         error = float(samples.std(ddof=1) / np.sqrt(count)) if count > 1 else np.inf
         return cls(float(samples.mean()), error, count)
 
     @property
     def half_width(self) -> float:
-        """Half of the 95 % interval."""
+        """Half the width of the 95 % interval, in the unit of the samples."""
         return float(half_width(self.error, self.samples))
 
 
@@ -47,7 +53,7 @@ class Values:
     """Returns of one policy on K models, episode k from the same start on each.
 
     Attributes:
-        returns: `K x E` sums of rewards.
+        returns: `K x E` undiscounted sums of rewards, in the task's unit of reward.
     """
 
     returns: Float[np.ndarray, "K E"]
@@ -76,7 +82,14 @@ def values(
 ) -> Values:
     """Return the returns of a policy on models, `times learn.episodes` episodes on each.
 
-    The episodes of fewer times are the first of those of more.
+    The first episodes do not depend on `times`.
+
+    Args:
+        scene: task, number of episodes and seed.
+        models: the `K` models.
+        act: returns `n x a` actions in [-1, 1] for `n x o` observations.
+        threads: of the simulation.
+        times: multiple of `learn.episodes`, E = `times learn.episodes`.
     """
     episodes, seed = times * scene.study.learn.episodes, scene.seed + VALUE_SEED
     if isinstance(scene.task, PythonTask):

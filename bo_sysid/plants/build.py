@@ -69,7 +69,7 @@ def _unlimited_task(study: Study, model: Model) -> Task | None:
 
 
 def _bare(error: StudyError) -> str:
-    """Return the message of an error about a task, which is about to be told with its key."""
+    """Return the message of an error about a task, which will be raised with its key."""
     return str(error).removeprefix("task: ")
 
 

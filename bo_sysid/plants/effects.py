@@ -46,8 +46,8 @@ def realised(study: Study, model: Model) -> Realised:
         StudyError: an effect or a site is not there, or the effect is none of a simulated plant:
             one that adds a joint, changes what a sensor reads, or filters a whole recorded input.
     """
-    asked = study.plant.effects if study.plant else ()
-    if not asked:
+    stated = study.plant.effects if study.plant else ()
+    if not stated:
         return Realised()
     try:
         motion = _motion(model)
@@ -58,7 +58,7 @@ def realised(study: Study, model: Model) -> Realised:
             f"forces are ({error}); give it a smaller timestep, ctrlrange or gear",
         ) from None
     machine, effects = survey(model.compile(), [motion]), study_effects(study)
-    made = [_one(study, model, machine, effects, i) for i in range(len(asked))]
+    made = [_one(study, model, machine, effects, i) for i in range(len(stated))]
     return Realised(
         tuple(edit for one in made for edit in one.edits),
         tuple(law for one in made for law in one.laws),
@@ -79,21 +79,21 @@ def _one(
     study: Study, model: Model, machine: Machine, effects: Mapping[str, Effect], number: int
 ) -> Realised:
     assert study.plant is not None  # noqa: S101 - the caller looked
-    asked = study.plant.effects[number]
+    stated = study.plant.effects[number]
     key = ("plant", "effects", number)
-    if asked.effect not in effects:
+    if stated.effect not in effects:
         raise study.error(
-            (*key, "effect"), f"unknown effect {asked.effect!r}; {nearest(asked.effect, effects)}"
+            (*key, "effect"), f"unknown effect {stated.effect!r}; {nearest(stated.effect, effects)}"
         )
-    effect = effects[asked.effect]
-    if asked.kind != effect.kind:
-        raise study.error((*key, "kind"), f"{effect.id} acts on a {effect.kind}, not {asked.kind}")
-    site = Site(effect.kind, asked.site or "world")
+    effect = effects[stated.effect]
+    if stated.kind != effect.kind:
+        raise study.error((*key, "kind"), f"{effect.id} acts on a {effect.kind}, not {stated.kind}")
+    site = Site(effect.kind, stated.site or "world")
     if site.name not in machine.names(effect.kind):
         near = nearest(site.name, machine.names(effect.kind))
         raise study.error((*key, "site"), f"no {effect.kind} {site.name!r}; {near}")
     try:
-        x = magnitudes(effect, site, machine, asked.value, dict(asked.details))
+        x = magnitudes(effect, site, machine, stated.value, dict(stated.details))
         return realise(model, effect, site, x, machine)
     except UserError as error:
         raise study.error((*key, error.key) if error.key else key, str(error)) from None

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import ModelError, UserError
 from bo_sysid.mjcf.commands import controlled
@@ -60,7 +61,7 @@ class Environment(Protocol):
         ...
 
     def set_state(self, state: dict[str, np.ndarray]) -> np.ndarray:
-        """Go on from a state; return the `n x o` observations."""
+        """Restore a state; return the `n x o` observations."""
         ...
 
 
@@ -81,7 +82,7 @@ class BatchEnvironment:
         threads: of the simulation; 0 for all cores. Results do not depend on it.
         stagger: spread the first episodes' ends evenly over an episode, so that later batches
             hold all phases of the task.
-        common: simulations i and i + `common` draw alike: several models under the same starts.
+        common: simulations i and i + `common` have the same draws: several models, equal starts.
         laws: forces stepped with the simulation, as a plant may have them: slower.
 
     Raises:
@@ -233,7 +234,7 @@ class BatchEnvironment:
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> np.ndarray:
-        """Go on from `get_state`'s result; return the `n x o` observations."""
+        """Restore the state that `get_state` returned; return the `n x o` observations."""
         self.sims.state[:] = state["state"]
         self.sims.goal[:] = state["goal"]
         self._steps[:] = state["steps"]
@@ -250,7 +251,7 @@ class BatchEnvironment:
 
 def episode_returns(
     environment: Environment, act: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
+) -> Float[np.ndarray, " n"]:
     """Return the `n` sums of rewards of one whole episode of every simulation.
 
     Args:
@@ -294,8 +295,10 @@ def physics_steps(duration: float, model: mujoco.MjModel) -> int:
     return round(ratio)
 
 
-def control_range(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lower and upper bound of every control.
+def control_range(
+    model: mujoco.MjModel,
+) -> tuple[Float[np.ndarray, " nu"], Float[np.ndarray, " nu"]]:
+    """Return the lower and upper bounds of the `nu` controls, in MuJoCo's units of `ctrl`.
 
     Raises:
         ModelError: an actuator has no control range.

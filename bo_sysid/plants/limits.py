@@ -37,8 +37,8 @@ def limit_edits(study: Study, model: Model) -> tuple[Edit, ...]:
     `position`. Where an actuator's force depends on more than its command, as that of servos does,
     or follows otherwise from it, as of integrators, muscles and motors with a circuit, the force
     itself is clipped to `effort`, or to the model's own range where that is narrower.
-    Several actuators of one joint have equal shares of its effort, so that their sum keeps it
-    whatever each is told. Gears, gains and biases that are parameters count at the end of their
+    Several actuators of one joint have equal shares of its effort, so that their sum keeps it for
+    all commands. Gears, gains and biases that are parameters count at the end of their
     bounds that allows least, since the machine may be any candidate of B.
 
     Raises:

@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.plants.environment import BatchEnvironment
 from bo_sysid.plants.tasks.base import Start, VectorTask
@@ -66,8 +67,10 @@ class SteppedMachine(Protocol):
         ...
 
 
-def command_ends(machine: SteppedMachine) -> tuple[np.ndarray, np.ndarray]:
-    """Return the controls of actions that are all -1, and of those that are all 1."""
+def command_ends(
+    machine: SteppedMachine,
+) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " a"]]:
+    """Return the `a` controls of actions that are all -1, and of those that are all 1."""
     ones = np.ones((1, machine.action_size))
     return machine.controls(-ones)[0], machine.controls(ones)[0]
 

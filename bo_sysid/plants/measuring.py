@@ -1,4 +1,4 @@
-"""What a plant's sensors tell: channels by name, with noise."""
+"""What a plant's sensors measure: channels by name, with noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

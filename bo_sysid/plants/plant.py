@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import UserError
 from bo_sysid.mjcf import Edit, Model
@@ -57,7 +58,7 @@ class Plant:
     """A model with parameters of its own, or a task on it.
 
     Nothing but the plant knows its edits and its time step. One roll-out is one trajectory; they
-    are counted, and more than `budget` are refused. Evaluation episodes are counted apart.
+    are counted, and more than `budget` are refused. Evaluation episodes are counted separately.
 
     Args:
         model: the nominal model, which also names the channels.
@@ -125,7 +126,7 @@ class Plant:
         return self._machine.goal
 
     def resume(self, trajectories: Sequence[Trajectory]) -> None:
-        """Go on after trajectories that were counted before an interruption.
+        """Resume after trajectories that were counted before an interruption.
 
         The next one is the same as if there had been none.
         """
@@ -138,8 +139,8 @@ class Plant:
         return self.task.control_timestep
 
     @property
-    def command_range(self) -> tuple[np.ndarray, np.ndarray]:
-        """The lowest and the highest command of every actuator, or action of a task in Python."""
+    def command_range(self) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " a"]]:
+        """The lowest and the highest of the `a` commands, or of the actions of a task in Python."""
         return command_ends(self._machine)
 
     def record(
@@ -193,12 +194,14 @@ class Plant:
             reward += given
             done += 1
         columns = {f: np.concatenate([r[f] for r in rows]) for f in rows[0]}
-        return self._tell(columns, stride, done, reward, diverged=diverged, warmstart=warmstart)
+        return self._finish_trajectory(
+            columns, stride, done, reward, diverged=diverged, warmstart=warmstart
+        )
 
-    def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> np.ndarray:
+    def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> Float[np.ndarray, " E"]:
         """Return the sums of rewards of whole episodes, `episodes`; these are no trajectories.
 
-        Episodes with one seed start alike on every plant with this task.
+        Episodes with one seed have the same starts on every plant with this task.
 
         Raises:
             PlantError: there is no task to be rewarded for, or it has no end.
@@ -236,7 +239,7 @@ class Plant:
             raise PlantError(f"{self.name}: steps is {count}; from 1 to {most} are possible")
         return count
 
-    def _tell(
+    def _finish_trajectory(
         self,
         rows: dict[str, np.ndarray],
         stride: int,

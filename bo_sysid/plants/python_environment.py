@@ -245,11 +245,11 @@ class PythonEnvironment:
 
     def step(self, actions: np.ndarray) -> Step:
         """Apply `n x a` actions in [-1, 1] for one control step; episodes that end begin anew."""
-        told = [m.apply(m.controls(a)) for m, a in zip(self._machines, actions, strict=True)]
+        outcomes = [m.apply(m.controls(a)) for m, a in zip(self._machines, actions, strict=True)]
         self._steps += 1
-        final = np.concatenate([t.observation for t in told])
-        terminated = np.array([t.ended or t.diverged for t in told])
-        cut = np.array([t.cut for t in told])
+        final = np.concatenate([t.observation for t in outcomes])
+        terminated = np.array([t.ended or t.diverged for t in outcomes])
+        cut = np.array([t.cut for t in outcomes])
         truncated = ((self._steps >= self.episode_steps) | cut) & ~terminated
         observation = final
         if (terminated | truncated).any():
@@ -258,7 +258,7 @@ class PythonEnvironment:
                 observation[i] = self._machines[i].begin()[0]
                 self._steps[i] = 0
         self._observation = observation
-        reward = np.array([t.reward for t in told])
+        reward = np.array([t.reward for t in outcomes])
         return Step(observation, reward, terminated, truncated, final)
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -274,7 +274,7 @@ class PythonEnvironment:
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> np.ndarray:
-        """Go on from `get_state`'s result; return the `n x o` observations."""
+        """Restore the state that `get_state` returned; return the `n x o` observations."""
         self._steps[:] = state["steps"]
         rows = zip(self._machines, state["state"], state["episodes"], strict=True)
         for machine, physics, episodes in rows:

@@ -34,7 +34,7 @@ def record_into(
         study: its `plant` says what is recorded.
         name: of the study file that is written beside the recordings; a run folder has a file
             `study.yaml` of its own, so that ``study`` becomes `study_recorded.yaml`.
-        progress: told after every recording.
+        progress: called after every recording.
 
     Returns:
         The path of the study on these recordings, and what to know of them.

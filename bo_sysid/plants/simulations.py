@@ -93,7 +93,7 @@ class Simulations:
         return {"steps": self._lockstep_counts.copy(), **self._lockstep.remembered()}
 
     def set_law_state(self, state: Mapping[str, np.ndarray]) -> None:
-        """Go on from `law_state`'s result; the laws forget where it is empty."""
+        """Restore what `law_state` returned; the laws forget where it is empty."""
         self.begin_laws()
         if self._lockstep is not None and state:
             self._lockstep_counts[:] = state["steps"]

@@ -5,6 +5,7 @@ a deep-learning framework is most of its time.
 """
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.policy.network import Network
 from bo_sysid.policy.settings import CriticFit
@@ -15,24 +16,24 @@ class Critic:
 
     Attributes:
         network: from normalised observations to one value.
-        theta: parameters, float32; changed in place by `fit`.
+        theta: `p` parameters, float32; changed in place by `fit`.
     """
 
-    def __init__(self, network: Network, theta: np.ndarray) -> None:
+    def __init__(self, network: Network, theta: Float[np.ndarray, " p"]) -> None:
         self.network, self.theta = network, theta
         self._first, self._second = np.zeros_like(theta), np.zeros_like(theta)
         self._steps = 0
         self._gradient = np.zeros_like(theta)
         self._scratch = np.zeros_like(theta)
 
-    def values(self, observations: np.ndarray) -> np.ndarray:
+    def values(self, observations: Float[np.ndarray, "n o"]) -> Float[np.ndarray, " n"]:
         """Return the values of `n x o` normalised observations, `n`."""
         return self.network(self.theta, observations)[:, 0]
 
     def fit(
         self,
-        observations: np.ndarray,
-        targets: np.ndarray,
+        observations: Float[np.ndarray, "B o"],
+        targets: Float[np.ndarray, " B"],
         settings: CriticFit,
         rng: np.random.Generator,
     ) -> float:
@@ -55,8 +56,8 @@ class Critic:
                 self._adam(settings)
         return loss / len(targets)
 
-    def gradient(self, x: np.ndarray, y: np.ndarray) -> float:
-        """Compute the gradient of mean (V(x) - y)^2 into a buffer; return the loss."""
+    def gradient(self, x: Float[np.ndarray, "B o"], y: Float[np.ndarray, " B"]) -> float:
+        """Compute the gradient of mean (V(x) - y)^2 over `theta` into a buffer; return the loss."""
         layers = self.network.layers(self.theta)
         outputs = [x]
         for weight, bias in layers[:-1]:
@@ -105,7 +106,7 @@ class Critic:
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from `get_state`'s result."""
+        """Restore the state that `get_state` returned."""
         self.theta[:] = state["theta"]
         self._first[:] = state["first"]
         self._second[:] = state["second"]

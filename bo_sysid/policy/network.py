@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 LOG_2PI = float(np.log(2 * np.pi))
 
@@ -40,7 +41,7 @@ class Network:
             start += o * i + o
         return views
 
-    def initial(self, rng: np.random.Generator, last_gain: float) -> np.ndarray:
+    def initial(self, rng: np.random.Generator, last_gain: float) -> Float[np.ndarray, " p"]:
         """Return orthogonal weights and zero biases, float32.
 
         Hidden layers have gain sqrt(2), the last one `last_gain` (Saxe et al. 2014).
@@ -52,8 +53,10 @@ class Network:
             weight[:] = gain * _orthogonal(rng, *weight.shape)
         return theta
 
-    def __call__(self, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return the outputs `n x out` at inputs `n x in`, in NumPy."""
+    def __call__(
+        self, theta: Float[np.ndarray, " p"], x: Float[np.ndarray, "n inputs"]
+    ) -> Float[np.ndarray, "n outputs"]:
+        """Return the outputs at `n` inputs, in NumPy."""
         views = self.layers(theta)
         for weight, bias in views[:-1]:
             x = x @ weight.T
@@ -91,7 +94,7 @@ class GaussianPolicy:
         """The number of parameters."""
         return self.network.size + self.actions
 
-    def initial(self, rng: np.random.Generator, log_std: float = 0.0) -> np.ndarray:
+    def initial(self, rng: np.random.Generator, log_std: float = 0.0) -> Float[np.ndarray, " p"]:
         """Return parameters of a policy that is near zero on average, float32."""
         log_stds = np.full(self.actions, log_std, np.float32)
         return np.concatenate([self.network.initial(rng, last_gain=0.01), log_stds])
@@ -101,7 +104,9 @@ class GaussianPolicy:
         return theta[self.network.size : self.size]
 
 
-def _orthogonal(rng: np.random.Generator, rows: int, columns: int) -> np.ndarray:
+def _orthogonal(
+    rng: np.random.Generator, rows: int, columns: int
+) -> Float[np.ndarray, "rows columns"]:
     """Return a random matrix with orthonormal rows or columns, whichever are fewer."""
     tall = rng.standard_normal((max(rows, columns), min(rows, columns)))
     q, r = np.linalg.qr(tall)

@@ -3,11 +3,12 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 
 @dataclass
 class RunningMoments:
-    """Mean and variance of all that was seen.
+    """Mean and variance of all samples so far.
 
     Attributes:
         mean: of each component.
@@ -15,8 +16,8 @@ class RunningMoments:
         count: of samples; starts just above zero, so that the first samples decide.
     """
 
-    mean: np.ndarray
-    variance: np.ndarray
+    mean: Float[np.ndarray, "*shape"]
+    variance: Float[np.ndarray, "*shape"]
     count: float = 1e-4
 
     @classmethod
@@ -24,7 +25,7 @@ class RunningMoments:
         """Return statistics of nothing yet: mean 0, variance 1."""
         return cls(np.zeros(shape), np.ones(shape))
 
-    def add(self, samples: np.ndarray) -> None:
+    def add(self, samples: Float[np.ndarray, "n *shape"]) -> None:
         """Take in samples, `n x ...`.
 
         Chan, Golub & LeVeque (1979): moments of a union from the moments of its parts.
@@ -47,7 +48,7 @@ class RunningMoments:
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from `get_state`'s result."""
+        """Restore the state that `get_state` returned."""
         self.mean, self.variance = np.array(state["mean"]), np.array(state["variance"])
         self.count = float(state["count"])
 
@@ -62,8 +63,8 @@ class Normaliser:
         clip: largest absolute value.
     """
 
-    mean: np.ndarray
-    std: np.ndarray
+    mean: Float[np.ndarray, " o"]
+    std: Float[np.ndarray, " o"]
     clip: float = 10.0
 
     @classmethod
@@ -71,7 +72,7 @@ class Normaliser:
         """Return the statistics as they are now."""
         return cls(moments.mean.copy(), np.sqrt(moments.variance + epsilon), clip)
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
+    def __call__(self, x: Float[np.ndarray, "n o"]) -> Float[np.ndarray, "n o"]:
         """Return `n x o` normalised observations, float32."""
         z = (x - self.mean) / self.std
         return np.asarray(np.clip(z, -self.clip, self.clip, out=z), np.float32)
@@ -89,11 +90,13 @@ class ReturnScale:
     """
 
     discount: float
-    running: np.ndarray
+    running: Float[np.ndarray, " n"]
     clip: float = 10.0
     moments: RunningMoments = field(default_factory=RunningMoments.of_size)
 
-    def __call__(self, rewards: np.ndarray, ended: np.ndarray) -> np.ndarray:
+    def __call__(
+        self, rewards: Float[np.ndarray, "T n"], ended: Bool[np.ndarray, "T n"]
+    ) -> Float[np.ndarray, "T n"]:
         """Take in `T x n` rewards, and return them scaled by the spread of returns, float32."""
         sums = np.empty_like(rewards)
         for t, reward in enumerate(rewards):
@@ -109,6 +112,6 @@ class ReturnScale:
         return {"running": self.running.copy(), **self.moments.get_state()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from `get_state`'s result."""
+        """Restore the state that `get_state` returned."""
         self.running = np.array(state["running"])
         self.moments.set_state(state)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from bo_sysid.plants.environment import Environment
 from bo_sysid.policy.network import GaussianPolicy
@@ -19,36 +20,36 @@ class Rollout(NamedTuple):
         rewards: `T x n`.
         terminated: `T x n`, the episode ended for good with this step.
         truncated: `T x n`, the episode reached its time limit with this step.
-        finals: for each True of `terminated | truncated`, in row-major order, the normalised
-            observation that the step led to.
+        finals: `k x o`, for each True of `terminated | truncated`, k in row-major order, the
+            normalised observation that the step led to.
         last: `n x o`, the normalised observation that the next batch will begin with.
     """
 
-    observations: np.ndarray
-    normalised: np.ndarray
-    actions: np.ndarray
-    rewards: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    finals: np.ndarray
-    last: np.ndarray
+    observations: Float[np.ndarray, "T n o"]
+    normalised: Float[np.ndarray, "T n o"]
+    actions: Float[np.ndarray, "T n a"]
+    rewards: Float[np.ndarray, "T n"]
+    terminated: Bool[np.ndarray, "T n"]
+    truncated: Bool[np.ndarray, "T n"]
+    finals: Float[np.ndarray, "k o"]
+    last: Float[np.ndarray, "n o"]
 
     @property
-    def ended(self) -> np.ndarray:
+    def ended(self) -> Bool[np.ndarray, "T n"]:
         """`T x n`, the episode ended with this step."""
         return np.asarray(self.terminated | self.truncated)
 
 
 def collect(
     environment: Environment,
-    observation: np.ndarray,
+    observation: Float[np.ndarray, "n o"],
     policy: GaussianPolicy,
-    theta: np.ndarray,
+    theta: Float[np.ndarray, " p"],
     normaliser: Normaliser,
     steps: int,
     rng: np.random.Generator,
-) -> tuple[Rollout, np.ndarray]:
-    """Act for `steps` control steps; episodes go on across calls.
+) -> tuple[Rollout, Float[np.ndarray, "n o"]]:
+    """Act for `steps` control steps; episodes continue across calls.
 
     Args:
         environment: where to act.
@@ -60,7 +61,7 @@ def collect(
         rng: of the actions.
 
     Returns:
-        What was collected, and the `n x o` observation to go on from.
+        What was collected, and the `n x o` observation to continue from.
     """
     n, o = observation.shape
     spread = np.exp(policy.log_std(theta))

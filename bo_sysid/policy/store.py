@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.errors import RunError, UserError
 from bo_sysid.policy.network import GaussianPolicy, Network
@@ -29,23 +30,25 @@ class LearnedPolicy:
     """
 
     policy: GaussianPolicy
-    theta: np.ndarray
+    theta: Float[np.ndarray, " p"]
     normaliser: Normaliser
     about: Mapping[str, Any] = field(default_factory=dict)
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def act(self, observations: Float[np.ndarray, "n o"]) -> Float[np.ndarray, "n a"]:
         """Return the mean actions, `n x a` in [-1, 1], at `n x o` observations."""
         means = self.policy.network(self.theta, self.normaliser(observations))
         return np.asarray(np.clip(means, -1.0, 1.0))
 
-    def acting(self, low: np.ndarray, high: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    def acting(
+        self, low: Float[np.ndarray, " a"], high: Float[np.ndarray, " a"]
+    ) -> Callable[[np.ndarray], np.ndarray]:
         """Return `act` for a machine whose actions from -1 to 1 are commands from `low` to `high`.
 
-        It is told what the model was on which the policy was learned, as far as its range goes: a
-        repair may have changed what an action means there (`about["commands"]`).
+        Actions are converted from the command range of the model that the policy was learned on
+        (`about["commands"]`), where a repair has given it another one than the machine's.
 
         Args:
-            low: `a` commands at the actions -1.
+            low: `a` commands at the actions -1, in the actuators' units.
             high: `a` commands at the actions 1.
         """
         own = self.about.get("commands")

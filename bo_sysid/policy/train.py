@@ -54,8 +54,8 @@ def train(
         seed: of networks, actions and shuffles; the environment has its own.
         threads: of the update; results do not depend on it.
         folder: where checkpoints, log and policy are written. With a checkpoint there, training
-            goes on from it and ends as if it had never been interrupted. Models are not
-            compared: what tells them apart belongs into `about`.
+            resumes from it and ends as if it had never been interrupted. Models are not
+            compared: what distinguishes them belongs into `about`.
         every: iterations between checkpoints.
         about: what the policy is learned on, stored with it; a checkpoint with another is
             refused.

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from bo_sysid.errors import StudyError, UserError
@@ -56,7 +57,7 @@ class Trainer:
     """Everything that changes while a policy is trained, one iteration at a time.
 
     All draws come from generators seeded with (seed, iteration, purpose), so that a trainer that
-    went on from `get_state` ends with the same policy to the last bit.
+    was restored from `get_state` ends with the same policy to the last bit.
 
     Args:
         environment: of training; a batch holds equally many steps of each of its episodes.
@@ -151,8 +152,8 @@ class Trainer:
     def _learn(
         self,
         rollout: Rollout,
-        advantage: np.ndarray,
-        targets: np.ndarray,
+        advantage: Float[np.ndarray, "T n"],
+        targets: Float[np.ndarray, "T n"],
         rng: np.random.Generator,
     ) -> tuple[Update, float]:
         """Update the policy and fit the critic, at once where there are threads for it."""
@@ -170,7 +171,9 @@ class Trainer:
             fitting = pool.submit(fit)
             return update(self.policy, theta, batch, settings.region), fitting.result()
 
-    def _estimate(self, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
+    def _estimate(
+        self, rollout: Rollout
+    ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
         """Return values and advantages, `T x n` each; time limits are bootstrapped."""
         ended = rollout.ended
         rewards = self._scale(rollout.rewards, ended)
@@ -178,12 +181,12 @@ class Trainer:
         values = self.critic.values(
             rollout.normalised.reshape(-1, rollout.normalised.shape[2])
         ).reshape(shape)
-        following = np.concatenate([values[1:], self.critic.values(rollout.last)[None]])
+        next_values = np.concatenate([values[1:], self.critic.values(rollout.last)[None]])
         if ended.any():
-            following[ended] = self.critic.values(rollout.finals)
-        following[rollout.terminated] = 0.0
+            next_values[ended] = self.critic.values(rollout.finals)
+        next_values[rollout.terminated] = 0.0
         advantage = advantages(
-            rewards, values, following, ended, self.settings.discount, self.settings.decay
+            rewards, values, next_values, ended, self.settings.discount, self.settings.decay
         )
         return values, advantage
 
@@ -203,7 +206,7 @@ class Trainer:
         return returns
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return copies of all that `set_state` needs to go on exactly from here."""
+        """Return copies of all that `set_state` needs to continue exactly from here."""
         groups = {
             "critic": self.critic.get_state(),
             "moments": self.moments.get_state(),
@@ -219,7 +222,7 @@ class Trainer:
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from `get_state`'s result, of a trainer made with the same arguments."""
+        """Restore the state of `get_state`, of a trainer made with the same arguments."""
 
         def group(name: str) -> dict[str, np.ndarray]:
             start = f"{name}."
@@ -250,6 +253,6 @@ def _require_finite(rollout: Rollout) -> None:
             )
 
 
-def _explained(values: np.ndarray, targets: np.ndarray) -> float:
+def _explained(values: Float[np.ndarray, "T n"], targets: Float[np.ndarray, "T n"]) -> float:
     variance = float(np.var(targets))
     return 1 - float(np.var(targets - values)) / variance if variance > 0 else np.nan

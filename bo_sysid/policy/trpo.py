@@ -6,8 +6,9 @@ Schulman et al. 2016, "High-dimensional continuous control using generalized adv
 
 Convention of the KL divergence: by default it is averaged over action dimensions, and so is the
 damping that is added to its Hessian, as in sb3-contrib; `average_kl=False` sums over them, which at
-equal numbers makes much smaller steps. It is KL(new || old), as in sb3-contrib; the bound holds for
-either direction, since both bound the total variation, and they agree to second order.
+equal numbers makes much smaller steps. What is constrained is KL(new || old), as in sb3-contrib;
+Schulman et al. constrain KL(old || new). The two agree to second order in the step: their Hessians
+at the old policy are equal.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Bool, Float
 
 from bo_sysid.policy.fisher import Fisher
 from bo_sysid.policy.network import LOG_2PI, GaussianPolicy
@@ -60,13 +62,13 @@ class Update(NamedTuple):
 
 
 def advantages(
-    rewards: np.ndarray,
-    values: np.ndarray,
-    following: np.ndarray,
-    ended: np.ndarray,
+    rewards: Float[np.ndarray, "T n"],
+    values: Float[np.ndarray, "T n"],
+    next_values: Float[np.ndarray, "T n"],
+    ended: Bool[np.ndarray, "T n"],
     discount: float,
     decay: float,
-) -> np.ndarray:
+) -> Float[np.ndarray, "T n"]:
     """Return generalised advantage estimates, `T x n`.
 
     With delta_t = r_t + gamma V(s'_t) - V(s_t), A_t = delta_t + gamma lambda A_{t+1}, where the sum
@@ -75,13 +77,13 @@ def advantages(
     Args:
         rewards: `T x n`.
         values: `T x n`, of the observations that were acted on.
-        following: `T x n`, of the observations that the actions led to: zero after a termination,
+        next_values: `T x n`, of the observations that the actions led to: zero after a termination,
             the value of the last observation after a truncation.
         ended: `T x n`, the episode ended with this step, for good or by the time limit.
         discount: gamma.
         decay: lambda.
     """
-    delta = rewards + discount * following - values
+    delta = rewards + discount * next_values - values
     carry = discount * decay * ~ended
     result: np.ndarray = np.empty_like(delta)
     running = np.zeros_like(delta[0])
@@ -96,7 +98,9 @@ def normalised(advantage: torch.Tensor) -> torch.Tensor:
     return (advantage - advantage.mean()) / (advantage.std() + 1e-8)
 
 
-def mean(policy: GaussianPolicy, theta: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
+def mean_actions(
+    policy: GaussianPolicy, theta: torch.Tensor, observations: torch.Tensor
+) -> torch.Tensor:
     """Return the mean actions, `B x a`."""
     x = observations
     layers = policy.network.layers(theta)
@@ -139,7 +143,7 @@ def surrogate(
 def surrogate_gradient(policy: GaussianPolicy, theta: torch.Tensor, batch: Batch) -> torch.Tensor:
     """Return the gradient of the surrogate at the old policy, float64."""
     theta = theta.clone().requires_grad_(True)
-    means = mean(policy, theta, batch.observations)
+    means = mean_actions(policy, theta, batch.observations)
     new = log_probability(batch.actions, means, policy.log_std(theta))
     (gradient,) = torch.autograd.grad(surrogate(batch, new, new.detach()), theta)
     return gradient.to(torch.float64)
@@ -217,12 +221,13 @@ def line_search(
         batch: what the surrogate and the KL divergence are computed on.
         settings: bound, shrinking factor and number of trials.
     """
-    old_means, old_log_std = mean(policy, theta, batch.observations), policy.log_std(theta)
+    old_means, old_log_std = mean_actions(policy, theta, batch.observations), policy.log_std(theta)
     old = log_probability(batch.actions, old_means, old_log_std)
     before = float(surrogate(batch, old, old))
     for trial in range(settings.backtracks):
         new_theta = theta + (settings.shrink**trial * full).to(theta.dtype)
-        means, log_std = mean(policy, new_theta, batch.observations), policy.log_std(new_theta)
+        means = mean_actions(policy, new_theta, batch.observations)
+        log_std = policy.log_std(new_theta)
         new = log_probability(batch.actions, means, log_std)
         improvement = float(surrogate(batch, new, old)) - before
         kl = float(

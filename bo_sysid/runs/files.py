@@ -21,7 +21,7 @@ UNFINISHED = ".tmp-"
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to, and move it there when the block has ended well.
+    """Yield a temporary path next to `path`, and rename it to `path` when the block has succeeded.
 
     No other writer has it, on this machine or another that shares the folder.
 
@@ -29,20 +29,20 @@ def atomic(path: Path) -> Iterator[Path]:
         OSError: the disk is full, or the folder cannot be written to; it names `path`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{path.name}")
+    temporary = path.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{path.name}")
     try:
-        yield beside
-        with open(beside, "rb+") as file:
+        yield temporary
+        with open(temporary, "rb+") as file:
             os.fsync(file.fileno())
-        os.replace(beside, path)
+        os.replace(temporary, path)
         _sync_folder(path.parent)
     except OSError as error:
-        if error.filename is None or str(error.filename) == str(beside):
+        if error.filename is None or str(error.filename) == str(temporary):
             error.filename = str(path)
         raise
     finally:
         with contextlib.suppress(OSError):  # as it did not get there
-            beside.unlink()
+            temporary.unlink()
 
 
 def plain(value: Any, key: str = "value") -> Any:

@@ -36,7 +36,7 @@ def locked(folder: Path) -> IO[str]:
 
 
 def held(folder: Path) -> bool:
-    """Return whether a process writes to a folder, also where that cannot be told."""
+    """Return whether a process writes to a folder, also where that cannot be known."""
     try:
         with open(folder / NAME, "r+", encoding="utf-8") as lock:  # which makes none
             _lock_file(lock)
@@ -52,7 +52,7 @@ if sys.platform == "win32":
     def _lock_file(lock: IO[str]) -> None:
         import msvcrt
 
-        lock.seek(_BEYOND)  # nobody can read bytes that are locked there, and who holds it is told
+        lock.seek(_BEYOND)  # beyond the text that names the holder: locked bytes are unreadable
         msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
 
 else:

@@ -26,9 +26,10 @@ def activations(
 ) -> Float[np.ndarray, "W na"]:
     """Return the activations at some times: recorded, or what the recorded controls led to.
 
-    A lag begins settled at its first control, an integrator that holds a position where its forces
-    balance (`effects.memory`). Muscles, motors with states of their own and PIDs follow the
-    recorded motion (`effects.driven`). Any other activation is taken as settled at its control.
+    A lag begins in the steady state of its first control, an integrator that holds a position where
+    its forces balance (`effects.memory`). Muscles, motors with states of their own and PIDs follow
+    the recorded motion (`effects.driven`). Any other activation is in the steady state of its
+    control.
 
     Args:
         model: names the channels.
@@ -86,7 +87,7 @@ def activations_of(
     Args:
         model: names the channels.
         compiled: the same model, or with edits in it.
-        recordings: of which the windows were cut, with the controls that actuators were told.
+        recordings: of which the windows were cut, with the controls of the actuators.
         windows: W windows.
         ctrl: their `W x S x nu` controls.
     """

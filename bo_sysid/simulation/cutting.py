@@ -16,7 +16,7 @@ from bo_sysid.mjcf.joints import HINGE, SLIDE, quaternions
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.recording.alignment import control_steps, rounding
 from bo_sysid.simulation.activations import memory_of, set_activations
-from bo_sysid.simulation.delays import remembered_steps, without_before
+from bo_sysid.simulation.delays import mask_pre_window_samples, remembered_steps
 from bo_sysid.simulation.recorded_starts import on_loops, recorded_start
 from bo_sysid.simulation.state import State
 from bo_sysid.simulation.window_starts import window_starts
@@ -98,10 +98,12 @@ class _Cutter:
         first, left_out = self._first(recording, channels, time, table)
         rows = first[:, None] + np.arange(1, self.horizon + 1)
         step, fraction = _on_steps(time, rows, time[first], dt)
-        steps = int((step + (fraction > 0)).max()) + _feels(compiled, self.layout, channels)
+        steps = int((step + (fraction > 0)).max()) + _shows_acceleration(
+            compiled, self.layout, channels
+        )
         ctrl = controls(self.model, compiled, recording, time[first], steps, dt, self.controlled)
         start, notes = self._start(recording, channels, time, table, first, ctrl)
-        observed, delayed = without_before(
+        observed, delayed = mask_pre_window_samples(
             compiled, self.layout.sensor, recording.name, channels, table[rows], step
         )
         return Windows(
@@ -150,8 +152,8 @@ class _Cutter:
         """Return the rows at which windows begin, and what was left out, in words."""
         columns = [channels.index(n) for n in self._measured]
         complete = np.isfinite(table[:, columns]).all(axis=1)
-        heard = _heard(self.model, self.compiled, self.controlled)
-        names = (*heard, *self.signals)
+        acting = _acting_controls(self.model, self.compiled, self.controlled)
+        names = (*acting, *self.signals)
         inputs = {n: recording.channels[n] for n in names if n in recording.channels}
         memory = memory_of(self.model, self.compiled, recording)
         return window_starts(
@@ -178,12 +180,16 @@ class _Cutter:
         return start, note + open_
 
 
-def _heard(model: Model, compiled: mujoco.MjModel, controlled: Sequence[str]) -> list[str]:
+def _acting_controls(
+    model: Model, compiled: mujoco.MjModel, controlled: Sequence[str]
+) -> list[str]:
     """Return the channels of the controls that act and that no controller writes."""
     return [
         n
-        for n, deaf in zip(model.ctrl_channels, controls_without_gain(compiled), strict=True)
-        if not deaf and n.removeprefix("ctrl.") not in controlled
+        for n, without_gain in zip(
+            model.ctrl_channels, controls_without_gain(compiled), strict=True
+        )
+        if not without_gain and n.removeprefix("ctrl.") not in controlled
     ]
 
 
@@ -205,7 +211,7 @@ def _on_steps(
     return step, fraction
 
 
-def _feels(compiled: mujoco.MjModel, layout: Layout, channels: Sequence[str]) -> bool:
+def _shows_acceleration(compiled: mujoco.MjModel, layout: Layout, channels: Sequence[str]) -> bool:
     """Whether a channel shows forces or accelerations, which at an instant are of a step from it.
 
     At the last instant of a window they need the control from then on.
@@ -224,7 +230,7 @@ def _require(recording: Recording, missing: list[str], what: str) -> None:
 
 
 def _require_units(compiled: mujoco.MjModel, recording: Recording) -> None:
-    """Refuse an angle on a slide and a length on a hinge, where units are said."""
+    """Refuse an angle on a slide and a length on a hinge, where units are stated."""
     si = {HINGE: "rad", SLIDE: "m"}
     for j in range(compiled.njnt):
         name, unit = f"qpos.{compiled.joint(j).name}", si.get(int(compiled.jnt_type[j]))
@@ -273,11 +279,11 @@ def controls(
 ) -> Ctrl:
     """Return the recorded controls of the steps of length `dt` in [s] from each start on."""
     ctrl = np.zeros((len(start), steps, len(model.ctrl_channels)))
-    deaf = controls_without_gain(compiled)
+    without_gain = controls_without_gain(compiled)
     for k, name in enumerate(model.ctrl_channels):
         if name in recording.channels:
             ctrl[..., k] = control_steps(recording.channels[name], start, steps, dt)
-        elif not deaf[k] and name.removeprefix("ctrl.") not in controlled:
+        elif not without_gain[k] and name.removeprefix("ctrl.") not in controlled:
             _require(recording, [name], "control")
     return ctrl
 

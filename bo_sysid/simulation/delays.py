@@ -38,33 +38,33 @@ def load_past(
             history[:, first : first + count] = past[:, own, k]
 
 
-def without_before(
+def mask_pre_window_samples(
     model: mujoco.MjModel,
     columns: Mapping[str, int],
     name: str,
     channels: Sequence[str],
-    seen: Float[np.ndarray, "W H c"],
+    observed: Float[np.ndarray, "W H c"],
     step: Int[np.ndarray, "W H"],
 ) -> tuple[Float[np.ndarray, "W H c"], tuple[str, ...]]:
-    """Return what was seen without what delayed sensors show of before a window, and words on it.
+    """Set to NaN the samples that delayed sensors took before a window began; say so in words.
 
-    No simulation knows that: MuJoCo shows zeros there.
+    A simulation that begins there cannot predict them: MuJoCo shows zeros.
 
     Args:
         model: the compiled model.
         columns: of `sensordata` by channel.
         name: of the recording.
         channels: names of the c channels.
-        seen: `W x H x c` what they showed.
+        observed: `W x H x c` measurements; not changed.
         step: `W x H` simulation step at or before each instant.
     """
     delays = np.repeat(model.sensor_delay, model.sensor_dim) / model.opt.timestep  # in steps
     late = np.array([delays[columns[n]] if n in columns else 0.0 for n in channels])
     before = step[..., None] < late - _ON_STEP
-    told = tuple(
+    notes = tuple(
         f"{name}: {n} begins each window with what was before it, by the sensor's delay in the "
         "model; that is not compared"
         for k, n in enumerate(channels)
         if before[..., k].any()
     )
-    return np.where(before, np.nan, seen), told
+    return np.where(before, np.nan, observed), notes

@@ -108,8 +108,8 @@ class LockStep:
             model: the compiled model.
             laws: in the order in which they act.
             signals: recorded inputs by channel name.
-            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied; act, too, where its
-                actuators are not taken as settled.
+            views: live arrays of the batch: qpos, qvel, ctrl and qfrc_applied; act, too, where the
+                model has activations.
             force: generalised forces that act beside the laws.
             every: steps from one evaluation to the next.
         """

@@ -1,7 +1,6 @@
 """From a study to what is simulated: its model, with the laws and forces that are stepped with it.
 
-Whatever simulates a study's machine asks here, so that nothing that stands beside the model is
-forgotten.
+Whatever simulates a study's machine goes through here, so that no law or force is forgotten.
 """
 
 from collections.abc import Sequence

@@ -71,7 +71,7 @@ def _estimated(recording: Recording, samples: Int[np.ndarray, " j"]) -> tuple[st
 
 
 def on_loops(loops: Loops, recording: Recording, start: State) -> tuple[State, tuple[str, ...]]:
-    """Return the states with their loops closed, and what is to be said of that.
+    """Return the states with their loops closed, and notes on that in words.
 
     States that were recorded whole, as those of a simulated plant, stay as they are.
     """

@@ -144,13 +144,13 @@ class Engine:
     ) -> Batch:
         """Return a batch loaded with the models and the starts, everything else reset.
 
-        Delayed actuators act on the controls of the past first; where nothing tells of it, on those
+        Delayed actuators act on the controls of the past first; where it is not known, on those
         that were `held`.
         """
         batch = self._loaded(models, len(start))
         if batch.model.nmocap:
             batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # mocap poses may differ by model
-        else:  # all defaults that matter are alike: one reset, copied, at a tenth of the time
+        else:  # all defaults that matter are equal: one reset, copied, at a tenth of the time
             # counters of warnings are no state; where MuJoCo resets what diverged they return to 1,
             # so that one that was left at 1 would not show it
             warned = batch.warning[:, :, 1].any(axis=1)

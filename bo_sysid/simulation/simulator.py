@@ -147,7 +147,7 @@ class MujocoSimulator:
         windows: Windows,
         starts: Sequence[State] | None,
     ) -> list[Prediction]:
-        """Simulate `len(models)` candidates at once and take their predictions apart."""
+        """Simulate `len(models)` candidates at once and split their predictions."""
         count, times = len(windows), len(models)
         start = windows.start.repeat(times) if starts is None else State.concatenated(starts)
         if windows.sources:

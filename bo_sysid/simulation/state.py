@@ -49,19 +49,19 @@ class State:
 
     @classmethod
     def concatenated(cls, states: Sequence["State"]) -> "State":
-        """Return several sets of states as one; what one of them does not know none does."""
+        """Return several sets of states as one, without the fields that any of them lacks."""
         known = [s.arrays for s in states]
         shared = [name for name in known[0] if all(name in arrays for arrays in known)]
         return cls.of({name: np.concatenate([arrays[name] for arrays in known]) for name in shared})
 
     @classmethod
     def of(cls, arrays: Mapping[str, np.ndarray]) -> "State":
-        """Return the states that have these `arrays`; others are left alone."""
+        """Return the states with these `arrays` by field name; other names are ignored."""
         return cls(**{f.name: arrays[f.name] for f in fields(cls) if f.name in arrays})
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """What is known, by name."""
+        """The arrays that are not None, by field name."""
         known = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: value for name, value in known.items() if value is not None}
 
@@ -74,9 +74,14 @@ class State:
         return State.of({name: x[index] for name, x in self.arrays.items()})
 
     def picked(self, pick: Bool[np.ndarray, " W"], other: "State") -> "State":
-        """Return the starts of `other` where `pick` says so, and these elsewhere.
+        """Return these states with positions and velocities of `other` where `pick` is True.
 
-        Where they know of different added joints, those of `other` count.
+        Activations and past controls stay these; warm starts are dropped. Added joints are those of
+        `other` where it has some, else these; a state that does not have them has them at rest.
+
+        Args:
+            pick: `W` flags.
+            other: `W` states of the same model.
         """
         p = pick[:, None]
         added = self.added if other.added is None else other.added
@@ -95,7 +100,12 @@ class State:
         )
 
     def placed(self, rows: Int[np.ndarray, " L"], other: "State") -> "State":
-        """Return the starts with those of some windows replaced, as `picked` does."""
+        """Return these states with `L` of them replaced, as `picked` replaces them.
+
+        Args:
+            rows: which ones; none leaves the states as they are, warm starts included.
+            other: the `L` states that take their place.
+        """
         pick, place = np.zeros(len(self), bool), np.zeros(len(self), int)
         pick[rows], place[rows] = True, np.arange(len(rows))
         return self.picked(pick, other.rows(place)) if len(rows) else self

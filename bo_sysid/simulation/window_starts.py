@@ -106,17 +106,17 @@ def _with_inputs(
         steady = short.sum() >= max(_MANY, _STEADY * len(short))
         ended = time[first + horizon] > values.time[-1] + (reach if steady else np.inf)
         late, early = values.time[0] - time[0], time[-1] - values.time[-1]
-        for out, said in (
+        for out, fault in (
             (~begun, f"{name}: {channel} begins {late:.3g} s after the measurements"),
             (ended, f"{name}: {channel} ends {early:.3g} s before the measurements"),
         ):
             if out.all():
                 raise RecordingError(
-                    f"{said}, which last {time[-1] - time[0]:.3g} s: no window is left. Do their "
+                    f"{fault}, which last {time[-1] - time[0]:.3g} s: no window is left. Do their "
                     "clocks count from the same moment?"
                 )
             if lost := np.count_nonzero(out):
-                notes.append(f"{said}; {lost} of {len(first)} windows lack it and are left out")
+                notes.append(f"{fault}; {lost} of {len(first)} windows lack it and are left out")
         if (~begun | ended).all():
             raise RecordingError(f"{name}: no window lies where {channel} was recorded")
         first = first[begun & ~ended]

@@ -188,7 +188,7 @@ class Layout:
 
 
 def require_recorded_joint(name: str, channels: Sequence[str], unrecorded: Iterable[str]) -> None:
-    """Refuse a recording with nothing to compare, since its joints are said to be unrecorded.
+    """Refuse a recording with nothing to compare, since the study names its joints as unrecorded.
 
     Args:
         name: of the recording.
