@@ -158,6 +158,7 @@ def recorded(study: Study, seed: int) -> tuple[Problem, Counted]:
             limits=limit_edits(study, model),
         )
     problem = make_problem(study, recordings, threads=1)
+    _ = problem.deviation.blocks  # they are simulated once for all: no arm pays for it
     counter = Counted(problem.deviation.simulator)
     problem.deviation.simulator = counter
     return problem, counter

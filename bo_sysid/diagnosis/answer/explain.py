@@ -7,6 +7,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.stats import chi2
 
+from bo_sysid.diagnosis.answer.longer_windows import shows_more, too_short
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.answer.sessions import Sessions, by_recording, by_stretch
 from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
@@ -88,6 +89,10 @@ def explain(located: Located) -> Outcome:
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
     unexplained = replace(unexplained, sought=bool(problem.machine.joints))
+    if not fit.members and not unexplained.flagged and too_short(problem):
+        longer = shows_more(located.evidence, repaired, problem.windows.timestep)
+        if longer:
+            unexplained = Unexplained(1.0, "world", "world", longer=longer)
     step = problem.windows.timestep
     return Outcome(fit, refitted, repaired, unexplained, step, sessions, alone, disputed)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from bo_sysid.diagnosis.answer.wording import spoken
 from bo_sysid.diagnosis.unexplained.unknown import Unknown
+from bo_sysid.diagnosis.windows.forecast import LONGER
 from bo_sysid.effects import Site
 
 _WORDS = {
@@ -28,6 +29,7 @@ class Unexplained:
         learned: whether a learned law stands for it, if it is known what it depends on.
         much: whether far more is left than a law at one joint explains.
         sought: whether there is a hinge or slide at which a law could act.
+        longer: what longer windows leave in [sigma], where those of the search show nothing.
     """
 
     share: float = 0.0
@@ -37,6 +39,7 @@ class Unexplained:
     learned: bool = True
     much: bool = False
     sought: bool = True
+    longer: float = 0.0
 
     @property
     def flagged(self) -> bool:
@@ -48,6 +51,13 @@ class Unexplained:
         """The same in words."""
         if self.site is None:
             return ()
+        if self.longer:
+            return (
+                "Something is missing that the short windows of a diagnosis in contact do not "
+                f"show: nothing is left in them, and {self.longer:.3g} sensor sigmas in windows of "
+                f"{LONGER:g} s. Positions that were not recorded may follow anything that is "
+                "short: record them, or hold the base.",
+            )
         where = spoken(Site("world" if self.kind == "world" else "joint", self.site))
         text = f"Something acts on {where} that no known effect explains"
         if self.depends_on:
