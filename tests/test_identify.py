@@ -163,6 +163,8 @@ def test_recordings_that_nothing_explains_are_said(
             "recordings": ["train", "train", "train", "holdout"],
             "kind": ["fit", "fit", "forecast", "fit"],
             "channel": ["qpos.a", "qvel.a", "qpos.a", "qpos.a"],
+            "unit": ["rad", "rad/s", "rad", "rad"],
+            "nominal": [9.0, 9.0, 9.0, 9.0],
             "identified": [left, 9.0, 9.0, 9.0],
         }
     )
@@ -171,6 +173,45 @@ def test_recordings_that_nothing_explains_are_said(
         errors, pd.DataFrame(), "", (), {"qpos.a": 5e-4},
     )  # fmt: skip
     assert any(said in s for s in found.unsure) if said else found.unsure == ()
+
+
+@pytest.mark.parametrize(("nominal", "said"), [(0.018, True), (0.6, False)])
+def test_candidates_that_are_all_worse_than_the_model_as_it_is_are_said(
+    grid: CandidateSet, nominal: float, said: bool
+) -> None:
+    """Ten thousand points in six dimensions were all far from a rotor of a thousandth of theirs."""
+    sure, point = (np.arange(len(grid)) == 0).astype(float), grid.points[0]
+    table = pd.DataFrame({"name": ["x", "y"], "low95": point, "high95": point})
+    errors = pd.DataFrame(
+        {
+            "recordings": ["train", "train", "holdout"], "kind": "fit", "unit": "rad",
+            "channel": ["qpos.wheel", "qpos.rod", "qpos.rod"],
+            "nominal": [nominal, 8e-4, 9.0], "identified": [0.58, 6e-3, 8.0],
+        }
+    )  # fmt: skip
+    errors.loc[1, "identified"] = 6e-3 if said else 5e-4
+    found = Identification(
+        "far", point, table, grid, sure, sure, pd.DataFrame({"deviation": [1.0]}),
+        errors, pd.DataFrame(), "", (),
+    )  # fmt: skip
+    words = "(qpos.wheel: 0.018 rad, and 0.58 with the best of them)"
+    assert [words in s for s in found.unsure] == [True] * said
+
+
+@pytest.mark.parametrize(("wheel", "said"), [(250.0, True), (2.0, False)])
+def test_a_channel_that_its_spread_hides_is_named(
+    grid: CandidateSet, wheel: float, said: bool
+) -> None:
+    point = grid.points[0]
+    table = pd.DataFrame({"name": ["x", "y"], "low95": [0.0, 0.0], "high95": [1.0, 0.1]})
+    p = np.full(len(grid), 1 / len(grid))
+    found = Identification(
+        "hidden", point, table, grid, p, p, pd.DataFrame({"deviation": [1.0]}), pd.DataFrame(),
+        pd.DataFrame(), "", (), {"qpos.wheel": 5e-4, "qpos.rod": 2.5e-4},
+        {"qpos.wheel": wheel, "qpos.rod": 0.4},
+    )  # fmt: skip
+    whiten = "`deviation: {whiten: {qpos.wheel: 0.0005, qpos.rod: 0.00025}}`"
+    assert any(whiten in s for s in found.unsure) == said
 
 
 def test_what_is_certain_is_tied_to_nothing() -> None:

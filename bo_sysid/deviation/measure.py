@@ -79,6 +79,12 @@ class Whitening:
         rows = [where[name] for name in channels]
         return Whitening(tuple(channels), self.scale[rows], tuple(self.source[row] for row in rows))
 
+    @property
+    def spread(self) -> dict[str, float]:
+        """Scale of each channel that is its recorded spread, by name."""
+        told = zip(self.channels, self.scale.tolist(), self.source, strict=True)
+        return {name: scale for name, scale, source in told if source == "recorded spread"}
+
     def frame(self) -> pd.DataFrame:
         """Return one row a channel: its scale and where that comes from."""
         return pd.DataFrame({"channel": self.channels, "scale": self.scale, "source": self.source})

@@ -81,6 +81,7 @@ def identify(
             *problem.unscaled(holdout),
         ),
         noise=_noise(problem.recordings, study.recordings.noise),
+        spread=problem.deviation.whitening.spread,
     )
     if run is not None:
         run.write_frame("traces.parquet", shown)

@@ -16,6 +16,8 @@ _LITTLE = 0.5  # share of the range from which an interval says little
 _KNOWN = 1e-9  # share of the range: what spreads less has one value, but for rounding
 _EXPLAINED = 3.0  # standard deviations of the noise, beyond which recordings are not explained
 _LIKELY = 0.5  # P of the best candidate that was tried, from which it is no stopgap
+_CLEARLY = 1.2  # times the nominal model's error, from which the identified one is worse
+_UNLIKE = 100.0  # times another, that a channel's scale is larger beside its noise
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 
@@ -40,6 +42,7 @@ class Identification:
         reason: why the search stopped.
         notes: what was done to the data.
         noise: standard deviation of each recorded position's noise, by channel.
+        spread: the scale of each channel that is compared in units of its recorded spread.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Identification:
     reason: str
     notes: tuple[str, ...]
     noise: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def belief(self) -> pd.DataFrame:
@@ -115,7 +119,46 @@ class Identification:
                 f"{one} and {other} move {how} over P_boot (ρ = {rho:.2f}): the recordings tell a "
                 "combination of the two better than either."
             )
-        return (*self._unexplained, *sentences, *self._cut, *self._outside)
+        hidden = self._hidden if any(r["of_range"] > _LITTLE for r in rows) else ()
+        return (
+            *self._worse, *self._unexplained, *sentences, *hidden, *self._cut, *self._outside
+        )  # fmt: skip
+
+    @property
+    def _worse(self) -> tuple[str, ...]:
+        """Whether the model as it is fits the training recordings better than every candidate."""
+        if self.errors.empty:
+            return ()
+        trained = self.errors[self.errors["recordings"] == "train"]
+        known = trained[["channel", "unit", "nominal", "identified"]].dropna()
+        ratio = known["identified"] / known["nominal"]
+        if known.empty or not ((ratio >= 1).all() and (ratio > _CLEARLY).any()):
+            return ()
+        worst = known.to_dict(orient="records")[int(ratio.to_numpy().argmax())]
+        return (
+            "The model as it is fits the training recordings better than every candidate that was "
+            f"tried ({worst['channel']}: {worst['nominal']:.3g} {worst['unit']}, and "
+            f"{worst['identified']:.3g} with the best of them): use none of these values. "
+            "Candidates are too far apart; `search: {refine: true}` zooms in on the best ones, and "
+            "narrower bounds help.",
+        )
+
+    @property
+    def _hidden(self) -> tuple[str, ...]:
+        """Which channel counts for little, since its spread is far more of its noise than others'.
+
+        Such as a wheel that turns many times, beside a joint that swings.
+        """
+        ratio = {n: s / self.noise[n] for n, s in self.spread.items() if self.noise.get(n)}
+        if not ratio or max(ratio.values()) < _UNLIKE * min(ratio.values()):
+            return ()
+        least = max(ratio, key=ratio.__getitem__)
+        whiten = ", ".join(f"{n}: {self.noise[n]:.2g}" for n in ratio)
+        return (
+            f"Channels are compared in units of their recorded spread, in which {least} counts for "
+            "little: it varies by far more of its noise than others do. In units of noise, "
+            f"`deviation: {{whiten: {{{whiten}}}}}`, it may tell more.",
+        )
 
     @property
     def _cut(self) -> tuple[str, ...]:
@@ -161,7 +204,7 @@ class Identification:
 
         Measured starts make predictions as noisy as they are: their errors are no sign.
         """
-        if not self.noise:
+        if not self.noise or self.errors.empty:
             return ()
         fits = self.errors[(self.errors["recordings"] == "train") & (self.errors["kind"] == "fit")]
         left = {

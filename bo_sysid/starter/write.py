@@ -150,7 +150,7 @@ def _deviation(scales: pd.DataFrame) -> list[str]:
     horizon = int(scales["horizon"].iloc[0])
     return [
         f"deviation: {{horizon: {horizon}, starts: fitted}}  # windows of about 0.3 s",
-        "search: {candidates: {sobol: 10000}, budget: 100}",
+        "search: {candidates: {sobol: 10000}, budget: 100, refine: true}",
     ]
 
 
