@@ -9,6 +9,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.recording import Channel
 
 _GAP = 1.5  # a window longer than this many median windows spans a gap and is left out
+_PAUSE = 0.15  # [s] beyond the usual interval, that is a gap in a window of any length
 _LATE = 1.5  # samples of an input: by more than these it begins after a window, or ends before
 _LEFT = 0.5  # of the windows, that must be left without those that begin before a drive forgot
 _STEADY, _MANY = 0.9, 10  # share and number of short intervals of what is sent all the time
@@ -79,8 +80,16 @@ def _spread(
 def _without_gaps(
     name: str, time: np.ndarray, first: Int[np.ndarray, " W"], horizon: int
 ) -> tuple[Int[np.ndarray, " kept"], tuple[str, ...]]:
+    """Leave out windows in which nothing was recorded for a while, unless that is usual.
+
+    A long window is hardly longer for a gap in which commands are held that nobody knows.
+    """
     length = time[first + horizon] - time[first]
     whole = length <= _GAP * np.median(length)
+    intervals = np.diff(time)
+    pauses = np.append(0, np.cumsum(intervals > np.median(intervals) + _PAUSE))
+    steady = whole & (pauses[first + horizon] == pauses[first])
+    whole = steady if steady.any() else whole
     lost = int((~whole).sum())
     note = f"{name}: {lost} of {len(first)} windows span a gap in the recording and are left out"
     return first[whole], (note,) if lost else ()
