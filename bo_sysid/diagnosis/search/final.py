@@ -21,8 +21,8 @@ from bo_sysid.diagnosis.sets.rules import (
     admissible,
     clean,
     explains_little,
-    needed,
     ranked,
+    required_members,
 )
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
@@ -257,7 +257,7 @@ def _without_trifles(search: Search) -> list[Fit]:
     able = {_effects(f): f for f in reversed(fits) if f.members and admissible(f, nominal)}
 
     def trifling(f: Fit) -> bool:
-        core = needed(f, nominal, fits)
+        core = required_members(f, nominal, fits)
         rest = able.get(core) if core != _effects(f) else None
         return rest is not None and rest.excess - f.excess < MARGIN**2
 

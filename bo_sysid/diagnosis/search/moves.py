@@ -17,9 +17,9 @@ from bo_sysid.diagnosis.sets.rules import (
     MARGIN,
     clean,
     explains_little,
-    needed,
     ranked,
-    required,
+    required_members,
+    required_size,
     sizes,
     weak,
 )
@@ -99,7 +99,9 @@ def _as_before(search: Search, before: Fit) -> bool:
     if before.rms > LOOSE or before.rms**2 - best.rms**2 > MARGIN**2:
         return False
     fits = search.fits.values()
-    return needed(best, search.nominal, fits) == needed(before, search.nominal, fits)
+    return required_members(best, search.nominal, fits) == required_members(
+        before, search.nominal, fits
+    )
 
 
 def carried(search: Search, prepared: Prepared) -> Search:
@@ -177,7 +179,7 @@ def eliminate(search: Search) -> None:
 
 def _by_cost(search: Search, f: Fit) -> list[int]:
     """Return the members that stay for what leaving them out costs alone."""
-    found, need = sizes(f, search.fits.values()), required(f, search.nominal)
+    found, need = sizes(f, search.fits.values()), required_size(f, search.nominal)
     return [k for k, u in enumerate(found) if u < need and f.groups[k] is None]
 
 
