@@ -29,7 +29,7 @@ class Written:
         beside: in words, what stands beside it.
         unrecorded: joints that were added, each with the joint whose encoder shows it as well.
         timestep: of the file in [s], and of the nominal model.
-        bristles: joints whose friction does not bend, and in the file does so, a little.
+        bristles: joints whose friction has no presliding, and in the file a little.
     """
 
     beside: tuple[str, ...]
@@ -97,7 +97,7 @@ def write_model(
             (folder / name).unlink(missing_ok=True)
     added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
     step = float(machine.model.opt.timestep)
-    held = [c for c in written if c.effect.id == _STRIBECK and not c.bent]
+    held = [c for c in written if c.effect.id == _STRIBECK and not c.preslides]
     return Written(words, added, (share * step, step), tuple(c.site.name for c in held))
 
 

@@ -10,7 +10,7 @@ import yaml
 from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
 from bo_sysid.effects.commands import written_lag
-from bo_sysid.effects.friction import BEND
+from bo_sysid.effects.friction import PRESLIDING
 from bo_sysid.errors import ModelError
 from bo_sysid.intervals import Quantity
 from bo_sysid.mjcf import Address, Model
@@ -87,8 +87,8 @@ def study_text(
 
 def _bristles(finding: Finding) -> bool:
     """Whether a finding is friction of which `frictionloss` is not all, or none, in the file."""
-    bent = finding.effect == "dry_friction" and any(finding.x[BEND:])
-    return bent or finding.effect == "stribeck_friction"
+    presliding = finding.effect == "dry_friction" and any(finding.x[PRESLIDING:])
+    return presliding or finding.effect == "stribeck_friction"
 
 
 def _readdressed(model: Model, nominal: Model, data: dict[str, Any]) -> list[str]:

@@ -34,12 +34,12 @@ def sentence(
         details: further components by name, which a sentence may have placeholders for.
     """
     effect, site = candidate.effect, spoken(candidate.site)
-    bend = details.get(effect.components[-1].name) if candidate.bent else None
+    presliding = details.get(effect.components[-1].name) if candidate.preslides else None
     low, high = quantity.interval
-    if bend and begun and low < 0 < high:
+    if presliding and begun and low < 0 < high:
         return (
             f"{definite(effect.noun)} at {site}, {begun:.4g} {quantity.unit} in the model, gives "
-            f"way by {amount(bend)} before it slips, which the model lacks."
+            f"way by {amount(presliding)} before it slips, which the model lacks."
         )
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
         whole = Quantity(
@@ -59,8 +59,8 @@ def sentence(
         more = {name: amount(q) for name, q in details.items()}
         between = f"{quantity.interval[0]:.4g} to {quantity.interval[1]:.4g}"
         text = text.format_map({**more, "site": site, "value": size, "interval": between})
-    if bend:
-        text += f" It gives way by {amount(bend)} before it slips."
+    if presliding:
+        text += f" It gives way by {amount(presliding)} before it slips."
     if candidate.moved:
         text += f" {_place_sentence(candidate, details)}"
     elif candidate.extent.place:

@@ -33,7 +33,7 @@ def add_joints(search: Search, leader: Fit) -> None:
         _add_beside(search, base, search.candidates)
 
 
-def mesh(search: Search, leader: Fit, joints: Sequence[str]) -> None:
+def replace_by_backlash(search: Search, leader: Fit, joints: Sequence[str]) -> None:
     """Fit a joint that is added in the place of all that a set has at each of some joints.
 
     Where a motor that is late explains all, none is tried otherwise.

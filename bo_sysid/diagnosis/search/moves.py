@@ -136,13 +136,13 @@ def without_weakest(search: Search) -> None:
             return
 
 
-def rubbing(fit: Fit, *, bent: bool = False) -> bool:
-    """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
-    if bent:
-        return any(c.bent for c in fit.members)
+def has_friction(fit: Fit, *, presliding: bool = False) -> bool:
+    """Whether a fit has friction that may preslide; with `presliding`, one that does."""
+    if presliding:
+        return any(c.preslides for c in fit.members)
     h = fit.hypothesis
     fitted = zip(h.nuisances, h.nuisance_x, strict=True)
-    return any(c.bendable for c in fit.members) or any(
+    return any(c.may_preslide for c in fit.members) or any(
         p.friction_joints and x[0] > 0 for p, x in fitted
     )
 
