@@ -95,8 +95,10 @@ def find_wiring(
     left = _left(fine, found, late)
     speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
-    told = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
-    clock = clock_of(told, least_delay(interval(recordings, traces.measured), model.opt.timestep))
+    explained = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
+    clock = clock_of(
+        explained, least_delay(interval(recordings, traces.measured), model.opt.timestep)
+    )
     stamped = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
         {"joint": fine.joints, "before": stamped, "after": left, "used": fine.weights > 0}
@@ -109,7 +111,7 @@ def find_wiring(
         }
     )
     gives = motors.in_words(fine, found, recordings)
-    flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, told)]
+    flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, explained)]
     flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))

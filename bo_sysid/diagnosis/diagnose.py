@@ -127,38 +127,42 @@ class Diagnosis:
     def sentences(self) -> tuple[str, ...]:
         """The answer in words."""
         fitted = parameters_sentence(self.parameters)
-        said = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
+        sentences = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
         disputed = disputed_sentence(self.outcome.disputed)
         if disputed:
-            said.append(disputed)
-        if not said:
+            sentences.append(disputed)
+        if not sentences:
             once = ", once its parameters are fitted" if fitted else ""
-            said = [f"Nothing that these recordings could show is missing from the model{once}."]
+            sentences = [
+                f"Nothing that these recordings could show is missing from the model{once}."
+            ]
         whole = self.outcome.fit.key == self.located.decision.best.key  # no name was withdrawn
         if whole:
-            said += rivals(self.located.decision, self.evidence.machine)
+            sentences += rivals(self.located.decision, self.evidence.machine)
         instead = stood_in_sentence(self.evidence.nuisances, self.outcome.fit)
-        said += [words for words in (fitted, instead) if words]
+        sentences += [words for words in (fitted, instead) if words]
         if whole:
-            said += doubts(self.located.decision, self.searched)
+            sentences += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
-            said.append(
+            sentences.append(
                 "The machine is in contact, or meets its stops, where names are hints and not yet "
                 "findings."
             )
         best = self.outcome.fit
         if self.answer.findings and not self.contact and leaves_much(best):
             nearest = self.located.search.nearest
-            said.append(left_sentence(best, self.evidence.most, nearest))
+            sentences.append(left_sentence(best, self.evidence.most, nearest))
         fits, evidence = self.located.decision.fits, self.evidence
-        said += hints(best, evidence.machine, fits, evidence.still)
+        sentences += hints(best, evidence.machine, fits, evidence.still)
         after = self.answer.next_experiment
         if not self.contact and not self.answer.unexplained.flagged:
             prepared = self.located.prepared
-            said += [once] if (once := seen_once(prepared.problem, prepared.linear.Q, best)) else []
+            sentences += (
+                [once] if (once := seen_once(prepared.problem, prepared.linear.Q, best)) else []
+            )
         noise = noise_sentence(self.evidence.input_noise)
         shown = [*self.holdout.sentences, *((noise,) if noise else ())]
-        return (*said, *shown, *((after.sentence,) if after else ()))
+        return (*sentences, *shown, *((after.sentence,) if after else ()))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
@@ -264,8 +268,8 @@ def _write(run: Run, result: Diagnosis) -> None:
     found = sets(result.located.decision, result.answer, result.searched)
     run.write_frame("sets.parquet", found)
     run.write_json("pose.json", bent_pose(result.evidence.recordings))
-    said = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
-    run.write_json("summary.json", said)
+    summary = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
+    run.write_json("summary.json", summary)
 
 
 def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_CACHE) -> Evidence:

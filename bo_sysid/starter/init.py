@@ -153,13 +153,15 @@ def _guessed(
         if rules.missing:
             return edits, rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables, rules)
-        told = [e for e in edits if e.joint not in rules.unmatched]
-        if edits and not (told or rules.unused):
+        recognised = [e for e in edits if e.joint not in rules.unmatched]
+        if edits and not (recognised or rules.unused):
             undriven = _guessed(source, whole, (), tables, base)
             if any(agrees(g) for n, g in undriven[1].guesses.items() if n.startswith("qpos.")):
                 return undriven
-        if any(f"ctrl.{e.joint}" in rules.columns for e in told) and len(told) < len(edits):
-            return _guessed(source, whole, told, tables, base)
+        if any(f"ctrl.{e.joint}" in rules.columns for e in recognised) and len(recognised) < len(
+            edits
+        ):
+            return _guessed(source, whole, recognised, tables, base)
         scales = _scales(nominal, [read(t, rules) for t in tables])
         hints = _hints(nominal, tables[0], rules)
         bare = [
@@ -198,8 +200,8 @@ def _held_base(source: Path, table: RawTable) -> tuple[Model, list[str], bool]:
     model = Model.from_file(source)
     compiled = model.compile()
     free = [n for n in model.joints if int(compiled.joint(n).type[0]) == FREE]
-    told = [c for c in table.columns if any(f in c for f in free)]
-    if not free or told or pose_guesses(compiled, table):
+    free_columns = [c for c in table.columns if any(f in c for f in free)]
+    if not free or free_columns or pose_guesses(compiled, table):
         return model, [], False
     note = (
         f"No column was found for the pose of the base ({', '.join(free)}), which is held where "

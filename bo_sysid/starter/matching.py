@@ -131,8 +131,8 @@ def _alone(
     fits: Fits,
 ) -> list[Guess]:
     """Match what is left and alone has a unit that fits."""
-    used, told = {g.column for g in known}, {g.channel for g in known}
-    left = [e for e in elements if f"{kind}.{e}" not in told]
+    used, channels = {g.column for g in known}, {g.channel for g in known}
+    left = [e for e in elements if f"{kind}.{e}" not in channels]
     unused = [c for c in columns if c.name not in used]
     found = []
     for e in left:
@@ -157,12 +157,12 @@ def _in_order(
         return []  # another order
     found = []
     for (first, before), (last, after) in pairwise(at):
-        between, told = elements[first + 1 : last], columns[before + 1 : after]
-        if len(between) == len(told):
+        between_elements, between_columns = elements[first + 1 : last], columns[before + 1 : after]
+        if len(between_elements) == len(between_columns):
             reason = "the order: the columns beside it are known"
             found += [
                 _guess(kind, e, c, reason, _ORDER)
-                for e, c in zip(between, told, strict=True)
+                for e, c in zip(between_elements, between_columns, strict=True)
                 if fits(e, c)
             ]
     return found

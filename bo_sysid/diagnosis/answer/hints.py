@@ -274,15 +274,15 @@ def left_sentence(best: Fit, most: int, nearest: Fit) -> str:
         nearest: the set that leaves least of all that were fitted.
     """
     small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
-    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
+    left = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
     if best.size >= most:
         return (
-            f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
+            f"{left}. All {most} effects that diagnosis.most allows are used, and more may be "
             "missing."
         )
     if nearest.rms < _MUCH_LESS * best.rms:
         return (
-            f"{said}. Other sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
+            f"{left}. Other sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
             "effects too small beside what stays unexplained to be named."
         )
-    return f"{said}. No further effect that was tried explains more."
+    return f"{left}. No further effect that was tried explains more."

@@ -10,7 +10,7 @@ from bo_sysid.intervals import Quantity, amount
 
 _SHORT = 3  # letters of a name that needs its kind beside it
 _ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
-_UNTOLD = 0.6  # of the range of a coordinate, that its interval leaves open
+_UNDETERMINED = 0.6  # of the range of a coordinate, that its interval leaves open
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
     "larger forwards than backwards": "larger backwards than forwards",
@@ -50,9 +50,9 @@ def sentence(
         text = f"{noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
         text = effect.sentence
-        for said, opposite in _OPPOSITE.items():
-            if said in text and quantity.value < 0:
-                text, quantity = text.replace(said, opposite), _negated(quantity)
+        for word, opposite in _OPPOSITE.items():
+            if word in text and quantity.value < 0:
+                text, quantity = text.replace(word, opposite), _negated(quantity)
         size = amount(quantity)
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
@@ -76,19 +76,19 @@ def definite(noun: str) -> str:
 
 def _place_sentence(c: Candidate, details: Mapping[str, Quantity]) -> str:
     """Return where a load lies, and which of its coordinates the recordings do not tell."""
-    told: list[str] = []
-    untold: list[str] = []
+    known: list[str] = []
+    unknown_places: list[str] = []
     bounds = zip(c.effect.components, c.low, c.high, strict=True)
     for component, low, high in list(bounds)[c.effect.acting :]:
         if component.name in details:
             first, last = details[component.name].interval
-            unknown = last - first > _UNTOLD * (high - low)
+            unknown = last - first > _UNDETERMINED * (high - low)
             words = f"{component.name} = {amount(details[component.name])}"
-            (untold if unknown else told).append(component.name if unknown else words)
-    text = f"It lies at {', '.join(told)} in the frame of {spoken(c.site)}" if told else ""
-    if untold:
-        text += "; the" if told else "The"
-        text += f" recordings do not tell its {' and '.join(untold)}"
+            (unknown_places if unknown else known).append(component.name if unknown else words)
+    text = f"It lies at {', '.join(known)} in the frame of {spoken(c.site)}" if known else ""
+    if unknown_places:
+        text += "; the" if known else "The"
+        text += f" recordings do not tell its {' and '.join(unknown_places)}"
     return f"{text}."
 
 

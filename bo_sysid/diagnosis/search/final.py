@@ -33,9 +33,9 @@ _FAR = 2.0  # times what the leader leaves, above which a set is far from it
 # [sigma] a set without a part of the leader is fitted again unless that part costs more
 _NEEDED = 0.5
 _COMPARED = 3  # leading sets at most that are compared with others
-_TOLD = 2.0  # standard deviations from which presliding is told from none
+_SIGNIFICANT = 2.0  # standard deviations from which presliding is told from none
 _AS_GOOD = 1.02  # times what the leader leaves: simpler sets within that are as good
-_UNTOLD = 1.005  # the same, for friction that holds in the place of one that creeps
+_UNDECIDED = 1.005  # the same, for friction that holds in the place of one that creeps
 # times what the leader leaves, within which rivals are polished as well; how many of them
 _NEAR, _RIVALS = 1.05, 2
 
@@ -110,7 +110,7 @@ def prefer_static_friction(final: Search) -> None:
         return
     known = [final.known(c.usual) if c.regularised else c for c in leader.members]
     held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
-    if held.rms < _UNTOLD * leader.rms:
+    if held.rms < _UNDECIDED * leader.rms:
         for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
             if any(c.regularised for c in f.members):
                 del final.fits[f.key]
@@ -233,7 +233,7 @@ def _drop_unsupported_presliding(final: Search) -> None:
     untold = {
         c.key
         for c, s in zip(leader.members, spread, strict=True)
-        if c.preslides and c.shapes[-1] < _TOLD * s[-1]
+        if c.preslides and c.shapes[-1] < _SIGNIFICANT * s[-1]
     }
     if not untold:
         return

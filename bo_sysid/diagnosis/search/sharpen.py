@@ -18,7 +18,7 @@ _SMOOTH = (
     0.05  # the same share of the range of a presliding or a speed, fitted again on all windows
 )
 _APART = 0.5  # of what a stroke tells apart, between periods that are tried again
-_UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
+_UNDETERMINED = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
 
 
 def sharpened(search: Search) -> None:
@@ -99,8 +99,8 @@ def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -
 
     A shape that the recordings do not tell (the speed of friction that does not fall) stays.
     """
-    told = profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
-    if told.covariance[0, 0] > _UNTOLD * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
+    profiled = profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
+    if profiled.covariance[0, 0] > _UNDETERMINED * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
         return fit
     best, sharp = fit, _SMOOTH if fit.members[at[0]].may_preslide else _SHARP
 

@@ -77,10 +77,10 @@ def reshaped(
             bounds = {at: b for at, b in bounds.items() if fit.members[at[0]].may_preslide}
         if not bounds:
             break
-        told = profile(linear.problem, linear.Q, fit, bounds)
-        if told.gain < _HOPED * _WORTH * fit.rss:
+        profiled = profile(linear.problem, linear.Q, fit, bounds)
+        if profiled.gain < _HOPED * _WORTH * fit.rss:
             break
-        before, fit = fit, _stepped(linear, fit, bounds, told.step, effort)
+        before, fit = fit, _stepped(linear, fit, bounds, profiled.step, effort)
         if fit.rss > (1 - _WORTH) * before.rss:
             break
     return fit
@@ -123,8 +123,8 @@ def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
     bounds = _places(fit, problem.machine)
     if not bounds:
         return fit
-    told = profile(problem, Q, fit, bounds)
-    V, K = told.covariance, told.following
+    profiled = profile(problem, Q, fit, bounds)
+    V, K = profiled.covariance, profiled.following
     deviations = dict(zip(bounds, np.sqrt(np.diag(V)), strict=True))
     spread = tuple(
         np.array([deviations.get((k, i), 0.0) for i in range(len(c.shapes))])

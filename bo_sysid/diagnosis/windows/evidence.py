@@ -67,7 +67,7 @@ class Evidence:
     def notes(self) -> tuple[str, ...]:
         """What was done to the model, in words."""
         yielding = self.model.loops.yielding
-        said = [
+        notes = [
             f"{joint} is tied to {other}: what acts on one acts on the other, and "
             + (
                 "only how that tie gives way tells where."
@@ -79,17 +79,17 @@ class Evidence:
         ]
         following = [j for j in self.model.loops.joints if j not in self.machine.joints]
         if following:
-            said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
+            notes.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
-            said.append("Nothing touches in the training recordings: contact is left out there.")
+            notes.append("Nothing touches in the training recordings: contact is left out there.")
         if self.unheard:
             whole = ", ".join(r.name for r in self.recordings if not self._begins_late(r))
-            said.append(
+            notes.append(
                 f"Positions in the first {self.unheard:.2g} s after a log's first command are not "
                 f"compared{f', but in {whole}, of which half would go' if whole else ''}: a late "
                 "drive acts there on what was sent before, if anything was."
             )
-        return (*said, *rates_note(self.recordings, self.model.qpos_channels))
+        return (*notes, *rates_note(self.recordings, self.model.qpos_channels))
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
