@@ -272,7 +272,7 @@ def _on_holdout(
     study: Study, frozen: _Frozen, strict: bool
 ) -> tuple[tuple[Recording, ...], Holdout]:
     """Read the recordings that were set aside, and judge a frozen answer by them."""
-    unseen = frozen.evidence.heard(load_holdout(study, strict=strict))
+    unseen = frozen.evidence.without_skipped_start(load_holdout(study, strict=strict))
     return unseen, judge(frozen.evidence, frozen.outcome, unseen)
 
 

@@ -28,7 +28,7 @@ _EXPLAINED = 1.1  # [sigma] in the other windows, which may be few
 _TRIED = 3  # sets, those that leave least of the other windows
 
 
-def unheard(search: Search) -> tuple[float, Fit] | None:
+def unexplained_start(search: Search) -> tuple[float, Fit] | None:
     """Return for how long in [s] after first commands logs are not explained, and what then does.
 
     That is where a set with a late drive explains all windows but those, and does not without it;

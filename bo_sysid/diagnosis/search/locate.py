@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
-from bo_sysid.diagnosis.search.beginnings import unheard
+from bo_sysid.diagnosis.search.beginnings import unexplained_start
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.final import compare, final_fits, prefer_static_friction
 from bo_sysid.diagnosis.search.gaps import replace_by_backlash
@@ -187,18 +187,18 @@ def _explored_anew(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Evidence, Search, float]:
     """Explore, and once more without the first moments of each log where they alone do not fit."""
-    found = unheard(search)  # of sets from shorter windows
+    found = unexplained_start(search)  # of sets from shorter windows
     if found is None:
         evidence, search = _weighted_anew(evidence, search, length, step)
         search, step = _explored(evidence, search, length, step, rounds)
         before, (evidence, search) = search, _weighted_anew(evidence, search, length, step)
         if search is not before:
             search, step = _explored(evidence, search, length, step, rounds)
-        found = unheard(search)
+        found = unexplained_start(search)
     if found is None:
         return evidence, search, step
     seconds, fit = found
-    evidence = evidence.heard_from(max(seconds, evidence.unheard))
+    evidence = evidence.skipping_start(max(seconds, evidence.skipped_start))
     prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
     made = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
     made.fit(fit.members, fit.x, guess=fit.hypothesis)
