@@ -20,7 +20,7 @@ from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
-from bo_sysid.diagnosis.windows.candidate import beside, candidates, parameter_candidates
+from bo_sysid.diagnosis.windows.candidate import candidates, free_parameters, parameter_candidates
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
@@ -256,10 +256,10 @@ def test_a_parameter_of_other_joints_too_stays_beside_friction() -> None:
     held = parameter_candidates(arm(), [tied, damping, *frictions("elbow")])
     machine = survey(arm().compile(), [record([], duration=1.0)])
     shoulder, elbow = (candidate(machine, "dry_friction", site) for site in ("shoulder", "elbow"))
-    assert beside(held, []) == held
-    assert beside(held, [shoulder]) == held
-    assert beside(held, [elbow]) == held[:2]
-    assert beside(held, [shoulder, elbow]) == held[1:2]
+    assert free_parameters(held, []) == held
+    assert free_parameters(held, [shoulder]) == held
+    assert free_parameters(held, [elbow]) == held[:2]
+    assert free_parameters(held, [shoulder, elbow]) == held[1:2]
 
 
 @pytest.mark.parametrize("fitted", [False, True])

@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     Clue,
     Unknown,
     examine,
-    needed_beside,
+    needed_with_law,
     slopes_reach,
 )
 from bo_sysid.diagnosis.windows.evidence import make_evidence
@@ -154,7 +154,7 @@ def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
     ready, nominal = magnet
     spring = candidate(ready.problem.machine, "joint_spring", "elbow")
     named = refit(ready.linear, (spring,), (spring.probe,), effort=Effort(10, 1.0, final=True))
-    assert needed_beside(ready.problem, named, AT_ELBOW) == (False,)
+    assert needed_with_law(ready.problem, named, AT_ELBOW) == (False,)
     assert named.rms > ROUGH  # far, but what is left without the spring is foretold by its slope
     assert slopes_reach(ready.problem, named, nominal)
     assert not slopes_reach(ready.problem, named, replace(nominal, rms=3 * nominal.rms))
@@ -169,7 +169,7 @@ def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
     x = np.array([0.03])
     named = refit(ready.linear, (friction,), (x,), effort=Effort(10, 1.0, final=True))
     # friction at each position, with bumps of its own, is among what the law can say
-    assert needed_beside(problem, named, AT_ELBOW) == (True,)
+    assert needed_with_law(problem, named, AT_ELBOW) == (True,)
 
 
 def test_chance_is_the_gain_of_what_has_no_sign() -> None:

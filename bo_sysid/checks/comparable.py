@@ -84,7 +84,7 @@ def as_acting(
 
 def _too_short(traces: Traces) -> str:
     """Return why there are too few instants in recordings."""
-    needed, has = traces.needed(_LEAST), traces.seconds
+    needed, has = traces.required_seconds(_LEAST), traces.seconds
     if has > needed:
         return "gaps in the recordings leave too few stretches to look at"
     reason = (

@@ -196,12 +196,15 @@ def _timed(
     evidence: WiringEvidence, h: WiringHypothesis
 ) -> tuple[WiringHypothesis, Mapping[str, estimate.Estimate]]:
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
-    controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
-    late = {n: _borne_out(evidence, h, n, estimate.delay(evidence, h, n)) for n in controls}
+    controls = [n for n in sorted(evidence.inputs) if _drives_known_joint(evidence, n)]
+    late = {
+        n: _moved_where_clearly_better(evidence, h, n, estimate.delay(evidence, h, n))
+        for n in controls
+    }
     return (replace(h, delay=clock_of(late).common.value) if late else h), late
 
 
-def _borne_out(
+def _moved_where_clearly_better(
     evidence: WiringEvidence, h: WiringHypothesis, control: str, e: estimate.Estimate
 ) -> estimate.Estimate:
     """Return a delay, moved to where the model explains its joint's forces far better, if anywhere.
@@ -269,7 +272,7 @@ def _linked(h: WiringHypothesis, names: set[str]) -> set[str]:
         names = more
 
 
-def _telling(evidence: WiringEvidence, control: str) -> bool:
+def _drives_known_joint(evidence: WiringEvidence, control: str) -> bool:
     """Whether a control drives a joint whose balance is known."""
     return bool(evidence.driven(control) and evidence.weights[evidence.dof(control)] > 0)
 

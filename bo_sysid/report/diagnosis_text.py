@@ -136,7 +136,7 @@ def set_text(members: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(members_text) or "nothing is missing"
 
 
-def told_apart(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+def undecided_sentences(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a sentence for each set that the recordings do not tell from findings.
 
     A set stands in the place of the findings that list it.

@@ -12,7 +12,7 @@ from bo_sysid.report.diagnosis_text import (
     alternatives_table,
     errors_table,
     findings_table,
-    told_apart,
+    undecided_sentences,
     verdict_text,
 )
 from bo_sysid.report.learning import learning_summary
@@ -160,7 +160,7 @@ def explanations(found: Found) -> Section | None:
         plots.append(Plot(words, {"": interactive.evidence(sets)}))
     elif diagnosis["alternatives"]:
         tables.append(("Also tried", Table.of(alternatives_table(diagnosis["alternatives"]))))
-    text = told_apart(diagnosis["findings"])
+    text = undecided_sentences(diagnosis["findings"])
     if diagnosis["next_experiment"]:
         text.append(f"What to record next: {diagnosis['next_experiment'].get('sentence', '')}")
     return Section("explanations", "What was found, and what else was tried",

@@ -229,8 +229,8 @@ def _shared(own: Sequence[str], column: Column, of_all: Collection[str]) -> floa
         letters = [w for w in shared if not w.isdigit()]
         named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
         return named if letters else _LIKELY
-    telling = [w for w in special if w not in of_all and not w.isdigit()]
-    if all(_begun(w, column.words) for w in telling or special):
+    distinctive = [w for w in special if w not in of_all and not w.isdigit()]
+    if all(_begun(w, column.words) for w in distinctive or special):
         return _BEGUN
     return 0.5 * len(shared) / max(len(special), 1)
 

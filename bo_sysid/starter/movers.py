@@ -118,7 +118,7 @@ def _share(evidence: WiringEvidence, actuator: str, column: str) -> float:
         target, physics = evidence.value(h, f"qpos.{joint}"), []
     else:
         terms, j = evidence.terms(h), evidence.dof(name)
-        target = terms.needed[:, j]
+        target = terms.required_force[:, j]
         physics = [terms.velocity[:, j], terms.dry[:, j]]
     beside = np.column_stack([np.ones_like(target), *physics])
     spare = _left(beside, target)

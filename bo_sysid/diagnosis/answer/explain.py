@@ -21,7 +21,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     Clue,
     Unknown,
     examine,
-    needed_beside,
+    needed_with_law,
     slopes_reach,
 )
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
@@ -105,7 +105,7 @@ def _held(
     if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
     if unknown.law is not None and slopes_reach(problem, fit, decision.nominal):
-        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
+        fit = _without(located, fit, needed_with_law(problem, fit, unknown.law))
     named = fit.members
     fit, sessions = _agreed(located, fit)
     disputed = tuple(c for c in named if c.key not in {d.key for d in fit.members})

@@ -65,7 +65,7 @@ def decide(
     leader = ranking.leader
     best, as_probable = _answer(compared, leader, ranking.fits)
     for fit in reversed(as_probable):
-        ranking = ranking.with_level(fit)
+        ranking = ranking.with_tie(fit)
     ranking = ranking.ordered()
     equivalents = _equivalents(compared, ranking, best, (leader, *as_probable))
     return Decision(best, nominal, tuple(ranking.fits), ranking.probability, equivalents)
@@ -188,7 +188,7 @@ class _Ranking:
         weight = np.exp(self.score - self.score.max())
         return np.asarray(weight / weight.sum())
 
-    def with_level(self, fit: Fit) -> "_Ranking":
+    def with_tie(self, fit: Fit) -> "_Ranking":
         """Return the same with a set that is as probable as the leader, before it."""
         return _Ranking([fit, *self.fits], np.concatenate([[self.score.max()], self.score]))
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, assess
 from bo_sysid.diagnosis.sets.gauss_newton import LeastSquares, broyden
-from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, free_parameters, slices_of
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -77,7 +77,7 @@ class _Space:
 
     @classmethod
     def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
-        nuisances = beside(problem.nuisances, members)
+        nuisances = free_parameters(problem.nuisances, members)
         held = (*members, *nuisances)
         numerics = problem.correction is not None
         extra = ([SHARE_BOUNDS[0]], [SHARE_BOUNDS[1]], [1.0]) if numerics else ([], [], [])

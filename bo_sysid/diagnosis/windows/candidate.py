@@ -210,7 +210,9 @@ def parameter_candidates(model: Model, parameters: Sequence[Parameter]) -> tuple
     return tuple(_parameter(model, p) for p in parameters)
 
 
-def beside(parameters: Sequence[Candidate], members: Sequence[Candidate]) -> tuple[Candidate, ...]:
+def free_parameters(
+    parameters: Sequence[Candidate], members: Sequence[Candidate]
+) -> tuple[Candidate, ...]:
     """Return the parameters that are fitted beside some members.
 
     Friction that is a member is all there is at its joint: a parameter that is no more than the
