@@ -39,7 +39,7 @@ class Trace:
         time: `G` even stamps in [s].
         value: `G` smoothed values.
         rate: `G` first derivatives.
-        second_derivative: `G`.
+        second_derivative: `G` second derivatives.
     """
 
     time: Float[np.ndarray, " G"]
