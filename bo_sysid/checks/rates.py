@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.speeds import ALIKE, EXACT, SLIDING, TURNING
+from bo_sysid.checks.speeds import EXACT, MIN_CORRELATION, SLIDING, TURNING
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.joints import HINGE, SCALAR
 from bo_sysid.recording import Recording
@@ -53,7 +53,7 @@ def _flags(
     if not (rate.std() and recorded.std()):
         return []
     correlation = float(np.corrcoef(rate, recorded)[0, 1])
-    if abs(correlation) < ALIKE:
+    if abs(correlation) < MIN_CORRELATION:
         return []
     factor, found = float(rate.std() / recorded.std()), []
     if correlation < 0:

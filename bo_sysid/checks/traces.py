@@ -233,7 +233,7 @@ def _noise_shares(
     """Return by channel how much of its acceleration is noise after a filter."""
     grid = _grid(recording, measured, width)
     shares = {}
-    for name in _alike(recording, measured):
+    for name in _moving_channels(recording, measured):
         c = recording.channels[name]
         second_derivative = Trace.of(c, grid, width, held=False).second_derivative
         dt = float(np.median(np.diff(c.time)))
@@ -242,7 +242,7 @@ def _noise_shares(
     return shares
 
 
-def _alike(recording: Recording, measured: Sequence[str]) -> list[str]:
+def _moving_channels(recording: Recording, measured: Sequence[str]) -> list[str]:
     """Return the measured channels that move, and the controls that may be swapped with them."""
     names = [*measured, *(n for n in recording.channels if n.startswith("ctrl."))]
     return [n for n in names if np.ptp(recording.channels[n].values) > 0]

@@ -93,7 +93,7 @@ def find_wiring(
     found, loads = without_loads(fine, found, first)
     found, late = _timed(fine, found)
     left = _left(fine, found, late)
-    speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
+    speeds, correlations = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
     explained = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
     clock = clock_of(
@@ -112,7 +112,7 @@ def find_wiring(
     )
     gives = motors.in_words(fine, found, recordings)
     flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, explained)]
-    flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance, fine.still)]
+    flags += [*twin_flags(twins), *speed_flags(correlations), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
 

@@ -9,7 +9,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import listed
-from bo_sysid.checks.speeds import ALIKE
+from bo_sysid.checks.speeds import MIN_CORRELATION
 from bo_sysid.recording import kind_of
 
 _DOUBT = (
@@ -110,7 +110,7 @@ def _correction_text(name: str, wire: Wire, kind: str) -> str:
     return name
 
 
-def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
+def speed_flags(correlations: Mapping[str, float]) -> list[Flag]:
     """Return speeds that belong to no position."""
     return [
         Flag(
@@ -120,8 +120,8 @@ def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
             f"{name} is not the rate of any recorded position (correlation {c:.2f}).",
             {"correlation": c},
         )
-        for name, c in alike.items()
-        if abs(c) < ALIKE
+        for name, c in correlations.items()
+        if abs(c) < MIN_CORRELATION
     ]
 
 

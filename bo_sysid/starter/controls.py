@@ -116,9 +116,11 @@ def _same_names(
     """Match actuators with the only column that is called like them."""
     found = []
     for a in actuators:
-        alike = [c for c in columns if words(c.name) == words(a) and fits_control(compiled, a, c)]
-        if len(alike) == 1:
-            (c,) = alike
+        same_name = [
+            c for c in columns if words(c.name) == words(a) and fits_control(compiled, a, c)
+        ]
+        if len(same_name) == 1:
+            (c,) = same_name
             found.append(Guess(f"ctrl.{a}", c.name, c.unit, "the same name", _SAME_NAME))
     return found
 

@@ -68,8 +68,8 @@ def init(
     files = _different([Path(log) for log in logs])
     held = max(len(files) // 4, 1) if len(files) > 1 else 0
     train, holdout = files[: len(files) - held], files[len(files) - held :]
-    tables = _alike([t for f in train for t in _read(f, rate)])
-    _alike([*tables[:1], *(t for f in holdout for t in _read(f, rate))])
+    tables = _require_same_columns([t for f in train for t in _read(f, rate)])
+    _require_same_columns([*tables[:1], *(t for f in holdout for t in _read(f, rate))])
     whole, notes, fixed = _held_base(source, tables[0])
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
     if edits and motors.exists():
@@ -183,7 +183,7 @@ def _hints(model: Model, table: RawTable, rules: Rules) -> dict[str, str]:
     return hints
 
 
-def _alike(tables: list[RawTable]) -> list[RawTable]:
+def _require_same_columns(tables: list[RawTable]) -> list[RawTable]:
     """Return the tables, which must have the columns of the first."""
     for table in tables[1:]:
         missing = set(tables[0].columns) ^ set(table.columns)

@@ -87,13 +87,13 @@ def _named(
     fits: Fits,
 ) -> list[Guess]:
     """Match by names, of the elements or those beside them."""
-    own, beside = as_counted(elements, columns), as_counted(also, columns)
-    alike = _of_all(elements), _of_all(also)
+    own, own_also = as_counted(elements, columns), as_counted(also, columns)
+    common = _of_all(elements), _of_all(also)
     likeness = [
         [
             max(
-                _likeness(n, c, own[n, c.name], alike[0]),
-                _likeness(o, c, beside[o, c.name], alike[1], trust),
+                _likeness(n, c, own[n, c.name], common[0]),
+                _likeness(o, c, own_also[o, c.name], common[1], trust),
             )
             for c in columns
         ]
@@ -112,13 +112,15 @@ def _named(
     for p, r in chosen.items():
         like, reason = likeness[r][p]
         spare = [k for k in range(len(columns)) if k not in chosen and score[r, k] >= score[r, p]]
-        if rivals := [columns[k].name for k in spare if _alike(columns[k], columns[p])]:
+        if rivals := [
+            columns[k].name for k in spare if _differ_by_element_alone(columns[k], columns[p])
+        ]:
             like, reason = min(like, _OPEN), f"{reason}, which {rivals[0]} has as well"
         found.append(_guess(kind, elements[r], columns[p], reason, like))
     return found
 
 
-def _alike(one: Column, other: Column) -> bool:
+def _differ_by_element_alone(one: Column, other: Column) -> bool:
     """Whether two columns say the same beside the names of elements, as left_pos and right_pos."""
     return _GENERIC & set(one.words) == _GENERIC & set(other.words)
 

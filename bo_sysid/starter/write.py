@@ -15,7 +15,7 @@ _WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
 _FEW = 8  # columns that are named beside a channel
 _SHARED = "no column is left; two motors on one command name one column"
 _NOTHING_KNOWN = (
-    "# Bounds of parameters and limits follow from the motion. Once the columns are said, and",
+    "# Bounds of parameters and limits follow from the motion. Once the columns are stated, and",
     "# `bo-sysid check` agrees, add what is not known, for instance:",
     '# parameters: [{address: "joint[elbow].damping", low: 0, high: 1}]',
 )

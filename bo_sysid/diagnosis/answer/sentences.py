@@ -103,9 +103,9 @@ def _at_site(c: Candidate) -> str:
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
     best, rivals_of = decision.best, dict[str, list[str]]()
-    alike = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
-    sets = irreducible(frozenset(c.key for c in best.members), list(alike))
-    for f in [alike[s] for s in sets][:_RIVALS]:
+    by_keys = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
+    sets = irreducible(frozenset(c.key for c in best.members), list(by_keys))
+    for f in [by_keys[s] for s in sets][:_RIVALS]:
         theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
         if theirs and ours:
             rivals_of.setdefault(ours, []).append(theirs)

@@ -161,9 +161,9 @@ def _as_good(
     own = max((s.gain for s in found if itself(s)), default=0.0)
     near = _ALIKE * max(1.0, base.rms**2)
     rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
-    alike = [s for s in found if s.gain > own - max(near, rough * own)]
+    equally_good = [s for s in found if s.gain > own - max(near, rough * own)]
     most = sum(c.size for c in out)
-    return alike, [s for s in found if s.gain > _FEWER * own and size(s) < most]
+    return equally_good, [s for s in found if s.gain > _FEWER * own and size(s) < most]
 
 
 def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:

@@ -183,8 +183,8 @@ def _names(header: str, row: str) -> tuple[str, list[str]]:
 
     def fits(separator: str) -> tuple[bool, bool, int]:
         count = header.count(separator)
-        alike = count == row.count(separator)
-        return count > 0, alike, 0 if alike else count
+        consistent = count == row.count(separator)
+        return count > 0, consistent, 0 if consistent else count
 
     separator = max(";\t,", key=fits)
     if separator not in header:
