@@ -10,7 +10,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 from bo_sysid.diagnosis.answer import explain as explaining
 from bo_sysid.diagnosis.answer.explain import _better, _learned, _placed, _refuted
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
-from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
+from bo_sysid.diagnosis.answer.unexplained import Unexplained, unexplained_of
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.decide import Decision
@@ -337,6 +337,6 @@ def test_a_law_that_leaves_most_tells_no_joint(magnet, monkeypatch, left, tells)
     located = Located(settled(far), ready, Search.on(ready, [], 1, None), made)
     _, clue = _learned(located, far, (AT_ELBOW,), None)
     assert clue.tells is tells
-    told = said(Unknown(True, 1.0, (clue,)))
+    told = unexplained_of(Unknown(True, 1.0, (clue,)))
     assert (told.site, told.depends_on) == (("elbow", ("position",)) if tells else ("world", ()))
     assert told.much is not tells
