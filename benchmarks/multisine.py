@@ -38,7 +38,9 @@ def multisines(
     everyone = tuple(range(len(trial.machines)))
 
     def over(size: np.ndarray) -> np.ndarray:
-        return trial.judge(everyone)(s.scaled(size[:, None, None] * shape), 1.0, told=False).over
+        return trial.judge(everyone)(
+            s.scaled(size[:, None, None] * shape), 1.0, information=False
+        ).over
 
     size = largest(over, np.full(count, _LARGEST), 10)
     unit = size[:, None, None] * shape

@@ -36,7 +36,7 @@ def test_a_mass_at_a_point_needs_what_a_body_there_needs() -> None:
         for tool in ("", TOOL.format(mass=mass, at="0.07 -0.03 0.12"))
     )
     motion = np.random.default_rng(0).normal(size=(3, 5, 3))
-    needed = loaded.terms(*motion).needed - plain.terms(*motion).needed
+    needed = loaded.terms(*motion).required_force - plain.terms(*motion).required_force
     hand = plain.model.body("hand").id
     points = plain.of_points(*motion, hand, np.array([at, 0 * at]))
     assert mass * points[..., 0] == pytest.approx(needed, abs=1e-7)

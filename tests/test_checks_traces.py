@@ -14,7 +14,7 @@ def test_a_parabola_keeps_its_derivatives(width: float) -> None:
     trace = Trace.of(channel, time, width, held=False)
     inner = slice(80, -80)
     assert trace.rate[inner] == pytest.approx(2.0 + 6.0 * time[inner], abs=1e-8)
-    assert trace.bend[inner] == pytest.approx(6.0, abs=1e-6)
+    assert trace.second_derivative[inner] == pytest.approx(6.0, abs=1e-6)
 
 
 def test_a_held_channel_lags_a_measured_one_by_half_an_interval() -> None:

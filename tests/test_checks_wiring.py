@@ -399,17 +399,17 @@ def test_inverse_dynamics_balance_exactly_along_a_simulated_motion() -> None:
     terms = Dynamics(Model.from_xml(ARM).compile()).terms(
         data.qpos[None].copy(), data.qvel[None].copy(), data.qacc[None].copy()
     )
-    assert terms.needed == pytest.approx(terms.actuated(np.array([[0.7, -0.3]])), abs=1e-10)
+    assert terms.required_force == pytest.approx(terms.actuated(np.array([[0.7, -0.3]])), abs=1e-10)
 
 
 def test_gain_and_friction_are_physics_and_not_wiring() -> None:
     rng = np.random.default_rng(3)
     terms = Dynamics(Model.from_xml(ARM).compile()).terms(*rng.standard_normal((3, 200, 2)))
     friction = 0.7 * terms.velocity + 0.2 * terms.dry
-    share = unexplained(terms, ((terms.needed + friction * [1, -1]) / [1.3, 1.0])[None])[0]
+    share = unexplained(terms, ((terms.required_force + friction * [1, -1]) / [1.3, 1.0])[None])[0]
     assert share[0] == pytest.approx(0.0, abs=1e-6)
     assert share[1] > 1e-3  # friction that drives would be no friction
-    share = unexplained(terms, -terms.needed[None])[0]
+    share = unexplained(terms, -terms.required_force[None])[0]
     assert (share > 0.5).all()
 
 

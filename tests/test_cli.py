@@ -213,7 +213,7 @@ def test_an_interrupt_in_a_compiled_module_that_is_being_imported_is_no_defect(
     monkeypatch.setattr("bo_sysid.cli.identify.identify_into", fail)
     code, _, err = say("identify", "arm.yaml", "--out", str(folder / "run"))
     assert (code, "Traceback" in err) == (130, False)
-    assert err.endswith("bo-sysid: interrupted; the same command goes on where it was\n")
+    assert err.endswith("bo-sysid: interrupted; run the same command again to resume\n")
     assert json.loads((folder / "run" / "run.json").read_text())["status"] == "interrupted"
 
 
@@ -333,7 +333,9 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         run.write_frame("evaluations.parquet", pd.DataFrame({"deviation": [0.5, 0.25]}))
         code, out, _ = say("report", "run")
     assert code == 0
-    assert "2 evaluations so far, lowest deviation 0.25. The same command goes on." in out
+    assert (
+        "2 evaluations so far, lowest deviation 0.25. Run the same command again to resume." in out
+    )
     (folder / "run" / "evaluations.parquet").write_text("no")
     with Run.open(folder / "run2", {}, "diagnose"):
         (folder / "run2" / "fits").mkdir()
@@ -343,7 +345,7 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         answer = {"findings": [{"sentence": "The elbow has dry friction of 0.1 N m."}]}
         (folder / "run2" / "answer.json").write_text(json.dumps(answer))
         frozen = say("report", "run2")[1]
-    assert "Nothing is decided yet; fits so far: 1. The same command goes on." in said
+    assert "Nothing is decided yet; fits so far: 1. Run the same command again to resume." in said
     assert "The elbow has dry friction of 0.1 N m.\nThe unseen recordings were not" in frozen
     with Run.open(folder / "run4", {}, "learn") as run:
         run.write_frame("trajectories/01.parquet", pd.DataFrame({"time": [0.0]}))
@@ -352,8 +354,8 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
     assert "learn, running\n" in said
     assert (
         "Real trajectories so far: 1 (trajectories/*.parquet). The model is identified "
-        "(iterations/*/belief.parquet). No policy was learned yet. The same command goes on."
-        in said
+        "(iterations/*/belief.parquet). No policy was learned yet. "
+        "Run the same command again to resume." in said
     )
     record = (folder / "run4" / "run.json").read_text().replace("finished", "running")
     (folder / "run4" / "run.json").write_text(record)  # as a process that was killed leaves it
@@ -362,7 +364,10 @@ def test_report_says_how_far_an_unfinished_run_came(folder: Path, say: Say) -> N
         (folder / "run3" / "records" / "small" / "greedy").mkdir(parents=True)
         for name in ("000.json", "001.json", "plan.json"):
             (folder / "run3" / "records" / "small" / "greedy" / name).touch()
-        assert "Runs of arms so far: 2. The same command goes on." in say("report", "run3")[1]
+        assert (
+            "Runs of arms so far: 2. Run the same command again to resume."
+            in say("report", "run3")[1]
+        )
     code, _, err = say("report", "run")
     assert code == 2
     assert "evaluations.parquet: damaged" in err
@@ -505,7 +510,7 @@ def test_a_process_that_is_terminated_says_what_goes_on(folder: Path) -> None:
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate()
     assert process.returncode == 130
-    assert err.endswith("bo-sysid: interrupted; the same command goes on where it was\n")
+    assert err.endswith("bo-sysid: interrupted; run the same command again to resume\n")
     assert json.loads((folder / "run" / "run.json").read_text())["status"] == "interrupted"
 
 

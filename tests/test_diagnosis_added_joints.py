@@ -11,7 +11,7 @@ from diagnosis_helpers import arm
 from diagnosis_helpers import record as record_arm
 
 from bo_sysid.diagnosis import diagnose
-from bo_sysid.diagnosis.search.locate import locate, with_meshed_sets
+from bo_sysid.diagnosis.search.locate import locate, with_backlash_tried
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
@@ -234,7 +234,7 @@ def test_a_gap_is_tried_where_a_late_motor_and_little_else_lead(truth, x, leads)
     pair = [next(c for c in evidence.candidates if c.effect.id == e) for e in late]
     fit = search.refit(pair, (np.array([0.005]), np.array([-0.01])))
     search.fits = {fit.key: replace(fit, unique=(5.0, 0.3)), search.nominal.key: search.nominal}
-    best = with_meshed_sets(evidence, search, 150).best
+    best = with_backlash_tried(evidence, search, 150).best
     assert {c.key for c in best.members} == leads
     assert best.x[0][0] == pytest.approx(x[0], rel=0.1)
 

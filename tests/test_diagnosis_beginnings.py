@@ -50,18 +50,18 @@ def test_a_missing_lag_is_found_in_a_log_that_begins_with_its_command(on: bool) 
     assert x[0] == pytest.approx(LAG, abs=1e-3)
     assert located.decision.best.rms < 1.05
     # six time constants are left out where the motor was not on before, and only there
-    assert located.evidence.unheard == (0.0 if on else pytest.approx(6 * LAG, rel=0.1))
+    assert located.evidence.skipped_start == (0.0 if on else pytest.approx(6 * LAG, rel=0.1))
     begins = min(r.span[0] for r in located.evidence.recordings)
-    assert begins == pytest.approx(located.evidence.unheard, abs=STEP)
+    assert begins == pytest.approx(located.evidence.skipped_start, abs=STEP)
     assert all(r.channels["ctrl.drive"].time[0] == 0 for r in located.evidence.recordings)
 
 
 def test_what_half_of_a_log_would_go_for_stays_whole() -> None:
-    made = evidence(lag=LAG).heard_from(0.24)
+    made = evidence(lag=LAG).skipping_start(0.24)
     (log,) = made.recordings
     assert log.span == (pytest.approx(0.24), pytest.approx(5.998))
     short = evidence(lag=LAG).recordings[0].between(0.0, 0.4)
-    assert made.heard([short]) == (short,)
+    assert made.without_skipped_start([short]) == (short,)
     assert any("are not compared: a late drive" in n for n in made.notes)
     both = replace(made, recordings=(log, replace(short, name="short")))
     assert any("are not compared, but in short, of which half would go: a" in n for n in both.notes)
@@ -70,4 +70,4 @@ def test_what_half_of_a_log_would_go_for_stays_whole() -> None:
 def test_a_torque_limit_that_is_reached_in_the_first_moments_is_not_left_out() -> None:
     located = locate(evidence(limit=2.2))
     assert [c.key for c in located.decision.best.members] == [("actuator_saturation", "drive")]
-    assert located.evidence.unheard == 0
+    assert located.evidence.skipped_start == 0

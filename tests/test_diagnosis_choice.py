@@ -16,15 +16,15 @@ from bo_sysid.diagnosis.answer.explain import explain
 from bo_sysid.diagnosis.answer.findings import findings
 from bo_sysid.diagnosis.answer.hints import (
     balls,
-    bending,
+    compliance_or_motor_lag,
+    compliance_or_presliding,
     doubtful,
-    following,
     hints,
-    holding,
     leaves_much,
     left_sentence,
     perhaps_nothing,
-    unrepeated,
+    stuck_joints,
+    unswept_cogging,
 )
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.judge import beyond
@@ -37,7 +37,7 @@ from bo_sysid.diagnosis.search.sharpen import repeated_anew, sharpened
 from bo_sysid.diagnosis.search.variants import simplify
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.meshing import meshing
+from bo_sysid.diagnosis.sets.meshing import backlash_suspects
 from bo_sysid.diagnosis.sets.refit import Effort
 from bo_sysid.diagnosis.unexplained.missing_force import explained, missing_force
 from bo_sysid.diagnosis.windows.evidence import make_evidence
@@ -90,7 +90,7 @@ def test_a_large_offset_is_fitted_as_far_as_what_stands_for_it() -> None:
 
 def test_a_set_that_leaves_more_than_a_part_of_it_is_fitted_from_there(friction) -> None:
     search = friction.search
-    alone = next(f for f in search.fits.values() if f.members and f.members[0].bendable)
+    alone = next(f for f in search.fits.values() if f.members and f.members[0].may_preslide)
     damping = next(c for c in search.candidates if c.effect.id == "viscous_damping")
     members, far = (damping, *alone.members), (100 * damping.probe, *alone.x)
     fresh = replace(search, fits={k: f for k, f in search.fits.items() if not k}, _screen=None)
@@ -329,9 +329,9 @@ def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> 
             covariance=1e-12 * np.eye(p),
         )  # fmt: skip
 
-    assert bending(best) == bending(beside("shoulder")) == ()
-    assert holding(best) == ()
-    assert bending(beside("elbow")) == ("elbow",)
+    assert compliance_or_presliding(best) == compliance_or_presliding(beside("shoulder")) == ()
+    assert stuck_joints(best) == ()
+    assert compliance_or_presliding(beside("elbow")) == ("elbow",)
     assert not doubtful(best, machine)
     assert doubtful(beside("elbow"), machine)
     (said,) = hints(beside("elbow"), machine)
@@ -358,7 +358,7 @@ def test_a_late_motor_beside_a_small_effect_at_its_joint_may_be_a_gap(
         best, hypothesis=replace(best.hypothesis, members=tuple(members), x=x), groups=(None, None),
         jacobian=np.ones((*best.residual.shape, p)), covariance=1e-12 * np.eye(p), unique=sizes,
     )  # fmt: skip
-    assert list(meshing(fit, machine)) == gap
+    assert list(backlash_suspects(fit, machine)) == gap
     assert any("may both be a gap" in s for s in hints(fit, machine)) == bool(gap)
 
 
@@ -387,12 +387,12 @@ def test_a_compliance_that_explains_hardly_more_than_a_late_motor_is_a_hint(
         )  # fmt: skip
 
     soft, other = alone("joint_compliance", "elbow", 0.01), alone(effect, site, 0.01 + more**2)
-    assert list(following(soft, [soft, other], machine)) == late
+    assert list(compliance_or_motor_lag(soft, [soft, other], machine)) == late
     said = [
         s for s in hints(soft, machine, [other]) if "hardly more than a motor that is late" in s
     ]
     assert len(said) == len(late)
-    assert not following(other, [soft, other], machine)
+    assert not compliance_or_motor_lag(other, [soft, other], machine)
 
 
 def test_names_at_a_joint_that_does_not_move_are_hints(friction) -> None:
@@ -461,7 +461,7 @@ def test_cogging_of_which_no_whole_period_was_seen_is_a_hint(friction, swept) ->
     J = np.zeros((*best.residual.shape, c.size))
     hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
     fit = replace(best, hypothesis=hypothesis, jacobian=J, covariance=1e-12 * np.eye(c.size))
-    assert unrepeated(fit, machine) == ({"elbow": pytest.approx(period)} if swept < 1 else {})
+    assert unswept_cogging(fit, machine) == ({"elbow": pytest.approx(period)} if swept < 1 else {})
     said = hints(fit, machine)
     assert [f"Motion of elbow over more than {period:.3g} rad" in s for s in said] == [True] * (
         swept < 1
@@ -475,7 +475,7 @@ def test_the_speed_of_stribeck_friction_is_told_and_its_bend_where_it_has_one(
     best, machine = friction.decision.best, friction.prepared.problem.machine
     probed = candidate(machine, "stribeck_friction", "elbow", 1)  # at the speed of its probe
     c = probed.with_shapes(np.array([probed.shapes[0], bend]))
-    assert (c.bent, c.shapes[0]) == (bend > 0, c.extent.probe[c.size])
+    assert (c.preslides, c.shapes[0]) == (bend > 0, c.extent.probe[c.size])
     J, covariance = np.zeros((*best.residual.shape, c.size)), np.eye(c.size)
     hypothesis = replace(best.hypothesis, members=(c,), x=(c.point[: c.size],))
     (finding,) = findings(
@@ -813,7 +813,7 @@ def test_friction_that_rises_by_nothing_is_tried_as_one_that_creeps() -> None:
     rises = next(
         c
         for c in search.candidates
-        if c.key == ("stribeck_friction", "elbow") and not c.bent and not c.secant
+        if c.key == ("stribeck_friction", "elbow") and not c.preslides and not c.secant
     )
     search.fits = {search.nominal.key: search.nominal}
     fit = search.fit((rises,), (np.array([0.0, 0.05]),))

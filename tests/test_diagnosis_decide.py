@@ -9,7 +9,13 @@ from diagnosis_helpers import candidate, posed, record
 from bo_sysid.diagnosis.search.final import finalists
 from bo_sysid.diagnosis.sets.decide import decide
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.rules import SetPrior, admissible, explains_little, required, sizes
+from bo_sysid.diagnosis.sets.rules import (
+    SetPrior,
+    admissible,
+    explains_little,
+    required_size,
+    sizes,
+)
 from bo_sysid.diagnosis.windows.candidate import Candidate, candidates
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.effects import CATALOGUE
@@ -66,7 +72,7 @@ def test_a_second_effect_below_the_margin_is_not_admitted(machine) -> None:
 def test_an_effect_must_be_as_large_as_what_stays_unexplained(machine) -> None:
     nominal = fit((), 3.5)
     weak = fit((candidate(machine, "dry_friction", "elbow"),), 3.0, unique=2.0)
-    assert required(weak, nominal) == pytest.approx(np.sqrt(8.0))
+    assert required_size(weak, nominal) == pytest.approx(np.sqrt(8.0))
     assert not admissible(weak, nominal)
     assert decided(nominal, weak).best is nominal
 

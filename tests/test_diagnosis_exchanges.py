@@ -3,7 +3,7 @@
 import pytest
 
 from bo_sysid.diagnosis.answer.exchanges import exchanges, irreducible
-from bo_sysid.report.diagnosis_text import told_apart
+from bo_sysid.report.diagnosis_text import undecided_sentences
 
 A, B = ("armature", "elbow"), ("viscous_damping", "elbow")
 a, b, c = ("link_inertia", "forearm"), ("back_emf", "motor"), ("payload", "forearm")
@@ -66,4 +66,4 @@ def test_no_more_than_a_few_are_told_of_each_name() -> None:
 def test_a_report_says_which_names_a_set_replaces(others, said) -> None:
     found = told(*others)
     findings = [dict(entries(key)[0], equivalents=[list(e) for e in found[key]]) for key in (A, B)]
-    assert told_apart(findings) == [f"These recordings do not tell {s}." for s in said]
+    assert undecided_sentences(findings) == [f"These recordings do not tell {s}." for s in said]

@@ -11,8 +11,8 @@ from diagnosis_helpers import ARM, NAMES, SIGMA, arm, candidate, posed, record
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.answer.findings import findings
-from bo_sysid.diagnosis.answer.hints import holding
-from bo_sysid.diagnosis.search.final import let_hold
+from bo_sysid.diagnosis.answer.hints import stuck_joints
+from bo_sysid.diagnosis.search.final import prefer_static_friction
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import explore
 from bo_sysid.diagnosis.search.search import Search
@@ -20,7 +20,7 @@ from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import admissible, clean, ranked
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
-from bo_sysid.diagnosis.windows.candidate import beside, candidates, parameter_candidates
+from bo_sysid.diagnosis.windows.candidate import candidates, free_parameters, parameter_candidates
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE, Site, survey
@@ -184,7 +184,7 @@ def test_friction_that_holds_a_joint_all_the_time_is_no_viscous_damping() -> Non
         arm(), [record(held, duration=5.0)], effects=chosen, noise={"qpos": SIGMA}, threads=1
     )
     best = locate(made).decision.best
-    assert holding(best) == ("elbow",)  # and any friction would do the same where it rests
+    assert stuck_joints(best) == ("elbow",)  # and any friction would do the same where it rests
     (finding,) = findings(best, made.machine, 1.0)
     assert (finding.effect, finding.site) == ("dry_friction", "elbow")
     low, high = finding.quantity.interval
@@ -256,10 +256,10 @@ def test_a_parameter_of_other_joints_too_stays_beside_friction() -> None:
     held = parameter_candidates(arm(), [tied, damping, *frictions("elbow")])
     machine = survey(arm().compile(), [record([], duration=1.0)])
     shoulder, elbow = (candidate(machine, "dry_friction", site) for site in ("shoulder", "elbow"))
-    assert beside(held, []) == held
-    assert beside(held, [shoulder]) == held
-    assert beside(held, [elbow]) == held[:2]
-    assert beside(held, [shoulder, elbow]) == held[1:2]
+    assert free_parameters(held, []) == held
+    assert free_parameters(held, [shoulder]) == held
+    assert free_parameters(held, [elbow]) == held[:2]
+    assert free_parameters(held, [shoulder, elbow]) == held[1:2]
 
 
 @pytest.mark.parametrize("fitted", [False, True])
@@ -274,7 +274,7 @@ def test_friction_that_the_model_has_right_may_bend(fitted: bool) -> None:
     assert [c.key for c in best.members] == [("dry_friction", "shoulder")]
     assert best.x[0][0] == pytest.approx(0.0, abs=0.01 * level)
     assert best.members[0].shapes[-1] == pytest.approx(bend, rel=0.3)
-    assert not holding(best)  # as slopes by what changes alone would say
+    assert not stuck_joints(best)  # as slopes by what changes alone would say
     (finding,) = findings(best, evidence.machine, 1.0)
     assert finding.sentence.startswith("The dry friction at the shoulder, 0.1 N m in the model, ")
     assert finding.after == pytest.approx(level, rel=0.01)
@@ -305,7 +305,7 @@ def test_friction_holds_where_recordings_do_not_tell_that_it_creeps(
     assert not creeping.with_shapes(np.array([0.0, 1e-3])).regularised
     final = Search.on(prepare(problem), [friction, creeping], 1, None)
     final.fit([creeping], [np.array([level])])
-    let_hold(final)
+    prefer_static_friction(final)
     assert final.best.members[0].regularised is told
     assert len(final.fits) == (3 if told else 2)
 

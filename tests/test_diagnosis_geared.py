@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.search.bare_joints import bare_joints, from_bare_joints
 from bo_sysid.diagnosis.search.final import final_fits
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.window_lengths import tractable, windows_of
+from bo_sysid.diagnosis.search.window_lengths import limit_by_residual, windows_of
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
@@ -100,7 +100,7 @@ def truth(joints: Sequence[str]) -> dict[tuple[str, str], float]:
 def begun(evidence: Evidence) -> tuple[Search, int, int, float]:
     """Return a search on the shortest windows, their length, that of full ones and the step."""
     step, full = evidence.machine.model.opt.timestep, 150
-    prepared, length = tractable(evidence, full, step)
+    prepared, length = limit_by_residual(evidence, full, step)
     return Search.on(prepared, list(evidence.candidates), evidence.most, None), length, full, step
 
 
@@ -154,7 +154,9 @@ def test_final_fits_step_finer_where_a_share_of_the_correction_leaves_much() -> 
     prepared = prepare(windows_of(evidence, full, step))
     search = Search.on(prepared, list(evidence.candidates), 3, None)
     expected = truth(JOINTS)
-    members = tuple({c.key: c for c in evidence.candidates if not c.bent}[key] for key in expected)
+    members = tuple(
+        {c.key: c for c in evidence.candidates if not c.preslides}[key] for key in expected
+    )
     assert search.fit(members, [np.array([x]) for x in expected.values()]).rms > 1.5
     final = final_fits(evidence, search, full, step)
     assert final.prepared.problem.windows.timestep < step

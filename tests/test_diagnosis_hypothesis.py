@@ -107,7 +107,7 @@ def test_laws_of_drives_are_of_what_others_made_of_them() -> None:
     """Friction by load of a motor whose gain is off, whichever was named first."""
     bench = pendulum(MOTOR)
     share, gain = (
-        next(c for c in candidates([CATALOGUE[e]], bench.machine) if not c.bent)
+        next(c for c in candidates([CATALOGUE[e]], bench.machine) if not c.preslides)
         for e in ("load_dependent_friction", "actuator_gain")
     )
     more = {share.key: np.array([0.1]), gain.key: np.array([0.5])}

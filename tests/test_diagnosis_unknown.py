@@ -10,7 +10,7 @@ from diagnosis_helpers import SIGMA, arm, candidate, posed, record
 from bo_sysid.diagnosis.answer import explain as explaining
 from bo_sysid.diagnosis.answer.explain import _better, _learned, _placed, _refuted
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
-from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
+from bo_sysid.diagnosis.answer.unexplained import Unexplained, unexplained_of
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.sets.decide import Decision
@@ -23,7 +23,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     Clue,
     Unknown,
     examine,
-    needed_beside,
+    needed_with_law,
     slopes_reach,
 )
 from bo_sysid.diagnosis.windows.evidence import make_evidence
@@ -154,7 +154,7 @@ def test_a_name_that_a_law_at_its_joint_makes_needless_goes(magnet) -> None:
     ready, nominal = magnet
     spring = candidate(ready.problem.machine, "joint_spring", "elbow")
     named = refit(ready.linear, (spring,), (spring.probe,), effort=Effort(10, 1.0, final=True))
-    assert needed_beside(ready.problem, named, AT_ELBOW) == (False,)
+    assert needed_with_law(ready.problem, named, AT_ELBOW) == (False,)
     assert named.rms > ROUGH  # far, but what is left without the spring is foretold by its slope
     assert slopes_reach(ready.problem, named, nominal)
     assert not slopes_reach(ready.problem, named, replace(nominal, rms=3 * nominal.rms))
@@ -169,7 +169,7 @@ def test_a_name_that_is_there_stays_beside_a_law_that_could_say_it() -> None:
     x = np.array([0.03])
     named = refit(ready.linear, (friction,), (x,), effort=Effort(10, 1.0, final=True))
     # friction at each position, with bumps of its own, is among what the law can say
-    assert needed_beside(problem, named, AT_ELBOW) == (True,)
+    assert needed_with_law(problem, named, AT_ELBOW) == (True,)
 
 
 def test_chance_is_the_gain_of_what_has_no_sign() -> None:
@@ -337,6 +337,6 @@ def test_a_law_that_leaves_most_tells_no_joint(magnet, monkeypatch, left, tells)
     located = Located(settled(far), ready, Search.on(ready, [], 1, None), made)
     _, clue = _learned(located, far, (AT_ELBOW,), None)
     assert clue.tells is tells
-    told = said(Unknown(True, 1.0, (clue,)))
+    told = unexplained_of(Unknown(True, 1.0, (clue,)))
     assert (told.site, told.depends_on) == (("elbow", ("position",)) if tells else ("world", ()))
     assert told.much is not tells

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.search.window_lengths import stable
+from bo_sysid.diagnosis.search.window_lengths import limit_by_growth_rate
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -53,7 +53,9 @@ def falling(damping: float = 0.0, rotor: float = 0.0) -> float:
 def test_windows_are_as_long_as_disturbances_grow_to_e_squared() -> None:
     evidence = upright()
     assert falling() == pytest.approx(np.sqrt(GRAVITY / LENGTH))
-    assert stable(evidence, FULL, STEP) == pytest.approx(2 / falling() / STEP, rel=0.02)
+    assert limit_by_growth_rate(evidence, FULL, STEP) == pytest.approx(
+        2 / falling() / STEP, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("known", [{"damping": 0.01}, {"rotor": 0.004}])
@@ -63,4 +65,4 @@ def test_windows_are_longer_at_a_set_that_falls_more_slowly(known: dict[str, flo
     at = of(evidence, **{names[k]: x for k, x in known.items()})
     wanted = 2 / falling(**known) / STEP
     assert wanted > 1.1 * 2 / falling() / STEP
-    assert stable(evidence, FULL, STEP, at) == pytest.approx(wanted, rel=0.02)
+    assert limit_by_growth_rate(evidence, FULL, STEP, at) == pytest.approx(wanted, rel=0.02)

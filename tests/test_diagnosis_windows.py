@@ -5,7 +5,7 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.window_lengths import telling, windows_of
+from bo_sysid.diagnosis.search.window_lengths import most_informative, windows_of
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
@@ -69,7 +69,7 @@ def test_a_window_that_leaves_most_is_searched_beside_evenly_spread_ones() -> No
     problem = windows_of(strokes(0.05, hit), 100, STEP, everything=True)
     prepared = prepare(problem)
     nominal = Search.on(prepared, [], 1, None).nominal
-    some = telling(prepared, nominal)
+    some = most_informative(prepared, nominal)
     began = np.array(some.problem.windows.time)
     length = 100 * STEP
     assert ((began <= hit) & (hit < began + length)).any()

@@ -18,7 +18,7 @@ from bo_sysid.effects import (
     unit_at,
 )
 from bo_sysid.effects.actuation import supply_of
-from bo_sysid.effects.balance import balance_notes, needed
+from bo_sysid.effects.balance import balance_notes, balancing_activations
 from bo_sysid.effects.readings import readings
 from bo_sysid.mjcf import Model, parameter_edits
 from bo_sysid.parameters import Parameter
@@ -664,7 +664,7 @@ def test_where_an_integrating_servo_begins_is_told_as_it_is_done(other: str) -> 
     (note,) = balance_notes(model, log)
     assert ("no constant force on j can be told" in note) == (not other)
     assert ("it would hold nothing" in note and "act.a is needed" in note) == bool(other)
-    found = needed(model, log, 0)
+    found = balancing_activations(model, log, 0)
     assert found is not None
     held = found[1] - np.interp(found[0], time, np.sin(time))
     assert (np.abs(held).max() < 0.1) == bool(other)  # beside the weight of .2 m, 50 N over kp

@@ -30,7 +30,7 @@ from bo_sysid.plants.build import build_plant
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.recording import Recording, read_recording
 from bo_sysid.recording.writers import write_recording
-from bo_sysid.report.learning import learning_said
+from bo_sysid.report.learning import learning_summary
 from bo_sysid.report.text import run_text
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
@@ -372,7 +372,7 @@ def test_a_finished_loop_says_how_its_policy_is_run_on_the_machine(tmp_path: Pat
     )
     about = json.loads((tmp_path / "run" / "policy.json").read_text())
     assert (about["actuators"], about["high"]) == (["torque"], [pytest.approx(0.5)])
-    said = learning_said(json.loads((tmp_path / "run" / "learning.json").read_text()))
+    said = learning_summary(json.loads((tmp_path / "run" / "learning.json").read_text()))
     assert said["verdict"].startswith("The policy was learned after 1 real trajectory")
     assert any(s.startswith("The policy for the machine is") for s in said["sentences"])
 

@@ -140,8 +140,8 @@ def test_the_balance_of_a_closed_chain_is_that_of_its_free_joint() -> None:
         force = terms.actuated(frame[["ctrl.drive"]].to_numpy()[inner])
         assert unexplained(terms, force[None])[0, 0] < 0.003
         bodies = dynamics.of_bodies(*given).sum(axis=2)  # nothing but masses needs a force here
-        np.testing.assert_allclose(bodies[:, 0], terms.needed[:, 0], rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(terms.needed[:, 1:], 0, atol=1e-12)
+        np.testing.assert_allclose(bodies[:, 0], terms.required_force[:, 0], rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(terms.required_force[:, 1:], 0, atol=1e-12)
 
 
 def _study(folder: Path, source: object) -> Study:

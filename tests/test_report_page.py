@@ -18,7 +18,7 @@ from chromium import ask, needs_chromium
 
 from bo_sysid.errors import RunError
 from bo_sysid.report import interactive, interactive_search
-from bo_sysid.report.marked import said
+from bo_sysid.report.marked import site_labels
 from bo_sysid.report.page import page, write_page
 from bo_sysid.report.serve import make_server, version
 from bo_sysid.runs import Run
@@ -69,7 +69,7 @@ def test_the_robot_says_what_the_sentences_say_and_what_is_a_change() -> None:
         "unit": "relative", "interval": [0.0706, 0.0882], "before": 0.0, "after": 0.0794,
     }  # fmt: skip
     found = {"findings": [camera, motor, finding("elbow")], "unexplained": {"kind": None}}
-    assert said(found) == [
+    assert site_labels(found) == [
         ("body", "camera", "camera:\nlink mass +0.149 ± 0.008 kg"),
         ("actuator", "tilt", "tilt:\nactuator gain +7.9 ± 0.9 %"),
         ("joint", "elbow", "elbow:\ndry friction 0.150 ± 0.010 N m"),

@@ -162,13 +162,13 @@ def _flag(
     misses: Mapping[Convention, float],
 ) -> Flag:
     """Say how an orientation is written."""
-    said = []
+    wrong = []
     if best.w_last:
-        said.append(f"{turned[0]} to {turned[3]} are x, y, z, w, and MuJoCo has w first")
+        wrong.append(f"{turned[0]} to {turned[3]} are x, y, z, w, and MuJoCo has w first")
     if best.inverse:
-        said.append("the orientation is that of the world in the body, and MuJoCo has the inverse")
+        wrong.append("the orientation is that of the world in the body, and MuJoCo has the inverse")
     if best.world:
-        said.append(
+        wrong.append(
             f"{rates[0]} to {rates[2]} are in the world's frame, and MuJoCo has those of the body: "
             "leave them out of the log, for they follow from the orientation"
         )
@@ -176,7 +176,7 @@ def _flag(
         "wrong",
         "order" if best.w_last else "sign",
         (*turned, *rates),
-        f"Orientation of {joint}: {'; '.join(said)}. Share of the angular velocity that it misses "
+        f"Orientation of {joint}: {'; '.join(wrong)}. Share of the angular velocity that it misses "
         f"as it was → corrected: {misses[Convention()]:.2g} → {misses[best]:.2g}.",
         {"as it was": misses[Convention()], "corrected": misses[best]},
     )

@@ -71,7 +71,7 @@ class Terms:
         return np.asarray(np.tanh(self.velocity / slow))
 
     @property
-    def needed(self) -> Float[np.ndarray, "n nv"]:
+    def required_force(self) -> Float[np.ndarray, "n nv"]:
         """The force that the recorded motion needs."""
         return np.asarray(self.inertial + self.rest)
 
@@ -270,7 +270,7 @@ def free_gain(
         all, or with physics alone, a rotor that the model lacks among it. Each is a share of the
         forces that it supposes, since noise in the acceleration counts with a rotor's inertia.
     """
-    needed = terms.needed[:, j] - rest
+    needed = terms.required_force[:, j] - rest
     columns = np.empty((len(own), 3, own.shape[1]))
     columns[:, 0], columns[:, 1], columns[:, 2] = own, -terms.velocity[:, j], -terms.dry[:, j]
     gram = np.einsum("dan,dbn->dab", columns, columns)

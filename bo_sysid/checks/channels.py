@@ -186,21 +186,24 @@ def sampling_flags(recordings: Sequence[Recording]) -> list[Flag]:
                 clocks.setdefault(channel.time.tobytes(), []).append(name)
         for names in clocks.values():
             s = Sampling.of(r.channels[names[0]].time)
-            told = []
+            reasons = []
             if s.gaps:
-                told.append(
+                reasons.append(
                     f"{s.gaps} gap{'s' * (s.gaps > 1)} longer than {GAP:g} x "
                     f"{1e3 * s.median_dt:.3g} ms, about {s.missing} samples lost"
                 )
             if s.jitter > _JITTER * s.median_dt:
-                told.append(
+                reasons.append(
                     f"intervals jitter by {1e3 * s.jitter:.2g} ms about {1e3 * s.median_dt:.3g} ms"
                 )
-            if told:
+            if reasons:
                 listed = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
                 flags.append(
                     Flag(
-                        "note", "sampling", tuple(names), f"{r.name}: {listed}: {'; '.join(told)}."
+                        "note",
+                        "sampling",
+                        tuple(names),
+                        f"{r.name}: {listed}: {'; '.join(reasons)}.",
                     )
                 )
     return flags

@@ -108,29 +108,23 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
     wires = {**wiring.wires, **turned}
     right = rewired(whole, wires, wiring.delay, kind)
     motion = excitation(right, compiled)
-    noise = _noise(study, right)
-    windows = _windows(study, model, right, None)
-    parameters = study.parameter_set(model)
-    simulator = make_simulator(study, model, parameters, threads=1)
-    point = np.array([nominal(model, p) for p in parameters])
-    step = step_effect(
-        simulator, point, windows, _windows(study, model, right, 0.5 * windows.timestep)
-    )
-    known, weak = _identifiability(simulator, parameters, point, windows, noise, right)
+    predicted = _predict(study, model, right)
     flags = [
-        *slow_flags(read),
-        *coarse_flags(read),
-        *shared_flags(read),
-        *bounds_flags(parameters, point),
+        *_log_flags(read),
+        *bounds_flags(predicted.parameters, predicted.point),
         *wrap_flags(wraps),
+        *_grid_flags(summary),
+        *attitude,
+        *wiring.flags,
+        *excitation_flags(motion),
+        *predicted.weak,
+        *range_flags(compiled, right),
+        *channel_flags(compiled, read),
+        *sampling_flags(read),
+        *_prediction_flags(predicted),
+        *contact_flags(compiled, right),
+        *_beside_flags(predicted.simulator),
     ]
-    flags += _grid_flags(summary)
-    flags += [*attitude, *wiring.flags, *excitation_flags(motion), *weak]
-    flags += [*range_flags(compiled, right), *channel_flags(compiled, read), *sampling_flags(read)]
-    flags += divergence_flags(step, windows.timestep)
-    flags += [*step_flags(step, noise, windows.timestep), *far_flags(step, noise)]
-    flags += contact_flags(compiled, right)
-    flags += _beside_flags(simulator)
     written = study.resolved()["recordings"]
     return Checked(
         summary,
@@ -139,11 +133,64 @@ def check(study: Study, *, strict: bool = False, progress: OnProgress = silent) 
         proposed_columns(written.get("columns", {}), wires, wraps),
         proposed_clocks(written.get("clocks", {}), kind, wiring.delay),
         motion,
-        known,
-        step,
+        predicted.identifiability,
+        predicted.step,
         right,
         study.recordings.dataset,
     )
+
+
+@dataclass(frozen=True)
+class _Predicted:
+    """The model's predictions in windows of the recordings, and what they say.
+
+    Attributes:
+        simulator: of the model.
+        parameters: of the study.
+        point: their values in the model.
+        windows: that are predicted.
+        noise: of each measured channel, by name.
+        step: as in `Checked`.
+        identifiability: one row a parameter; as `Checked.parameters`.
+        weak: flags of parameters that the recordings do not determine.
+    """
+
+    simulator: MujocoSimulator
+    parameters: Sequence[Parameter]
+    point: np.ndarray
+    windows: Windows
+    noise: dict[str, float]
+    step: pd.DataFrame
+    identifiability: pd.DataFrame
+    weak: Sequence[Flag]
+
+
+def _predict(study: Study, model: Model, recordings: Sequence[Recording]) -> _Predicted:
+    """Predict windows of recordings, with half the time step and other parameters as well."""
+    noise = _noise(study, recordings)
+    windows = _windows(study, model, recordings, None)
+    parameters = study.parameter_set(model)
+    simulator = make_simulator(study, model, parameters, threads=1)
+    point = np.array([nominal(model, p) for p in parameters])
+    halved = _windows(study, model, recordings, 0.5 * windows.timestep)
+    step = step_effect(simulator, point, windows, halved)
+    known, weak = _identifiability(simulator, parameters, point, windows, noise, recordings)
+    return _Predicted(simulator, parameters, point, windows, noise, step, known, weak)
+
+
+def _log_flags(recordings: Sequence[Recording]) -> list[Flag]:
+    """Return what the logs show by themselves: slow, coarse or shared channels."""
+    return [*slow_flags(recordings), *coarse_flags(recordings), *shared_flags(recordings)]
+
+
+def _prediction_flags(predicted: _Predicted) -> list[Flag]:
+    """Return what predictions show: divergence, the time step, a model that is far off."""
+    step, noise, timestep = predicted.step, predicted.noise, predicted.windows.timestep
+    return [
+        *divergence_flags(step, timestep),
+        *step_flags(step, noise, timestep),
+        *far_flags(step, noise),
+    ]
 
 
 def _noise(study: Study, recordings: Sequence[Recording]) -> dict[str, float]:

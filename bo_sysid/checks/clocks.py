@@ -97,22 +97,23 @@ def clock_flags(clock: Clock, late: Mapping[str, Estimate]) -> list[Flag]:
     if clock.delay:
         side, cause = _SIDES[clock.delay > 0]
         size = Estimate(abs(clock.delay), clock.common.sigma)
-        sentence = f"The controls act {_told(size)} {side} than their stamps say: another "
+        sentence = f"The controls act {_estimate_text(size)} {side} than their stamps say: another "
         evidence = {"delay": clock.delay, "sigma": clock.common.sigma}
         flags.append(Flag("wrong", "clock", tuple(late), f"{sentence}clock, or {cause}.", evidence))
     odd = clock.apart if clock.shared else {n: e for n, e in late.items() if clock.certain(e)}
     for name, e in odd.items():
-        others = [f"{n} {_told(o)}" for n, o in late.items() if n != name]
+        others = [f"{n} {_estimate_text(o)}" for n, o in late.items() if n != name]
         if clock.shared:
-            others = [f"the others {_told(clock.common)}"]
+            others = [f"the others {_estimate_text(clock.common)}"]
         sentence = (
-            f"{name} acts {_told(e)} after its stamps, {', '.join(others)}: no clock that they "
-            "share, but this drive (a lag or a delay, which `diagnose` tells apart)."
+            f"{name} acts {_estimate_text(e)} after its stamps, {', '.join(others)}: "
+            "that is no error of a shared clock, but this drive (a lag or a delay: `diagnose` "
+            "tells which)."
         )
         evidence = {"delay": e.value, "sigma": e.sigma}
         flags.append(Flag("look", "clock", (name,), sentence, evidence))
     return flags
 
 
-def _told(e: Estimate) -> str:
+def _estimate_text(e: Estimate) -> str:
     return f"{1e3 * e.value:.1f} ± {1.96e3 * e.sigma:.1f} ms"

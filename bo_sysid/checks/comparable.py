@@ -45,7 +45,7 @@ def comparable(
         return _too_short(traces)
     traces = _off_contact(model, _off_stops(model, _settled(model, traces)))
     if tight := _tight(model, traces):
-        return f"the tendon {tight} is at its limit in the recordings, and pulls as nothing tells"
+        return f"the tendon {tight} is at its limit in the recordings, and its tension is unknown"
     free = copy.copy(model)
     for joint in beyond_range(model, recordings):
         free.jnt_limited[free.joint(joint).id] = 0
@@ -84,11 +84,13 @@ def as_acting(
 
 def _too_short(traces: Traces) -> str:
     """Return why there are too few instants in recordings."""
-    needed, has = traces.needed(_LEAST), traces.seconds
+    needed, has = traces.required_seconds(_LEAST), traces.seconds
     if has > needed:
         return "gaps in the recordings leave too few stretches to look at"
-    told = f", since the noise of {traces.noisiest} needs a wide filter" if traces.noisiest else ""
-    return f"the recordings are too short; they have {has:.2g} s, and need {needed:.2g} s{told}"
+    reason = (
+        f", since the noise of {traces.noisiest} needs a wide filter" if traces.noisiest else ""
+    )
+    return f"the recordings are too short; they have {has:.2g} s, and need {needed:.2g} s{reason}"
 
 
 def _settled(model: mujoco.MjModel, traces: Traces) -> Traces:

@@ -121,7 +121,7 @@ def with_zero(h: WiringHypothesis, names: Sequence[str], value: float) -> Wiring
 def _excess(evidence: WiringEvidence, h: WiringHypothesis) -> Float[np.ndarray, "n nv"]:
     """Return the force needed less the actuators' force."""
     terms = evidence.terms(h)
-    return np.asarray(terms.needed - terms.actuated(evidence.controls(h, h.delay)))
+    return np.asarray(terms.required_force - terms.actuated(evidence.controls(h, h.delay)))
 
 
 def _stacked(

@@ -143,7 +143,8 @@ class WiringEvidence:
         if not self.halves:
             return np.zeros_like(total)
         one, other = (
-            e.terms(hypothesis).needed - e.terms(hypothesis).actuated(e.controls(hypothesis, delay))
+            e.terms(hypothesis).required_force
+            - e.terms(hypothesis).actuated(e.controls(hypothesis, delay))
             for e in self.halves
         )
         return np.asarray(((one - other) ** 2).sum(axis=0) / (4 * np.maximum(total, 1e-300)))

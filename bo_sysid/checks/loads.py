@@ -94,7 +94,7 @@ def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
 def _fitted(evidence: WiringEvidence, h: WiringHypothesis, body: int) -> Load:
     terms = evidence.terms(h)
     given = terms.actuated(evidence.controls(h, h.delay))
-    missing = given - terms.needed
+    missing = given - terms.required_force
     needs = evidence.of_points(h, body, _GRID * evidence.dynamics.model.stat.extent)
     used = evidence.weights > 0
     total = (terms.inertial**2 + terms.rest**2 + given**2).sum(axis=0) + 1e-300

@@ -51,15 +51,15 @@ def in_words(
     evidence: WiringEvidence, h: WiringHypothesis, recordings: Sequence[Recording]
 ) -> Mapping[str, str]:
     """Return by channel what one unit gives, of those with a constant of their own."""
-    told = {}
+    sentences = {}
     for name, wire in h.wires.items():
         if wire.unit == FREE and name in evidence.motors:
             joint = evidence.driven(name)
             force = wire.scale * float(np.abs(_per_unit(evidence, h, name)).mean())
             unit = recordings[0].channels[wire.source].unit or "unit"
             what = "N m" if joint in evidence.hinges else "N"
-            told[name] = f"one {unit} of {name} gives about {force:.3g} {what} at {joint}"
-    return told
+            sentences[name] = f"one {unit} of {name} gives about {force:.3g} {what} at {joint}"
+    return sentences
 
 
 def _with_gains(h: WiringHypothesis, gains: Mapping[str, float]) -> WiringHypothesis:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.flags import Flag
-from bo_sysid.checks.speeds import ALIKE, EXACT, SLIDING, TURNING
+from bo_sysid.checks.speeds import EXACT, MIN_CORRELATION, SLIDING, TURNING
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.joints import HINGE, SCALAR
 from bo_sysid.recording import Recording
@@ -40,23 +40,23 @@ def rate_flags(model: mujoco.MjModel, recordings: Sequence[Recording]) -> tuple[
     flags = []
     for j, (position, speed) in pairs.items():
         rate = traces.column(position, held=False, order=1)
-        told = traces.column(speed, held=False)
+        recorded = traces.column(speed, held=False)
         units = TURNING if int(model.jnt_type[j]) == HINGE else SLIDING
-        flags += _flags(position, speed, rate, told, [u for _, u in units])
+        flags += _flags(position, speed, rate, recorded, [u for _, u in units])
     return tuple(flags)
 
 
 def _flags(
-    position: str, speed: str, rate: np.ndarray, told: np.ndarray, units: Sequence[float]
+    position: str, speed: str, rate: np.ndarray, recorded: np.ndarray, units: Sequence[float]
 ) -> list[Flag]:
     """Return what a speed and the rate of a position say of each other."""
-    if not (rate.std() and told.std()):
+    if not (rate.std() and recorded.std()):
         return []
-    alike = float(np.corrcoef(rate, told)[0, 1])
-    if abs(alike) < ALIKE:
+    correlation = float(np.corrcoef(rate, recorded)[0, 1])
+    if abs(correlation) < MIN_CORRELATION:
         return []
-    factor, found = float(rate.std() / told.std()), []
-    if alike < 0:
+    factor, found = float(rate.std() / recorded.std()), []
+    if correlation < 0:
         found.append(("sign", "have opposite signs: one of the two is reversed"))
     near = [u for u in (*units, *(1 / u for u in units)) if abs(np.log(factor / u)) < np.log(EXACT)]
     if near:
@@ -65,6 +65,6 @@ def _flags(
         )
     return [
         Flag("wrong", kind, (position, speed), f"{speed} and the rate of {position} {what}.",
-             {"correlation": alike, "factor": factor})
+             {"correlation": correlation, "factor": factor})
         for kind, what in found
     ]  # fmt: skip

@@ -72,8 +72,8 @@ def search(
                 if child.key not in seen:
                     seen.add(child.key)
                     grown.append(_timed(evidence, child))
-                    told = f"{len(seen)} wirings tried, since the forces are not explained"
-                    progress(Progress(fault + 1, _MOST + 1, told))
+                    text = f"{len(seen)} wirings tried, since the forces are not explained"
+                    progress(Progress(fault + 1, _MOST + 1, text))
         beam = sorted(grown, key=lambda pair: pair[0])[:width]
         if not beam:
             break

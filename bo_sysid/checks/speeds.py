@@ -16,7 +16,7 @@ UNDONE: Mapping[str, Units] = {
     "m/s": (("m/s", 1e3), ("m/s", 1e2)),
 }
 """By SI unit, the ways back to it where deg/s, rpm, mm/s or cm/s was stated and is wrong."""
-ALIKE = 0.8  # correlation from which on a speed belongs to a position
+MIN_CORRELATION = 0.8  # correlation from which on a speed belongs to a position
 _CLEAR = 0.03  # by which another position's rate must resemble it more
 _SAME = 1.35  # ratio of a speed to the rate that is no unit
 EXACT = 1.15
@@ -46,7 +46,7 @@ def speed_wires(
         best = max(correlation, key=lambda n: abs(correlation[n]))
         source = v if abs(correlation[v]) > abs(correlation[best]) - _CLEAR else best
         found[v] = correlation[source]
-        if abs(correlation[source]) < ALIKE:
+        if abs(correlation[source]) < MIN_CORRELATION:
             wires[v] = Wire(v)
             if not _moves(traces, v) and not _moves(traces, wire.source):
                 del found[v]

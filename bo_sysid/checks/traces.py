@@ -39,13 +39,13 @@ class Trace:
         time: `G` even stamps in [s].
         value: `G` smoothed values.
         rate: `G` first derivatives.
-        bend: `G` second derivatives.
+        second_derivative: `G` second derivatives.
     """
 
     time: Float[np.ndarray, " G"]
     value: Float[np.ndarray, " G"]
     rate: Float[np.ndarray, " G"]
-    bend: Float[np.ndarray, " G"]
+    second_derivative: Float[np.ndarray, " G"]
 
     @classmethod
     def of(
@@ -64,11 +64,11 @@ class Trace:
             values = control_steps(channel, grid[:1] - 0.5 * dt, len(grid), dt)[0]
         else:
             values = np.interp(grid, channel.time, channel.values)
-        value, rate, bend = (
+        value, rate, second_derivative = (
             convolve1d(values, kernel, mode="nearest") / dt**k
             for k, kernel in enumerate(_kernels(width / dt))
         )
-        return cls(grid, value, rate, bend)
+        return cls(grid, value, rate, second_derivative)
 
 
 class Traces:
@@ -103,7 +103,7 @@ class Traces:
         """Length of the recordings together, in [s]."""
         return sum(float(grid[-1] - grid[0]) for grid in self._grids)
 
-    def needed(self, count: int) -> float:
+    def required_seconds(self, count: int) -> float:
         """Return how long the recordings must be together for `count` instants, in [s]."""
         ends = 2 * (_EDGE * self.width + LATEST)
         return _APART * self.width * count + ends * len(self.recordings)
@@ -159,7 +159,7 @@ class Traces:
             )
         parts = []
         for trace, t in zip(self._traces[key], self.instants, strict=True):
-            values = (trace.value, trace.rate, trace.bend)[order]
+            values = (trace.value, trace.rate, trace.second_derivative)[order]
             parts.append(np.interp(t - delay, trace.time, values))
         return np.concatenate(parts)
 
@@ -233,16 +233,16 @@ def _noise_shares(
     """Return by channel how much of its acceleration is noise after a filter."""
     grid = _grid(recording, measured, width)
     shares = {}
-    for name in _alike(recording, measured):
+    for name in _moving_channels(recording, measured):
         c = recording.channels[name]
-        bend = Trace.of(c, grid, width, held=False).bend
+        second_derivative = Trace.of(c, grid, width, held=False).second_derivative
         dt = float(np.median(np.diff(c.time)))
         noise = noise_sigma(c.time, c.values) * np.sqrt(3 * dt / (8 * np.sqrt(np.pi) * width**5))
-        shares[name] = noise / max(float(bend.std()), np.finfo(float).tiny)
+        shares[name] = noise / max(float(second_derivative.std()), np.finfo(float).tiny)
     return shares
 
 
-def _alike(recording: Recording, measured: Sequence[str]) -> list[str]:
+def _moving_channels(recording: Recording, measured: Sequence[str]) -> list[str]:
     """Return the measured channels that move, and the controls that may be swapped with them."""
     names = [*measured, *(n for n in recording.channels if n.startswith("ctrl."))]
     return [n for n in names if np.ptp(recording.channels[n].values) > 0]

@@ -93,10 +93,12 @@ def find_wiring(
     found, loads = without_loads(fine, found, first)
     found, late = _timed(fine, found)
     left = _left(fine, found, late)
-    speeds, alike = speed_wires(traces, found, sorted(fine.hinges))
+    speeds, correlations = speed_wires(traces, found, sorted(fine.hinges))
     wires = {n: w for n, w in {**found.wires, **speeds}.items() if not w.plain(n)}
-    told = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
-    clock = clock_of(told, least_delay(interval(recordings, traces.measured), model.opt.timestep))
+    explained = {n: e for n, e in late.items() if left[fine.dof(n)] <= SUSPICIOUS}
+    clock = clock_of(
+        explained, least_delay(interval(recordings, traces.measured), model.opt.timestep)
+    )
     stamped = fine.shares(before, [before.delay])[0]
     balance = pd.DataFrame(
         {"joint": fine.joints, "before": stamped, "after": left, "used": fine.weights > 0}
@@ -109,8 +111,8 @@ def find_wiring(
         }
     )
     gives = motors.in_words(fine, found, recordings)
-    flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, told)]
-    flags += [*twin_flags(twins), *speed_flags(alike), *balance_flags(balance, fine.still)]
+    flags = [*wire_flags(wires, balance, gives), *loads, *clock_flags(clock, explained)]
+    flags += [*twin_flags(twins), *speed_flags(correlations), *balance_flags(balance, fine.still)]
     flags += untested_flags(fine)
     return Wiring(wires, clock.delay, clock.common.sigma, table, balance, tuple(flags))
 
@@ -194,12 +196,15 @@ def _timed(
     evidence: WiringEvidence, h: WiringHypothesis
 ) -> tuple[WiringHypothesis, Mapping[str, estimate.Estimate]]:
     """Return the hypothesis at the delay that its controls agree on, and the delay of each."""
-    controls = [n for n in sorted(evidence.inputs) if _telling(evidence, n)]
-    late = {n: _borne_out(evidence, h, n, estimate.delay(evidence, h, n)) for n in controls}
+    controls = [n for n in sorted(evidence.inputs) if _drives_known_joint(evidence, n)]
+    late = {
+        n: _moved_where_clearly_better(evidence, h, n, estimate.delay(evidence, h, n))
+        for n in controls
+    }
     return (replace(h, delay=clock_of(late).common.value) if late else h), late
 
 
-def _borne_out(
+def _moved_where_clearly_better(
     evidence: WiringEvidence, h: WiringHypothesis, control: str, e: estimate.Estimate
 ) -> estimate.Estimate:
     """Return a delay, moved to where the model explains its joint's forces far better, if anywhere.
@@ -267,7 +272,7 @@ def _linked(h: WiringHypothesis, names: set[str]) -> set[str]:
         names = more
 
 
-def _telling(evidence: WiringEvidence, control: str) -> bool:
+def _drives_known_joint(evidence: WiringEvidence, control: str) -> bool:
     """Whether a control drives a joint whose balance is known."""
     return bool(evidence.driven(control) and evidence.weights[evidence.dof(control)] > 0)
 

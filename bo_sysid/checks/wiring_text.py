@@ -9,7 +9,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.checks.sensitivity import listed
-from bo_sysid.checks.speeds import ALIKE
+from bo_sysid.checks.speeds import MIN_CORRELATION
 from bo_sysid.recording import kind_of
 
 _DOUBT = (
@@ -40,9 +40,11 @@ def wire_flags(
             kinds.setdefault((kind, what), []).append(name)
     flags = []
     for (kind, what), names in kinds.items():
-        told = "; ".join(gives[n] if kind == "scale" else _told(n, wires[n], kind) for n in names)
-        told += _CONSTANT if kind == "scale" else ""
-        sentence = f"{what}: {told}. {support}"
+        corrections = "; ".join(
+            gives[n] if kind == "scale" else _correction_text(n, wires[n], kind) for n in names
+        )
+        corrections += _CONSTANT if kind == "scale" else ""
+        sentence = f"{what}: {corrections}. {support}"
         if kind == "zero":
             sentence += f" {LOADED.capitalize()}: leave this out where the zeros are known."
         if explained or all(kind_of(n) == "qvel" for n in names):  # a rate needs no forces
@@ -74,13 +76,13 @@ def _explained(balance: pd.DataFrame) -> bool:
 
 def _support(balance: pd.DataFrame) -> str:
     worst = balance[balance["used"]].nlargest(3, "before")
-    told = ", ".join(
+    shares = ", ".join(
         f"{joint} {before:.2g} → {after:.2g}"
         for joint, before, after in zip(
             worst["joint"], worst["before"], worst["after"], strict=True
         )
     )
-    return f"Unexplained share of the forces as it was → corrected: {told}."
+    return f"Unexplained share of the forces as it was → corrected: {shares}."
 
 
 def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
@@ -100,7 +102,7 @@ def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
     return faults
 
 
-def _told(name: str, wire: Wire, kind: str) -> str:
+def _correction_text(name: str, wire: Wire, kind: str) -> str:
     if kind in ("order", "swap"):
         return f"{name} is in column {wire.source}"
     if kind == "zero":
@@ -108,7 +110,7 @@ def _told(name: str, wire: Wire, kind: str) -> str:
     return name
 
 
-def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
+def speed_flags(correlations: Mapping[str, float]) -> list[Flag]:
     """Return speeds that belong to no position."""
     return [
         Flag(
@@ -118,8 +120,8 @@ def speed_flags(alike: Mapping[str, float]) -> list[Flag]:
             f"{name} is not the rate of any recorded position (correlation {c:.2f}).",
             {"correlation": c},
         )
-        for name, c in alike.items()
-        if abs(c) < ALIKE
+        for name, c in correlations.items()
+        if abs(c) < MIN_CORRELATION
     ]
 
 
@@ -171,8 +173,8 @@ def untested_flags(evidence: WiringEvidence) -> list[Flag]:
         return [not_tested(reasons[0], joints)] if joints else []
     lacking = dict.fromkeys(n for names in evidence.unknown.values() for n in names if n not in own)
     if lacking:
-        told = ", ".join(f"ctrl.{n}" for n in lacking)
-        reasons.append(f"commands were not recorded ({told})")
+        commands = ", ".join(f"ctrl.{n}" for n in lacking)
+        reasons.append(f"commands were not recorded ({commands})")
     return [not_tested(", and ".join(reasons) or "none of the recorded joints moves on its own")]
 
 

@@ -131,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _interrupted(args: argparse.Namespace | None) -> int:
     goes_on = args is not None and args.verb in RESUMED
-    how = "; the same command goes on where it was" if goes_on else ""
+    how = "; run the same command again to resume" if goes_on else ""
     return _say(f"interrupted{how}", INTERRUPTED)
 
 

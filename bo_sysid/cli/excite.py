@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> None:
             frame.to_csv(path, index=False)
     with atomic(folder / "predicted.png") as path:
         save(recording_figure(found.predicted, limits=found.limits), path)
-    shown_columns = {"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
+    shown_columns = {"sigma": "± (68 %)", "of_range": "of range", "determined": "identifiable"}
     print("What a recording of this trajectory would tell at best:")
     print(table(found.parameters.rename(columns=shown_columns)))
     print(

@@ -127,38 +127,42 @@ class Diagnosis:
     def sentences(self) -> tuple[str, ...]:
         """The answer in words."""
         fitted = parameters_sentence(self.parameters)
-        said = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
+        sentences = found_sentences(self.answer.findings) + list(self.answer.unexplained.sentences)
         disputed = disputed_sentence(self.outcome.disputed)
         if disputed:
-            said.append(disputed)
-        if not said:
+            sentences.append(disputed)
+        if not sentences:
             once = ", once its parameters are fitted" if fitted else ""
-            said = [f"Nothing that these recordings could show is missing from the model{once}."]
+            sentences = [
+                f"Nothing that these recordings could show is missing from the model{once}."
+            ]
         whole = self.outcome.fit.key == self.located.decision.best.key  # no name was withdrawn
         if whole:
-            said += rivals(self.located.decision, self.evidence.machine)
+            sentences += rivals(self.located.decision, self.evidence.machine)
         instead = stood_in_sentence(self.evidence.nuisances, self.outcome.fit)
-        said += [words for words in (fitted, instead) if words]
+        sentences += [words for words in (fitted, instead) if words]
         if whole:
-            said += doubts(self.located.decision, self.searched)
+            sentences += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
-            said.append(
+            sentences.append(
                 "The machine is in contact, or meets its stops, where names are hints and not yet "
                 "findings."
             )
         best = self.outcome.fit
         if self.answer.findings and not self.contact and leaves_much(best):
             nearest = self.located.search.nearest
-            said.append(left_sentence(best, self.evidence.most, nearest))
+            sentences.append(left_sentence(best, self.evidence.most, nearest))
         fits, evidence = self.located.decision.fits, self.evidence
-        said += hints(best, evidence.machine, fits, evidence.still)
+        sentences += hints(best, evidence.machine, fits, evidence.still)
         after = self.answer.next_experiment
         if not self.contact and not self.answer.unexplained.flagged:
             prepared = self.located.prepared
-            said += [once] if (once := seen_once(prepared.problem, prepared.linear.Q, best)) else []
+            sentences += (
+                [once] if (once := seen_once(prepared.problem, prepared.linear.Q, best)) else []
+            )
         noise = noise_sentence(self.evidence.input_noise)
         shown = [*self.holdout.sentences, *((noise,) if noise else ())]
-        return (*said, *shown, *((after.sentence,) if after else ()))
+        return (*sentences, *shown, *((after.sentence,) if after else ()))
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
@@ -190,16 +194,69 @@ def diagnose(
     kept = _kept(study, run, strict)
     evidence = gather(study, load_train(study, strict=strict), kept)
     impacts = evidence.machine.impacts
-    tell = _Teller(progress, _SHARES_IN_CONTACT if impacts else _SHARES)
+    stages = _Stages(progress, _SHARES_IN_CONTACT if impacts else _SHARES)
     outside = [f.sentence for f in range_flags(evidence.machine.model, evidence.recordings)]
     if outside:
         progress(Progress(0, _STAGES, " ".join([*outside, _CHECK])))
-    located = locate(evidence, tell, tell.doing)
+    frozen = _from_training(study, evidence, stages)
+    notes = _repair(study, run, frozen)
+    stages.doing("forecasts of the unseen recordings")
+    unseen, holdout = _on_holdout(study, frozen, strict)
+    evidence = frozen.evidence
+    all_notes = [
+        *of_study(study, evidence), *notes, *of_unseen(study, evidence, unseen, holdout),
+        *evidence.notes, *outside, *of_training(frozen.located),
+    ]  # fmt: skip
+    result = Diagnosis(
+        study.name,
+        frozen.answer,
+        holdout,
+        frozen.sha256,
+        frozen.located,
+        frozen.outcome,
+        evidence,
+        frozen.searched,
+        tuple(dict.fromkeys(all_notes)),
+        frozen.contact,
+    )
+    if run is not None:
+        _write(run, result)
+        kept.clear()
+    stages.finished(result.verdict)
+    return result
+
+
+@dataclass(frozen=True)
+class _Frozen:
+    """What the training recordings say, fixed before the hold-out is read.
+
+    Attributes:
+        evidence: what it was made from.
+        located: the decision between sets.
+        outcome: the repaired hypothesis.
+        searched: as in `Diagnosis`.
+        answer: findings and verdict.
+        sha256: hash of the answer.
+        contact: as in `Diagnosis`.
+    """
+
+    evidence: Evidence
+    located: Located
+    outcome: Outcome
+    searched: ArgminSets
+    answer: Answer
+    sha256: str
+    contact: bool
+
+
+def _from_training(study: Study, evidence: Evidence, stages: "_Stages") -> _Frozen:
+    """Decide, repair and answer from the training recordings alone; return the frozen answer."""
+    located = locate(evidence, stages, stages.doing)
     evidence = replace(located.evidence, candidates=evidence.candidates)  # a search may leave some
-    tell.doing("what stays unexplained, and forecasts of the training recordings where any does")
+    stages.doing("what stays unexplained, and forecasts of the training recordings where any does")
     outcome = explain(located)
     searched = argmin_sets(located.prepared.problem, located.search.frame.Q, located.decision)
-    tell.doing("what to record next")
+    stages.doing("what to record next")
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
     fits = located.decision.fits
@@ -208,32 +265,15 @@ def diagnose(
         located.decision, outcome, evidence.machine, experiment,
         doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),
     )  # fmt: skip
-    frozen = answer.sha256  # before the hold-out is read
-    notes = _repair(study, run, evidence, outcome, answer)
-    tell.doing("forecasts of the unseen recordings")
-    unseen = evidence.heard(load_holdout(study, strict=strict))
-    holdout = judge(evidence, outcome, unseen)
-    said = [
-        *of_study(study, evidence), *notes, *of_unseen(study, evidence, unseen, holdout),
-        *evidence.notes, *outside, *of_training(located),
-    ]  # fmt: skip
-    result = Diagnosis(
-        study.name,
-        answer,
-        holdout,
-        frozen,
-        located,
-        outcome,
-        evidence,
-        searched,
-        tuple(dict.fromkeys(said)),
-        contact,
-    )
-    if run is not None:
-        _write(run, result)
-        kept.clear()
-    tell.finished(result.verdict)
-    return result
+    return _Frozen(evidence, located, outcome, searched, answer, answer.sha256, contact)
+
+
+def _on_holdout(
+    study: Study, frozen: _Frozen, strict: bool
+) -> tuple[tuple[Recording, ...], Holdout]:
+    """Read the recordings that were set aside, and judge a frozen answer by them."""
+    unseen = frozen.evidence.without_skipped_start(load_holdout(study, strict=strict))
+    return unseen, judge(frozen.evidence, frozen.outcome, unseen)
 
 
 def _kept(study: Study, run: Run | None, strict: bool) -> FitCache:
@@ -264,8 +304,8 @@ def _write(run: Run, result: Diagnosis) -> None:
     found = sets(result.located.decision, result.answer, result.searched)
     run.write_frame("sets.parquet", found)
     run.write_json("pose.json", bent_pose(result.evidence.recordings))
-    said = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
-    run.write_json("summary.json", said)
+    summary = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
+    run.write_json("summary.json", summary)
 
 
 def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_CACHE) -> Evidence:
@@ -290,11 +330,11 @@ def gather(study: Study, recordings: tuple[Recording, ...], kept: FitCache = NO_
     )
 
 
-class _Teller:
+class _Stages:
     """Counts the stages of a diagnosis for its progress.
 
     Args:
-        report: told of each.
+        report: is called at each.
         shares: of the work that is done by the ends of the first stages; the last of them for more.
     """
 
@@ -316,11 +356,11 @@ class _Teller:
         self._report(Progress(done, done, text))
 
 
-def _repair(
-    study: Study, run: Run | None, evidence: Evidence, outcome: Outcome, answer: Answer
-) -> tuple[str, ...]:
+def _repair(study: Study, run: Run | None, frozen: _Frozen) -> tuple[str, ...]:
+    """Write the repaired model and the answer; return notes on what the model cannot say."""
     if run is None:
         return ()
+    evidence, outcome, answer = frozen.evidence, frozen.outcome, frozen.answer
     folder = Path(run.path(MODEL)).parent
     written = write_model(
         evidence.given, evidence.machine, outcome.repaired, folder,
@@ -333,7 +373,7 @@ def _repair(
         run.write_text(EXPERIMENT, controls.to_csv(index=False))
     else:  # that of an earlier diagnosis in the same folder is none of this one's
         run.path(EXPERIMENT).unlink(missing_ok=True)
-    run.write_json("answer.json", {**answer.as_json(), "sha256": answer.sha256})
+    run.write_json("answer.json", {**answer.as_json(), "sha256": frozen.sha256})
     return written.notes
 
 

@@ -75,10 +75,14 @@ def _as_used(
         motion: of the joint that it drives, None where there is none or it was not recorded.
     """
     key = f"ctrl.{bare.name}"
-    told = [r for r in recordings if key in r.channels]
-    known = motion is not None and len(told) == len(recordings)
-    times = motion.times if motion is not None and known else [r.channels[key].time for r in told]
-    at = list(zip(told, times, strict=True))
+    with_channel = [r for r in recordings if key in r.channels]
+    known = motion is not None and len(with_channel) == len(recordings)
+    times = (
+        motion.times
+        if motion is not None and known
+        else [r.channels[key].time for r in with_channel]
+    )
+    at = list(zip(with_channel, times, strict=True))
     u = np.concatenate([r.channels[key].at(t) for r, t in at]) if at else np.zeros(1)
     acting, acted = bare, u
     if at and remembers(model, a := model.actuator(bare.name).id):
@@ -86,8 +90,8 @@ def _as_used(
         acted = np.concatenate([activation(model, r, a, t) for r, t in at])
     if motion is not None and known:
         force = acting.force(acted, motion.q, motion.v)
-    elif any(bare.bias) and told and _seen_whole(model, recordings):
-        force = _along_motion(model, model.actuator(bare.name).id, told)
+    elif any(bare.bias) and with_channel and _seen_whole(model, recordings):
+        force = _along_motion(model, model.actuator(bare.name).id, with_channel)
     else:
         unbiased = replace(acting, bias=(0.0, 0.0, 0.0))  # where it is, is not known
         force = unbiased.force(acted, np.zeros(1), np.zeros(1))

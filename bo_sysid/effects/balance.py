@@ -28,7 +28,7 @@ def balances(compiled: mujoco.MjModel, a: int) -> bool:
     return integrates and pulls and driven_joint(compiled, a) is not None
 
 
-def needed(
+def balancing_activations(
     compiled: mujoco.MjModel, recording: Recording, a: int
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]] | None:
     """Return times in [s] and the activations with which an actuator does what was recorded.
@@ -61,13 +61,15 @@ def balance_notes(compiled: mujoco.MjModel, recording: Recording) -> tuple[str, 
             continue
         if _alone(compiled, joint):
             begins = "its forces balance"
-            told = f"no constant force on {joint} can be told"
+            consequence = f"no constant force on {joint} can be told"
         else:
             begins = "it would hold nothing"
-            told = f"what else drives {joint} is left out of that, so that act.{name} is needed"
+            consequence = (
+                f"what else drives {joint} is left out of that, so that act.{name} is needed"
+            )
         notes.append(
             f"{name} integrates its control and begins where {begins}, since act.{name} was not "
-            f"recorded: {told}"
+            f"recorded: {consequence}"
         )
     return tuple(notes)
 

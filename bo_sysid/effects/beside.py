@@ -193,14 +193,14 @@ def read_beside(path: Path, model: mujoco.MjModel) -> Beside:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != _VERSION:
             raise ModelError(f"{path}: version {content['version']}; this one reads {_VERSION}")
-        told = content["machine"]
+        stored = content["machine"]
         tables: dict[str, Any] = {
-            name: MappingProxyType({k: _scale(made, v) for k, v in told[name].items()})
+            name: MappingProxyType({k: _scale(made, v) for k, v in stored[name].items()})
             for name, made in _TABLES.items()
         }
         machine = Machine(
-            model=model, timestep=float(told["timestep"]), channels=tuple(told["channels"]),
-            sampling=float(told["sampling"]), duration=float(told["duration"]), **tables,
+            model=model, timestep=float(stored["timestep"]), channels=tuple(stored["channels"]),
+            sampling=float(stored["sampling"]), duration=float(stored["duration"]), **tables,
         )  # fmt: skip
         effects = tuple(
             Placed(e["effect"], Site(e["kind"], e["site"]), tuple(map(float, e["x"])))
@@ -227,8 +227,8 @@ def beside_a_file(parts: Sequence[Part]) -> tuple[Part, ...]:
     return tuple(p for p in parts if isinstance(p, Force | Filter | Reading))
 
 
-def _scale(made: Callable[..., Any], told: Mapping[str, Any]) -> Any:
-    return made(**{k: tuple(v) if isinstance(v, list) else v for k, v in told.items()})
+def _scale(made: Callable[..., Any], scale: Mapping[str, Any]) -> Any:
+    return made(**{k: tuple(v) if isinstance(v, list) else v for k, v in scale.items()})
 
 
 def as_commanded_and_measured(

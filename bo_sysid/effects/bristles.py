@@ -1,4 +1,4 @@
-"""Friction that bends before it slips: the bristles of LuGre."""
+"""Presliding: friction that gives way a little before it slips, as the bristles of LuGre do."""
 
 import mujoco
 import numpy as np
@@ -7,38 +7,38 @@ from bo_sysid.effects.actuators import passive_motor
 from bo_sysid.effects.contract import Motion, Signal
 from bo_sysid.effects.machine import JointScale, Machine
 
-BENT_FINER = (0.6, 1.6)
-"""Factors by which the bend that explains most is varied."""
+PRESLIDING_FACTORS = (0.6, 1.6)
+"""Factors by which the presliding displacement that explains most is varied."""
 
-_BENDS = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
+_PRESLIDING = (1e-4, 3e-4, 1e-3, 3e-3)  # of the spread of the joint's position
 _BEYOND = 2.0  # times the largest of them, where a fit between them may end
 _LEAST = 1e-30  # [J] that bristles store
-_RESOLVED = 0.5  # k·h²/m of bristles that do not bend: a step h follows their oscillation
+_RESOLVED = 0.5  # k·h²/m of bristles without presliding: a step h follows their oscillation
 _BACKED, _RATTLE = 1.5, 0.01  # the same, where dry friction holds beside them, and c/√(k·m)
-_REMAINS = 0.005  # of what these hold at standstill more, in motion: none at all has no bend
+_REMAINS = 0.005  # of what these hold at standstill more, in motion: none at all has no presliding
 
 
-def most_bent(joint: JointScale) -> float:
-    """Return the largest bend that a fit may end at, in [rad] or [m]."""
-    return _BEYOND * bends(joint)[-1]
+def max_presliding(joint: JointScale) -> float:
+    """Return the largest presliding displacement that a fit may end at, in [rad] or [m]."""
+    return _BEYOND * presliding_grid(joint)[-1]
 
 
-def bends(joint: JointScale) -> tuple[float, ...]:
-    """Return the bends that are tried at a joint, in [rad] or [m]."""
-    return tuple(bend * joint.spread for bend in _BENDS)
+def presliding_grid(joint: JointScale) -> tuple[float, ...]:
+    """Return the presliding displacements that are tried at a joint, in [rad] or [m]."""
+    return tuple(presliding * joint.spread for presliding in _PRESLIDING)
 
 
 def add_bristles(
     spec: mujoco.MjSpec,
     name: str,
     friction: tuple[float, float, float],
-    bend: float,
+    presliding: float,
     machine: Machine,
 ) -> None:
     """Put LuGre friction [1] in the place of a joint's dry friction.
 
     The bristles bend by √(b² + b₀²) before they slip, b₀ that at which a step can still resolve
-    their stiffness: no bend is below what it tells, where nothing would change with it. They are
+    their stiffness: no b is below what it tells, where nothing would change with it. They are
     damped against the joint's inertia, but by no more than the Coulomb level at the joint's speed:
     more would be felt as friction of its own at every reversal.
 
@@ -46,7 +46,7 @@ def add_bristles(
         spec: the spec to change.
         name: of the joint.
         friction: level of sliding, level at standstill, speed at which one becomes the other.
-        bend: in [rad] or [m].
+        presliding: displacement b before it slips, in [rad] or [m].
         machine: the scales of the joint.
 
     [1] Canudas de Wit, Olsson, Astrom, Lischinsky, "A new model for control of systems with
@@ -54,7 +54,7 @@ def add_bristles(
     """
     low, high, _ = friction
     joint, dt = machine.joints[name], spec.option.timestep
-    stiffness = high / np.hypot(bend, high * dt**2 / (_RESOLVED * joint.inertia))
+    stiffness = high / np.hypot(presliding, high * dt**2 / (_RESOLVED * joint.inertia))
     motor = passive_motor(spec, name, "friction", machine)
     damping = min(2.0 * np.sqrt(stiffness * joint.inertia), low / joint.speed)
     _set_bristles(motor, stiffness, damping, friction)
@@ -100,23 +100,25 @@ def _set_bristles(
     motor.actdim = 1
 
 
-def bristled(drive: Signal, share: float, bend: float, joint: JointScale, motion: Motion) -> Signal:
+def bristled(
+    drive: Signal, share: float, presliding: float, joint: JointScale, motion: Motion
+) -> Signal:
     """Return the force of bristles [1] whose level of sliding F is a share of a drive's force.
 
     s' = (v - |v|·s)/b with s in [-1, 1]; the friction is -(F·s + σ₁·b·s'). As in `add_bristles`,
-    the bend b is no less than that at which a step resolves the stiffness F/b, and σ₁ no more than
-    F over the joint's speed. The law's memory holds s, which begins as those of a joint do where a
+    b is no less than that at which a step resolves the stiffness F/b, and σ₁ no more than F over
+    the joint's speed. The law's memory holds s, which begins as those of a joint do where a
     simulation begins: at rest the drive bends them, since they hold less than it gives.
 
     [1] as in `add_bristles`.
     """
     v, h, level = motion.qvel[joint.name], motion.timestep, share * np.abs(drive)
-    b = np.hypot(bend, level * h**2 / (_RESOLVED * joint.inertia))
-    before = motion.memory.get("bent")
-    if before is None:
+    b = np.hypot(presliding, level * h**2 / (_RESOLVED * joint.inertia))
+    previous = motion.memory.get("bent")
+    if previous is None:
         slides = -np.expm1(-0.5 * joint.inertia * v**2 / np.maximum(level * b, _LEAST))
-        before = np.sign(drive) + slides * (np.sign(v) - np.sign(drive))
-    bent = (before + v * h / b) / (1.0 + np.abs(v) * h / b)  # implicit Euler
-    motion.memory["bent"] = bent
+        previous = np.sign(drive) + slides * (np.sign(v) - np.sign(drive))
+    deflection = (previous + v * h / b) / (1.0 + np.abs(v) * h / b)  # implicit Euler
+    motion.memory["bent"] = deflection
     damping = np.minimum(2.0 * np.sqrt(level / b * joint.inertia), level / joint.speed)
-    return np.asarray(-(level * bent + damping * (v - np.abs(v) * bent)))
+    return np.asarray(-(level * deflection + damping * (v - np.abs(v) * deflection)))

@@ -6,7 +6,14 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import acting, as_edited
-from bo_sysid.effects.bristles import BENT_FINER, add_bristles, add_rise, bends, bristled, most_bent
+from bo_sysid.effects.bristles import (
+    PRESLIDING_FACTORS,
+    add_bristles,
+    add_rise,
+    bristled,
+    max_presliding,
+    presliding_grid,
+)
 from bo_sysid.effects.contract import (
     Component,
     Extent,
@@ -33,8 +40,8 @@ _REST = 1e-3  # of a joint's speed: below, it rests
 _STRIBECK_SPEEDS = (0.056, 0.168, 0.49)  # of the joint's root-mean-square speed
 
 
-BEND = 2
-"""Place of the bend of bristles among the magnitudes of dry friction."""
+PRESLIDING = 2
+"""Place of the presliding displacement among the magnitudes of dry friction."""
 
 
 def _frictionloss(site: Site, machine: Machine) -> float:
@@ -50,10 +57,10 @@ def _dry_extent(site: Site, machine: Machine) -> Extent:
     return Extent(
         (0.05 * joint.force, _HOLDS, 0.0),
         (low, _CREEPS, 0.0),
-        (most, _HOLDS, most_bent(joint)),
+        (most, _HOLDS, max_presliding(joint)),
         secants=tuple((level, _HOLDS, 0.0) for level in (joint.force, held) if level > 0),
-        variants=((_CREEPS, 0.0), *((_HOLDS, bend) for bend in bends(joint))),
-        refine=BENT_FINER,
+        variants=((_CREEPS, 0.0), *((_HOLDS, presliding) for presliding in presliding_grid(joint))),
+        refine=PRESLIDING_FACTORS,
     )
 
 
@@ -83,12 +90,12 @@ def dry_friction(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machin
     it creeps under one as the solver settings in the model's file say. Where x[2] is given it gives
     way by so much before it slips, as bristles do: LuGre friction of one level.
     """
-    # shapes that are left out: it holds, and does not bend
-    level, hold, bend = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
+    # shapes that are left out: it holds, without presliding
+    level, hold, presliding = (*(float(v) for v in x), *(_HOLDS, 0.0)[len(x) - 1 :])
     total = spec.joint(site.name).frictionloss + level
-    if bend and level and total > 0:
+    if presliding and level and total > 0:
         speed = machine.joints[site.name].speed
-        add_bristles(spec, site.name, (total, total, speed), bend, machine)
+        add_bristles(spec, site.name, (total, total, speed), presliding, machine)
     else:
         add_dry_friction(spec, site.name, level, holds=hold > _CREEPS)
 
@@ -110,31 +117,31 @@ def _stribeck_extent(site: Site, machine: Machine) -> Extent:
     return Extent(
         (probe, probe, speeds[1], 0.0),
         (0.0, 0.0, 0.2 * speeds[0], 0.0),
-        (3 * joint.force, 3 * joint.force, 3 * speeds[-1], most_bent(joint)),
+        (3 * joint.force, 3 * joint.force, 3 * speeds[-1], max_presliding(joint)),
         tuple((probe, probe, s, 0.0) for s in speeds),
         refine=_FINER,
-        variants=tuple((np.nan, bend) for bend in bends(joint)),
+        variants=tuple((np.nan, presliding) for presliding in presliding_grid(joint)),
     )
 
 
 def _write_stribeck(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> None:
     """Write the friction of `stribeck_friction` as LuGre friction with the same steady state.
 
-    Where it does not bend only what it loses in motion, beside dry friction.
+    Without presliding only what it loses in motion, beside dry friction.
     """
-    excess, coulomb, speed, bend = _stribeck_magnitudes(x)
+    excess, coulomb, speed, presliding = _stribeck_magnitudes(x)
     low = spec.joint(site.name).frictionloss + coulomb
-    if bend:
-        add_bristles(spec, site.name, (low, low + excess, speed), bend, machine)
+    if presliding:
+        add_bristles(spec, site.name, (low, low + excess, speed), presliding, machine)
     else:
         remains = add_rise(spec, site.name, excess, speed, machine) if excess else 0.0
         add_dry_friction(spec, site.name, coulomb - remains)
 
 
 def _stribeck_magnitudes(x: Magnitudes) -> tuple[float, float, float, float]:
-    """Return excess, Coulomb level, speed and bend; a bend that is left out is 0."""
-    excess, coulomb, speed, *bend = (float(v) for v in x)
-    return excess, coulomb, speed, bend[0] if bend else 0.0
+    """Return excess, Coulomb level, speed and presliding; where that is left out it is 0."""
+    excess, coulomb, speed, *presliding = (float(v) for v in x)
+    return excess, coulomb, speed, presliding[0] if presliding else 0.0
 
 
 @effect(
@@ -168,8 +175,8 @@ def stribeck_friction(
     once it moves, and vanishes at v = 0. Where x[3] is given the friction gives way by so much
     before it slips: LuGre friction.
     """
-    excess, coulomb, speed, bend = _stribeck_magnitudes(x)
-    if bend and (excess or coulomb):
+    excess, coulomb, speed, presliding = _stribeck_magnitudes(x)
+    if presliding and (excess or coulomb):
         _write_stribeck(spec, site, x, machine)
         return None
     add_dry_friction(spec, site.name, excess + coulomb)
@@ -221,9 +228,9 @@ def _load_extent(site: Site, machine: Machine) -> Extent | None:
     return Extent(
         (0.02, 0.0),
         (0.0, 0.0),
-        (0.9, most_bent(joint)),
-        variants=tuple((bend,) for bend in bends(joint)),
-        refine=BENT_FINER,
+        (0.9, max_presliding(joint)),
+        variants=tuple((presliding,) for presliding in presliding_grid(joint)),
+        refine=PRESLIDING_FACTORS,
     )
 
 
@@ -240,13 +247,13 @@ def _load_friction(
 
     Where x[1] is given it bends, as bristles do.
     """
-    joint, bend = machine.joints[site.name], float(x[1]) if len(x) > 1 else 0.0
+    joint, presliding = machine.joints[site.name], float(x[1]) if len(x) > 1 else 0.0
 
     def law(m: Motion) -> Signal:
         q, v = m.qpos[site.name], m.qvel[site.name]
         load = np.asarray(sum(a.force(acting(a, m), q, v) for a in drives))
-        if bend > 0:
-            return bristled(load, x[0], bend, joint, m)
+        if presliding > 0:
+            return bristled(load, x[0], presliding, joint, m)
         stopping = 0.5 * joint.inertia * np.abs(v) / m.timestep
         return np.asarray(-np.sign(v) * np.minimum(x[0] * np.abs(load), stopping))
 

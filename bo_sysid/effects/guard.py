@@ -58,7 +58,7 @@ def _named(function: _Function, what: str, id: str, file: Path) -> _Function:
     @wraps(function)
     def made(*args: Any) -> Any:
         site = next(a for a in args if isinstance(a, Site))
-        with told(f"effect {id!r} at {site}: its {what}", file):
+        with as_study_error(f"effect {id!r} at {site}: its {what}", file):
             return function(*args)
 
     return cast(_Function, made)
@@ -72,7 +72,7 @@ def _apply(apply: Apply, id: str, file: Path) -> Apply:
         spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
     ) -> "tuple[Part, ...]":
         name = f"effect {id!r} at {site}"
-        with told(name, file):
+        with as_study_error(name, file):
             found = apply(spec, site, x, machine)
         parts = found if isinstance(found, tuple) else () if found is None else (found,)
         for part in parts:
@@ -129,7 +129,7 @@ def _change(
     """Return a change of a control that gives a channel, or says that it fails."""
 
     def changed(channel: Channel, timestep: float) -> Channel:
-        with told(f"{name}: its filter", file):
+        with as_study_error(f"{name}: its filter", file):
             made = change(channel, timestep)
         if not isinstance(made, Channel):
             raise StudyError(f"{name}: its filter returns {made!r} and no channel ({file.name})")
@@ -143,7 +143,7 @@ def _law(law: Callable[[Motion], Signal], name: str, file: Path) -> Callable[[Mo
 
     def finite(motion: Motion) -> Signal:
         shape = next(iter(motion.qvel.values())).shape
-        with told(f"{name}: its law", file):
+        with as_study_error(f"{name}: its law", file):
             force = np.broadcast_to(np.asarray(law(motion), float), shape)
         if not np.isfinite(force).all() and _sane(motion, np.isfinite(force)):
             raise StudyError(
@@ -161,12 +161,12 @@ def _sane(motion: Motion, right: np.ndarray) -> bool:
 
 
 @contextmanager
-def told(what: str, file: Path | None = None) -> Iterator[None]:
-    """Tell what the code within raises as an error of the study.
+def as_study_error(what: str, file: Path | None = None) -> Iterator[None]:
+    """Raise what the code within raises as an error of the study.
 
     Args:
         what: fails.
-        file: whose line is told, where it is known.
+        file: whose line is named, where it is known.
 
     Raises:
         StudyError: the code within raises anything but a `UserError`.

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects.balance import needed
+from bo_sysid.effects.balance import balancing_activations
 from bo_sysid.mjcf.commands import LAGS
 from bo_sysid.recording import Channel, Recording
 
@@ -48,16 +48,22 @@ def activation(
     ends = _act_range(compiled, a)
     if int(compiled.actuator_dyntype[a]) in LAGS:
         return _lagging(control, float(compiled.actuator_dynprm[a, 0]), ends, at)
-    balance = needed(compiled, recording, a)
+    balance = balancing_activations(compiled, recording, a)
     if balance is None:
         return _integral(control, 0.0, ends, at)
     time, act = balance
     control, first = _from(control, float(time[0])), float(act[0])
     for _ in range(_ROUNDS):
-        found, beside = (_integral(control, first + step, ends, time) for step in (0.0, _ASIDE))
-        told = beside != found  # once it is at an end of its range, its beginning is forgotten
-        weight = np.hanning(int(told.sum()) + 2)[1:-1]  # momentum at the ends counts for nothing
-        first += float(np.average((act - found)[told], weights=weight)) if told.any() else 0.0
+        found, perturbed = (_integral(control, first + step, ends, time) for step in (0.0, _ASIDE))
+        affected = (
+            perturbed != found
+        )  # once it is at an end of its range, its beginning is forgotten
+        weight = np.hanning(int(affected.sum()) + 2)[
+            1:-1
+        ]  # momentum at the ends counts for nothing
+        first += (
+            float(np.average((act - found)[affected], weights=weight)) if affected.any() else 0.0
+        )
     return _integral(control, first, ends, at)
 
 

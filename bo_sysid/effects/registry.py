@@ -10,7 +10,7 @@ from typing import Any, get_args
 import pandas as pd
 
 from bo_sysid.effects.contract import Apply, Effect, Extent, Site, SiteKind
-from bo_sysid.effects.guard import guarded, told
+from bo_sysid.effects.guard import as_study_error, guarded
 from bo_sysid.effects.machine import Machine
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.execution.files import run_file
@@ -193,7 +193,7 @@ def extent_at(effect: Effect, site: Site, machine: Machine) -> Extent | None:
     Raises:
         StudyError: the effect's function raises, or tells of other components than the effect has.
     """
-    with told(f"effect {effect.id!r} at {site}: its extent"):
+    with as_study_error(f"effect {effect.id!r} at {site}: its extent"):
         extent = effect.extent(site, machine)
     if not isinstance(extent, Extent | None):
         raise StudyError(

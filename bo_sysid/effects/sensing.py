@@ -218,7 +218,7 @@ def sensor_sign(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine
     return Reading(site.name, scale=-2.0 * float(x[0]))
 
 
-def _alike(site: Site, machine: Machine) -> tuple[int, ...]:
+def _later_of_same_quantity(site: Site, machine: Machine) -> tuple[int, ...]:
     """Return the numbers of the later channels that show the same kind of quantity.
 
     Positions or velocities of joints of one kind; axes of one sensor.
@@ -237,7 +237,7 @@ def _quantity(channel: str, machine: Machine) -> tuple[str, str] | None:
 
 
 def _swap_extent(site: Site, machine: Machine) -> Extent | None:
-    partners = _alike(site, machine)
+    partners = _later_of_same_quantity(site, machine)
     if not partners:
         return None
     grid = tuple((1.0, float(p)) for p in partners)

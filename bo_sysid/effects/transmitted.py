@@ -61,6 +61,6 @@ def _through(
     for d in loops.dofs:
         i = int(np.abs(Z[:, d]).mean(axis=0).argmax())
         ratio = Z[:, d, i]
-        told = np.abs(ratio) > _LEAST * np.abs(ratio).max(initial=0.0)
-        out[:, d] = np.divide(out[:, i], ratio, where=told, out=np.zeros(len(out)))
+        determined = np.abs(ratio) > _LEAST * np.abs(ratio).max(initial=0.0)
+        out[:, d] = np.divide(out[:, i], ratio, where=determined, out=np.zeros(len(out)))
     return out

@@ -84,8 +84,8 @@ def _cost(
     """Return the logarithm of the widest interval, with penalties for limits and energy."""
     found = how.trial.judge(rows)(controls, margin)
     over = found.over + np.maximum(how.trial.energy(controls) / how.energy - 1.0, 0.0)
-    told = np.log((found.sigma**_NORM).sum(axis=1)) / _NORM
-    return np.asarray(_PENALTY * over + np.where(over > 1.0, 0.0, told))
+    log_error = np.log((found.sigma**_NORM).sum(axis=1)) / _NORM
+    return np.asarray(_PENALTY * over + np.where(over > 1.0, 0.0, log_error))
 
 
 def _refined(
@@ -155,7 +155,7 @@ def _start(how: _How, budget: int) -> tuple[Float[np.ndarray, " p"], Float[np.nd
         controls = s.controls(coefficients(k))
         if how.report is not None:
             how.report(next(done), np.inf)
-        exceeded = trial.judge(_ROWS)(controls, _ROUNDS[0][2], told=False).over
+        exceeded = trial.judge(_ROWS)(controls, _ROUNDS[0][2], information=False).over
         return np.asarray(np.maximum(exceeded, trial.energy(controls) - how.energy))
 
     amplitude = largest(over, np.ones(count), _HALVINGS)

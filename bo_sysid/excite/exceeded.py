@@ -24,19 +24,19 @@ class Exceeded:
     Attributes:
         machine: row of the machine.
         joint: name of the joint, empty where none is to blame.
-        said: what happens, such as "position is -0.31 rad (limit -0.3 to 1.8)".
+        event: what happens, such as "position is -0.31 rad (limit -0.3 to 1.8)".
         time: when, in [s]; nan where that is not known.
     """
 
     machine: int
     joint: str
-    said: str
+    event: str
     time: float
 
     def __str__(self) -> str:
         joint = f"{self.joint}: " if self.joint else ""
         after = f" after {self.time:.3g} s" if self.time > 0 else ""
-        return f"limits: {joint}{self.said}{after}"
+        return f"limits: {joint}{self.event}{after}"
 
     @property
     def advice(self) -> str:
@@ -84,9 +84,9 @@ def first_exceeded(
         "velocity": (v, f"{limits.velocity[joint]:.4g}", f"{length}/s"),
         "effort": (torque, f"{limits.effort[joint]:.4g}", force),
     }[kind]
-    said = f"{kind} is {values[machine, step, joint]:.4g} {unit} (limit {bound})"
+    event = f"{kind} is {values[machine, step, joint]:.4g} {unit} (limit {bound})"
     time = float(step * models[0].opt.timestep)
-    return Exceeded(int(machine), limits.joints[joint], said, time)
+    return Exceeded(int(machine), limits.joints[joint], event, time)
 
 
 def why_not_held(

@@ -102,33 +102,36 @@ class Judge:
         self._whole, self._pieces = Engine(threads()), Engine(threads())
 
     def __call__(
-        self, controls: Float[np.ndarray, "K R nu"], margin: float, *, told: bool = True
+        self, controls: Float[np.ndarray, "K R nu"], margin: float, *, information: bool = True
     ) -> Judgement:
         """Return what the controls tell and exceed, each held for one interval.
 
         Args:
             controls: of the K trajectories.
             margin: share of each limit that may be used.
-            told: whether to say what they tell; otherwise sigma is that of no recording.
+            information: whether to evaluate what they tell; else sigma is that of no recording.
         """
         width = 1 + len(self._varied) + 2 * self._nominal.nv
         rows = max(width, len(self._machines)) * controls.shape[1] * self._hold
         size = max(_MEMORY // (rows * 8 * 3 * (2 * self._nominal.nv + self._nominal.na)), 1)
         parts = [
-            self._some(controls[k : k + size], margin, told) for k in range(0, len(controls), size)
+            self._some(controls[k : k + size], margin, information)
+            for k in range(0, len(controls), size)
         ]
         return Judgement(
             np.concatenate([p.sigma for p in parts]), np.concatenate([p.over for p in parts])
         )
 
-    def _some(self, controls: Float[np.ndarray, "K R nu"], margin: float, told: bool) -> Judgement:
+    def _some(
+        self, controls: Float[np.ndarray, "K R nu"], margin: float, information: bool
+    ) -> Judgement:
         count, machines = len(controls), len(self._machines)
         models = self._machines * count
         ctrl = np.repeat(np.repeat(controls, self._hold, axis=1), machines, axis=0)
         start = self._start.repeat(len(ctrl))
         run = self._whole.rollout(models, start, ctrl, laws=self._laws)
         over = self._limits.violation(models, run, ctrl, margin).reshape(count, -1).max(axis=1)
-        if not told:
+        if not information:
             return Judgement(np.full((count, len(self._varied)), _PRIOR**-0.5), over)
         first = np.arange(0, controls.shape[1] - self._window, self._window)
         at = (slice(None, None, machines), first * self._hold)

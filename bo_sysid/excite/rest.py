@@ -51,7 +51,7 @@ def holding(
     """
     still = np.zeros((1, model.nv))
     terms = Dynamics(model).terms(model.qpos0[None], still, still)
-    needed = terms.needed[0] - _beside(model, laws)
+    needed = terms.required_force[0] - _beside(model, laws)
     own = terms.bias[0] @ terms.moment[0]
     per_control = (terms.gain[0][:, None] * terms.moment[0]).T
     ctrl = lsq_linear(per_control, needed - own, (low, high)).x

@@ -137,8 +137,8 @@ class Trial:
         run = self.run(self._still, self.machines)
         if self.limits.violation(*run, 1.0).max() > 0:
             worst = first_exceeded(self.limits, *run)
-            told = self.model.joints, hold, self.parameters, self.machines
-            raise StudyError(why_not_held(worst, *told))
+            context = self.model.joints, hold, self.parameters, self.machines
+            raise StudyError(why_not_held(worst, *context))
 
     def _calmest(self, last: int) -> Float[np.ndarray, " nu"]:
         """Return where controls rest so that machines use least of their limits.
@@ -151,7 +151,7 @@ class Trial:
 
         def used(rest: np.ndarray) -> np.ndarray:
             still = np.repeat(rest[:, None], len(s.time), axis=1)
-            return judge(replace(s, rest=0.0).scaled(still), 0.0, told=False).over
+            return judge(replace(s, rest=0.0).scaled(still), 0.0, information=False).over
 
         start = np.broadcast_to(s.rest, s.half.shape)
         found, _ = minimise(used, start, _NEAR, _CALMING * len(s.half), self._seed)

@@ -190,8 +190,8 @@ class Loops:
         for row, v in zip(later, qvel, strict=True):
             mujoco.mj_integratePos(self.model, row, v, _DIFFERENCE)
         now, then = self.response(qpos), self.response(later)
-        bent = np.einsum("wij,wj->wi", (then - now) / _DIFFERENCE, qvel)
-        return np.asarray(np.einsum("wij,wj->wi", now, qacc) + bent)
+        velocity_part = np.einsum("wij,wj->wi", (then - now) / _DIFFERENCE, qvel)
+        return np.asarray(np.einsum("wij,wj->wi", now, qacc) + velocity_part)
 
     def _close(self, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]) -> None:
         """Move the joints that follow, in place, until the loops are closed."""

@@ -108,8 +108,8 @@ class Model:
         for name in (n for pair in self.unrecorded.items() for n in pair if n is not None):
             if f"qpos.{name}" not in known:
                 near = nearest(name, [n.removeprefix("qpos.") for n in known])
-                said = f"{self.source}: no joint {name!r}; {near}"
-                raise ModelError(said, key="unrecorded")
+                message = f"{self.source}: no joint {name!r}; {near}"
+                raise ModelError(message, key="unrecorded")
 
     @classmethod
     def from_file(

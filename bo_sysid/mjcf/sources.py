@@ -171,8 +171,8 @@ def hold_joints(spec: mujoco.MjSpec, names: Sequence[str], source: str) -> None:
     joints = {j.name: j for j in spec.joints}
     for name in dict.fromkeys(names):  # deleted twice, a joint ends the process
         if name not in joints:
-            said = f"{source}: no joint {name!r}; {nearest(name, joints)}"
-            raise ModelError(said, key="hold")
+            message = f"{source}: no joint {name!r}; {nearest(name, joints)}"
+            raise ModelError(message, key="hold")
         if tie := tied_by(before, name):
             raise ModelError(
                 f"{source}: {tie} moves {name} with other joints, so that it cannot be held; "

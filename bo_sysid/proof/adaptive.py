@@ -15,7 +15,7 @@ from scipy.integrate import DOP853
 from bo_sysid.errors import ModelError
 from bo_sysid.proof.equations import Accelerate
 from bo_sysid.proof.physics import Physics
-from bo_sysid.proof.rolled import Command, PlantDiverged, Rolled, rolled, told
+from bo_sysid.proof.rolled import Command, PlantDiverged, Rolled, encoder_readings, rolled
 
 RELATIVE, ABSOLUTE = 1e-8, 1e-10
 """Tolerances of the solver."""
@@ -67,7 +67,9 @@ class AdaptivePlant:
         for k in range(steps):
             states[k] = y
             rotor = states[: k + 1, -2:] if physics.transmission else None
-            ctrl[k] = command(k, told(physics, states[: k + 1, : 2 * n], timestep, rotor))
+            ctrl[k] = command(
+                k, encoder_readings(physics, states[: k + 1, : 2 * n], timestep, rotor)
+            )
             if k == 0:
                 for i, a in enumerate(self._lags):
                     y[2 * n + i] = physics.drives[a].command(ctrl[0, a])

@@ -293,14 +293,14 @@ class _Attempt:
     def _recording(self, part: str, rolled: Rolled) -> Recording:
         """Return what the machine's log holds: rounded noisy positions and commands."""
         m = self._machine.compiled
-        told = rounded(rolled.read + self._noise(part)[: len(rolled.time)], self._quantum)
+        readings = rounded(rolled.read + self._noise(part)[: len(rolled.time)], self._quantum)
         joints = [self._machine.joint(dof) for dof in range(m.nv)]
         units = {f"qpos.{j}": "m" if int(m.joint(j).type[0]) == SLIDE else "rad" for j in joints}
         return Recording.from_arrays(
             rolled.time,
             name=part,
             units=units,
-            qpos={j: told[:, k] for k, j in enumerate(joints)},
+            qpos={j: readings[:, k] for k, j in enumerate(joints)},
             ctrl={m.actuator(a).name: rolled.ctrl[:, a] for a in range(m.nu)},
         )
 

@@ -203,14 +203,14 @@ def _draw_one(job: DrawJob) -> None:
 
 def _drawn(draw: Draw, plan: Sequence[Draw], loaded: LoadedSuite) -> Case:
     """Draw a case; where it cannot be had, one like another of its tier, from a seed of its own."""
-    alike = [d for d in plan if d.tier == draw.tier and bool(d.effects) == bool(draw.effects)]
+    same_kind = [d for d in plan if d.tier == draw.tier and bool(d.effects) == bool(draw.effects)]
     rng = np.random.default_rng((draw.seed, _REDRAWN))
     tried = draw
     for _ in range(_REDRAWS):
         try:
             return draw_case(tried, loaded)
         except NoCase:
-            other = alike[int(rng.integers(len(alike)))]
+            other = same_kind[int(rng.integers(len(same_kind)))]
             tried = replace(other, name=draw.name, seed=int.from_bytes(rng.bytes(16), "big"))
     return draw_case(tried, loaded)
 

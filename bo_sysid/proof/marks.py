@@ -54,15 +54,15 @@ def mark(truth: Mapping[str, Any], answer: Mapping[str, Any] | None) -> dict[str
         "decade": decade(size) if concealed else "",
         "answered": answer is not None,
     }
-    told: Mapping[str, Any] = answer or {"verdict": "failed", "findings": [], "alternatives": []}
-    found = named(told["findings"])
+    marked: Mapping[str, Any] = answer or {"verdict": "failed", "findings": [], "alternatives": []}
+    found = named(marked["findings"])
     marks |= {
-        "verdict": told["verdict"],
+        "verdict": marked["verdict"],
         "found": words(found),
-        "probability": stated(told),
-        **_set_marks(concealed, found, told),
-        **_unknown_marks(truth, told),
-        **forecast_errors(told),
+        "probability": stated(marked),
+        **_set_marks(concealed, found, marked),
+        **_unknown_marks(truth, marked),
+        **forecast_errors(marked),
     }
     marks["right"] = _right(marks)
     marks["acceptable"] = marks["right"] or _little_missed(truth["effects"], found, marks)
@@ -116,47 +116,47 @@ def class_size(findings: Sequence[Mapping[str, Any]]) -> int:
     return 1 + max(map(len, others), default=0)
 
 
-def stated(told: Mapping[str, Any]) -> float:
+def stated(answer: Mapping[str, Any]) -> float:
     """Return the probability that an answer gives to the set it names, nothing included.
 
     With it goes that of the sets which it offers as equivalent: one of them counts as right, too.
     """
-    own = [float(f["probability"]) for f in told["findings"] if f.get("probability") is not None]
+    own = [float(f["probability"]) for f in answer["findings"] if f.get("probability") is not None]
     if own:
-        others = (a for a in told.get("alternatives", ()) if named(a["findings"]))
-        among = (a for a in others if offers(told["findings"], named(a["findings"])))
+        others = (a for a in answer.get("alternatives", ()) if named(a["findings"]))
+        among = (a for a in others if offers(answer["findings"], named(a["findings"])))
         return min(min(own) + sum(float(a["probability"]) for a in among), 1.0)
-    return max(0.0, 1.0 - sum(float(a["probability"]) for a in told.get("alternatives", ())))
+    return max(0.0, 1.0 - sum(float(a["probability"]) for a in answer.get("alternatives", ())))
 
 
-def forecast_errors(told: Mapping[str, Any]) -> dict[str, float]:
+def forecast_errors(answer: Mapping[str, Any]) -> dict[str, float]:
     """Return the held-out forecast errors of an answer in sensor sigma, NaN where it has none."""
-    errors = (told.get("holdout") or {}).get("forecast") or {}
+    errors = (answer.get("holdout") or {}).get("forecast") or {}
     values = {m: errors.get(m) for m in _MODELS}
     return {m: float("nan") if v is None else float(v) for m, v in values.items()}
 
 
-def _set_marks(concealed: Named, found: Named, told: Mapping[str, Any]) -> dict[str, Any]:
-    others = [a["findings"] for a in told.get("alternatives", ())]
+def _set_marks(concealed: Named, found: Named, answer: Mapping[str, Any]) -> dict[str, Any]:
+    others = [a["findings"] for a in answer.get("alternatives", ())]
     strange = [bool(a) and all(f["effect"] == "unknown" for f in a) for a in others]
     alternatives = [
         named(a) for a, none_of_these in zip(others, strange, strict=True) if not none_of_these
     ]
     second = next((a for a in alternatives if a != found), None)
-    size = class_size(told["findings"])
+    size = class_size(answer["findings"])
     few = size <= MOST_IN_CLASS
     wrong = [
         f
-        for f in told["findings"]
+        for f in answer["findings"]
         if not named([f]) <= concealed and not (few and _offers(f, concealed))
     ]
-    in_class = few and offers(told["findings"], concealed)
+    in_class = few and offers(answer["findings"], concealed)
     return {
         "top1": found == concealed,
         "top2": concealed in (found, second),
         "class_size": size,
         "in_class": in_class,
-        "detected": bool(found) or told["verdict"] == "unknown-physics",
+        "detected": bool(found) or answer["verdict"] == "unknown-physics",
         "wrong_name": bool(wrong),
         "confident_wrong": any(float(f.get("probability") or 0.0) >= CONFIDENT for f in wrong),
     }
@@ -169,16 +169,16 @@ def _offers(finding: Mapping[str, Any], concealed: Named) -> bool:
     )
 
 
-def _unknown_marks(truth: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+def _unknown_marks(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
     """Return whether the unknown was flagged, located, and its dependence seen."""
-    said = told.get("unexplained") or {}
-    flagged = told["verdict"] == "unknown-physics"
+    unexplained = answer.get("unexplained") or {}
+    flagged = answer["verdict"] == "unknown-physics"
     sites = {str(e["site"]) for e in truth["effects"] if not e["known"]}
     depends = {d for e in truth["effects"] if not e["known"] for d in e["depends_on"]}
     return {
         "flagged": flagged,
-        "located": flagged and said.get("site") in sites,
-        "dependence": flagged and bool(depends & set(said.get("depends_on", ()))),
+        "located": flagged and unexplained.get("site") in sites,
+        "dependence": flagged and bool(depends & set(unexplained.get("depends_on", ()))),
     }
 
 
@@ -206,10 +206,10 @@ def mark_effects(
     truth: Mapping[str, Any], answer: Mapping[str, Any] | None
 ) -> list[dict[str, Any]]:
     """Return one row for each effect that was concealed: whether it was found, and how large."""
-    told = [] if answer is None else answer["findings"]
+    findings = [] if answer is None else answer["findings"]
     rows = []
     for e in truth["effects"]:
-        hit = next((f for f in told if named([f]) == named([e])), None)
+        hit = next((f for f in findings if named([f]) == named([e])), None)
         row = {
             "tier": truth["tier"],
             "machine": truth["machine"],
@@ -221,7 +221,7 @@ def mark_effects(
             "size": float(e["size"]),
             "decade": decade(float(e["size"])),
             "found": hit is not None,
-            "named": _nearest_name(e, told, answer),
+            "named": _nearest_name(e, findings, answer),
             "estimate": float("nan"),
             "error": float("nan"),
             "covered": False,
@@ -237,20 +237,21 @@ def mark_effects(
 
 def _nearest_name(
     effect: Mapping[str, Any],
-    told: Sequence[Mapping[str, Any]],
+    findings: Sequence[Mapping[str, Any]],
     answer: Mapping[str, Any] | None,
 ) -> str:
     """Return what an answer calls a concealed effect: the finding that is most like it."""
     if answer is None:
         return "(failed)"
-    findings = [f for f in told if f["effect"] not in _NEUTRAL]
+    named_findings = [f for f in findings if f["effect"] not in _NEUTRAL]
     flagged = answer["verdict"] == "unknown-physics"
-    if not findings:
+    if not named_findings:
         return UNKNOWN if flagged else NOTHING
     likeness = [
-        2 * (f["effect"] == effect["effect"]) + (f["site"] == effect["site"]) for f in findings
+        2 * (f["effect"] == effect["effect"]) + (f["site"] == effect["site"])
+        for f in named_findings
     ]
-    best = findings[int(np.argmax(likeness))]
+    best = named_findings[int(np.argmax(likeness))]
     if flagged and not effect["known"]:
         return UNKNOWN
     where = "" if best["site"] == effect["site"] else " elsewhere"

@@ -104,16 +104,16 @@ def _with_oracle(scores: Scores, errors: Mapping[str, float]) -> Scores:
 
 
 def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
-    openings, said = openings_in(run.folder), run.read_json(COMMITMENTS)
+    openings, committed = openings_in(run.folder), run.read_json(COMMITMENTS)
     suite = yaml.safe_load(run.path("study.yaml").read_text(encoding="utf-8"))["suite"]
     known = "stated in the suite: whoever has it can draw the answers"
     return {
         "suite": suite["name"],
         "seed": "from the operating system" if suite.get("seed") is None else known,
-        "cases": f"{len(revealed)} of {len(said['cases'])} that were drawn",
+        "cases": f"{len(revealed)} of {len(committed['cases'])} that were drawn",
         "seals opened": ", ".join(o["opened"] for o in openings),
         "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),
         "SHA-256 of the frozen answers": digest(answers_at_opening(openings)),
-        "SHA-256 of the suite": said["suite_sha256"],
-        "versions": ", ".join(f"{k} {v}" for k, v in said["versions"].items()),
+        "SHA-256 of the suite": committed["suite_sha256"],
+        "versions": ", ".join(f"{k} {v}" for k, v in committed["versions"].items()),
     }

@@ -68,17 +68,17 @@ def reveal(
             the seals were opened.
     """
     folder = run.folder
-    said = commitments(folder)
+    committed = commitments(folder)
     require_published(folder, published)
     held = require_seals(folder, seals, judged(folder, first))
-    _check_shown(folder, said["cases"])
+    _check_shown(folder, committed["cases"])
     records = {name: _checked_record(folder, name) for name in judged(folder, first)}
     _open(folder, held, records)
     found = []
     for name, record in records.items():
-        truth = _opened_seal(folder, held, name, said["cases"][name])
-        told = None if record["error"] else read_json(folder, f"{ANSWERS}/{name}/diagnosis.json")
-        found.append(Revealed(name, truth, told, record["error"], float(record["seconds"])))
+        truth = _opened_seal(folder, held, name, committed["cases"][name])
+        answer = None if record["error"] else read_json(folder, f"{ANSWERS}/{name}/diagnosis.json")
+        found.append(Revealed(name, truth, answer, record["error"], float(record["seconds"])))
     return tuple(found)
 
 

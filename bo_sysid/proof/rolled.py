@@ -37,7 +37,7 @@ class Rolled:
     read: Float[np.ndarray, "T n"]
 
 
-def told(
+def encoder_readings(
     physics: Physics, states: np.ndarray, timestep: float, rotor: np.ndarray | None = None
 ) -> list[float]:
     """Return what the encoders say at the last row.
@@ -49,7 +49,7 @@ def told(
         rotor: `k x 2` position and velocity of the rotor, where there is one.
     """
     n = states.shape[1] // 2
-    said = []
+    readings = []
     for dof, encoder in enumerate(physics.encoders):
         turned = rotor is not None and physics.transmission and physics.transmission.dof == dof
         pair = states[:, [dof, n + dof]]
@@ -60,8 +60,8 @@ def told(
             near = pair[-2 - ceil(encoder.delay / timestep) :] if len(pair) > 2 else pair
             clock = np.arange(len(near)) * timestep
             x = hermite(clock, near[:, 0], near[:, 1], clock[-1:] - encoder.delay)[0]
-        said.append(float((1.0 + encoder.scale) * x + encoder.offset))
-    return said
+        readings.append(float((1.0 + encoder.scale) * x + encoder.offset))
+    return readings
 
 
 def rolled(
@@ -99,7 +99,10 @@ def hermite(
     slope: Float[np.ndarray, " T"],
     at: Float[np.ndarray, " S"],
 ) -> Float[np.ndarray, " S"]:
-    """Interpolate with the cubic that has the given values and slopes; held before the start."""
+    """Interpolate with the cubic that has the given values and slopes; held before the start.
+
+    For the one time of a step it takes a third of what `scipy.interpolate.CubicHermiteSpline` does.
+    """
     at = np.maximum(at, time[0])
     k = np.clip(np.searchsorted(time, at, side="right") - 1, 0, time.size - 2)
     h = time[k + 1] - time[k]

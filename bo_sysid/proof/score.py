@@ -238,15 +238,15 @@ def _magnitudes(effects: pd.DataFrame) -> pd.DataFrame:
 
 def forecasts(cases: pd.DataFrame) -> pd.DataFrame:
     """Return medians of the held-out errors, and of the repaired over the noise floor."""
-    told = cases[cases.answered].assign(ratio=lambda c: c.repaired / c.noise_floor)
-    columns = [m for m in (*MODELS, "ratio") if m in told]
+    with_ratio = cases[cases.answered].assign(ratio=lambda c: c.repaired / c.noise_floor)
+    columns = [m for m in (*MODELS, "ratio") if m in with_ratio]
     groups: list[tuple[str, Callable[[pd.DataFrame], pd.Series]]] = [
         ("nothing missing", lambda c: ~c.missing),
         ("tier 2", lambda c: c.missing & (c.tier == 2)),
         ("tier 3", lambda c: c.missing & (c.tier == 3)),
         ("tier 4", lambda c: c.missing & (c.tier == 4)),
     ]
-    rows = {name: told[pick(told)] for name, pick in groups}
+    rows = {name: with_ratio[pick(with_ratio)] for name, pick in groups}
     table = pd.DataFrame({name: part[columns].median() for name, part in rows.items()}).T
     table.insert(0, "n", [len(part) for part in rows.values()])
     return table

@@ -16,7 +16,7 @@ import numpy as np
 from bo_sysid.errors import ModelError
 from bo_sysid.proof.bodies import copy_model
 from bo_sysid.proof.physics import Bristle, Drive, Physics
-from bo_sysid.proof.rolled import Command, PlantDiverged, Rolled, rolled, told
+from bo_sysid.proof.rolled import Command, PlantDiverged, Rolled, encoder_readings, rolled
 
 Integrator = Literal["Euler", "RK4", "implicit", "implicitfast"]
 
@@ -68,7 +68,7 @@ class SteppedPlant:
         states, ctrl = np.empty((steps, 2 * n)), np.empty((steps, len(drives)))
         for k in range(steps):
             states[k, :n], states[k, n:] = data.qpos, data.qvel
-            ctrl[k] = command(k, told(self.physics, states[: k + 1], timestep))
+            ctrl[k] = command(k, encoder_readings(self.physics, states[: k + 1], timestep))
             if k == 0:
                 filtered = [d.command(float(u)) for d, u in zip(drives, ctrl[0], strict=True)]
             if k + 1 == steps:

@@ -95,9 +95,9 @@ def _interpolated(channel: Channel, edges: Float[np.ndarray, "W _"]) -> Float[np
     segment = np.searchsorted(stamps, edges, side="right") - 1
     before = np.clip(segment, 0, None)
     partial = 0.5 * (at + values[before]) * (edges - stamps[before])
-    alike = segment[:, 1:] == segment[:, :-1]
+    same_segment = segment[:, 1:] == segment[:, :-1]
     across = np.diff(whole[before] + partial, axis=1) / np.diff(edges, axis=1)
-    return np.asarray(np.where(alike, 0.5 * (at[:, 1:] + at[:, :-1]), across))
+    return np.asarray(np.where(same_segment, 0.5 * (at[:, 1:] + at[:, :-1]), across))
 
 
 def _snapped(times: np.ndarray, stamps: Times, tolerance: float) -> np.ndarray:

@@ -135,8 +135,8 @@ class _Mapper:
         values, si = self._converted(name, rule, column, raw[rows], where)
         position = hold == "none" and kind_of(name) == "qpos"
         if position and (found := find_outliers(clock.stamps[rows], values)):
-            told = in_words(found, raw[rows], rows)
-            self._outliers.append(f"{self.name}: {name} jumps to {told}; all are used.")
+            text = in_words(found, raw[rows], rows)
+            self._outliers.append(f"{self.name}: {name} jumps to {text}; all are used.")
         return Channel(clock.stamps[rows], values, si, f"{table.source}: {column}", hold)
 
     def flaws(self) -> list[str]:
@@ -226,13 +226,13 @@ class _Mapper:
         factor = unit_of_kind(named, "time", where).factor or 1.0
         kind = table.columns[column].dtype.kind
         if kind in _DATES:
-            what, told = _DATES[kind]
+            what, target = _DATES[kind]
             if factor != 1.0:
                 raise RecordingError(
                     f"{where} are {what.lower()}, which are read in s; unit is {named!r}, leave it "
                     "out"
                 )
-            self.notes.append(f"{what} in column {column!r} converted to {told}.")
+            self.notes.append(f"{what} in column {column!r} converted to {target}.")
         if factor != 1.0:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
         raw = table.column(column)
@@ -290,8 +290,8 @@ class _Mapper:
         if rule.scale != 1.0:
             done.append(f"scaled by {rule.scale:g}")
         if rule.period:
-            told = values[np.isfinite(values)]
-            within = bool(told.size) and bool(np.ptp(told) <= rule.period)
+            finite = values[np.isfinite(values)]
+            within = bool(finite.size) and bool(np.ptp(finite) <= rule.period)
             unwrapped = np.unwrap(values, period=rule.period)
             jumps = _jumps(values, unwrapped, rule.period)
             done.append(f"unwrapped ({jumps} jumps of {rule.period:g})")

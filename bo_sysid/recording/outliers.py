@@ -65,10 +65,10 @@ def find_outliers(time: Times, values: Samples) -> tuple[Outlier, ...]:
     clear = np.flatnonzero((rest > 0) & (runs[:, 2] > CLEAR * rest))
     if not clear.size:
         return ()
-    told, other = runs[: clear[-1] + 1], float(rest[clear[-1]])
-    rows = [np.arange(first, last + 1) for first, last in told[:, :2].astype(int)]
-    least, moved = float(told[-1, 2]), float(np.ptp(np.delete(values, np.concatenate(rows))))
-    if _is_turn(values, told[:, 2], other) or moved < least < _ALONE * other:
+    outlying, other = runs[: clear[-1] + 1], float(rest[clear[-1]])
+    rows = [np.arange(first, last + 1) for first, last in outlying[:, :2].astype(int)]
+    least, moved = float(outlying[-1, 2]), float(np.ptp(np.delete(values, np.concatenate(rows))))
+    if _is_turn(values, outlying[:, 2], other) or moved < least < _ALONE * other:
         return ()
     return _joined(np.unique(np.concatenate(rows)))
 

@@ -30,12 +30,12 @@ def checked_text(found: Checked, *, whole: bool = False) -> str:
         shown = found.wiring.delays.rename(
             columns={"delay": "delay [ms]", "sigma": "± (68 %) [ms]"}
         )
-        untold = ~np.isfinite(found.wiring.delays["sigma"])
-        shown.loc[untold, ["delay [ms]", "± (68 %) [ms]"]] = np.nan
+        unknown_delay = ~np.isfinite(found.wiring.delays["sigma"])
+        shown.loc[unknown_delay, ["delay [ms]", "± (68 %) [ms]"]] = np.nan
         parts += ["", "When the controls act, after their stamps:", table(shown)]
     if len(found.parameters):
         shown = found.parameters.rename(
-            columns={"sigma": "± (68 %)", "of_range": "of range", "determined": "told"}
+            columns={"sigma": "± (68 %)", "of_range": "of range", "determined": "identifiable"}
         )
         parts += ["", "What these recordings can say at best, of the model as it is:", table(shown)]
     for level in ("note", "look", "wrong"):

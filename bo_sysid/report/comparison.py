@@ -22,41 +22,41 @@ _TELLING = 6  # pairs at least, of which a signed-rank test can say something at
 _LEAST = 1e-4  # regrets below it are drawn there, on a logarithmic axis
 
 
-def comparison_text(told: Mapping[str, Any], folder: Path) -> str:
+def comparison_text(content: Mapping[str, Any], folder: Path) -> str:
     """Return `comparison.json` and its tables in words."""
-    parts = [sentence(told), *conclusions(told, folder)]
-    for caption, frame in tables_of(told, folder):
+    parts = [sentence(content), *conclusions(content, folder)]
+    for caption, frame in tables_of(content, folder):
         parts += ["", f"{caption}:", table(frame)]
-    parts += [f"- {name} was left out: {why}" for name, why in told["skipped"].items()]
+    parts += [f"- {name} was left out: {why}" for name, why in content["skipped"].items()]
     return "\n".join(parts)
 
 
-def sentence(told: Mapping[str, Any]) -> str:
+def sentence(content: Mapping[str, Any]) -> str:
     """Return what was run, in one sentence."""
-    runs, several = ("" if n == 1 else "s" for n in (told["runs"], len(told["arms"])))
-    return f"{told['name']}: {told['runs']} run{runs} of {len(told['arms'])} arm{several}."
+    runs, several = ("" if n == 1 else "s" for n in (content["runs"], len(content["arms"])))
+    return f"{content['name']}: {content['runs']} run{runs} of {len(content['arms'])} arm{several}."
 
 
-def conclusions(told: Mapping[str, Any], folder: Path) -> list[str]:
+def conclusions(content: Mapping[str, Any], folder: Path) -> list[str]:
     """Return what the runs say of the first arm and each other one, a sentence each.
 
     Told is the lowest regret that both reach in all runs; costs of runs that do not are bounds.
     """
-    if len(told["arms"]) == 1:
+    if len(content["arms"]) == 1:
         return []
-    unit, first = _unit(told), told["arms"][0]
+    unit, first = _unit(content), content["arms"][0]
     versus, spent = read_frame(folder, "paired.parquet"), read_frame(folder, "costs.parquet")
     versus = versus[versus["unit"] == unit]
     if "all" in set(versus["problem"]):
         versus = versus[versus["problem"] == "all"]
-    said = []
-    for arm in told["arms"][1:]:
+    sentences = []
+    for arm in content["arms"][1:]:
         own = versus[(versus["arm"] == arm) & (versus["unreached"] == 0) & (versus["pairs"] > 0)]
         if own.empty:
-            said.append(_reached(spent, first, arm))
+            sentences.append(_reached(spent, first, arm))
         else:
-            said.append(_ratio(own.loc[own["level"].idxmin()], first, arm, unit))
-    return said
+            sentences.append(_ratio(own.loc[own["level"].idxmin()], first, arm, unit))
+    return sentences
 
 
 def _ratio(row: pd.Series, first: str, arm: str, unit: str) -> str:
@@ -90,9 +90,9 @@ def _reached(spent: pd.DataFrame, first: str, arm: str) -> str:
     )
 
 
-def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataFrame]]:
+def tables_of(content: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataFrame]]:
     """Return the tables of a comparison that a person reads, with their captions."""
-    unit = _unit(told)
+    unit = _unit(content)
     means = read_frame(folder, "summary.parquet")
     cost = [
         f"{'' if reached == 1 else '≥ '}{mean:.3g}"
@@ -109,10 +109,10 @@ def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataF
             shown[["problem", "arm", "level", "runs", "reached", unit]],
         )
     ]
-    if len(told["arms"]) > 1:
+    if len(content["arms"]) > 1:
         versus = read_frame(folder, "paired.parquet")
         versus = versus[versus["unit"] == unit].drop(columns="unit")
-        first = told["arms"][0]
+        first = content["arms"][0]
         found.append(
             (
                 f"{unit.capitalize()} over those of {first} on the same seeds: geometric mean, its "
@@ -121,23 +121,23 @@ def tables_of(told: Mapping[str, Any], folder: Path) -> list[tuple[str, pd.DataF
                 versus,
             )
         )
-        if told["loop"] == "inner":
+        if content["loop"] == "inner":
             columns = ["problem", "arm", "other", "pairs", "identical", "step", "overlap"]
-            alike = read_frame(folder, "agreement.parquet")
-            alike = alike.loc[alike["arm"] == first, columns]
+            agreement = read_frame(folder, "agreement.parquet")
+            agreement = agreement.loc[agreement["arm"] == first, columns]
             found.append(
                 (
                     f"How alike {first} and the others pick: share of pairs with one and the same "
                     "path, median number of the first pick that differs, mean share of common "
                     "candidates",
-                    alike,
+                    agreement,
                 )
             )
     return found
 
 
-def _unit(told: Mapping[str, Any]) -> str:
-    return "trajectories" if told["loop"] == "outer" else "evaluations"
+def _unit(content: Mapping[str, Any]) -> str:
+    return "trajectories" if content["loop"] == "outer" else "evaluations"
 
 
 def comparison(found: "Found") -> "Section | None":
@@ -146,10 +146,10 @@ def comparison(found: "Found") -> "Section | None":
 
     if not found.has("comparison.json"):
         return None
-    told = read_json(found.folder, "comparison.json")
+    content = read_json(found.folder, "comparison.json")
     pictures = {
-        "regret": f"Regret against {_unit(told)}: medians and quartiles over seeds.",
-        "costs": f"{_unit(told).capitalize()} until a regret is reached: means and intervals.",
+        "regret": f"Regret against {_unit(content)}: medians and quartiles over seeds.",
+        "costs": f"{_unit(content).capitalize()} until a regret is reached: means and intervals.",
     }
     images = [
         (found.picture(f"figures/{name}.png"), words)
@@ -160,8 +160,8 @@ def comparison(found: "Found") -> "Section | None":
         "comparison",
         "Arms against each other",
         images=images,
-        tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(told, found.folder)],
-        items=[f"{name} was left out: {why}" for name, why in told["skipped"].items()],
+        tables=[(f"{c}.", Table.of(frame)) for c, frame in tables_of(content, found.folder)],
+        items=[f"{name} was left out: {why}" for name, why in content["skipped"].items()],
     )
 
 

@@ -88,9 +88,9 @@ def _one_channel(top: Axes, below: Axes, part: pd.DataFrame, name: str, unit: st
     margin = 0.5 * span  # a forecast that leaves is cut off
     view = top.get_ylim()
     top.set_ylim(max(view[0], low - margin), min(view[1], high + margin))
-    said = f"[{unit}]" if unit else ""
-    top.set_ylabel(f"{in_lines(name)}\n{said}")
-    below.set_ylabel(f"recorded -\nforecast {said}", fontsize="small")
+    axis_unit = f"[{unit}]" if unit else ""
+    top.set_ylabel(f"{in_lines(name)}\n{axis_unit}")
+    below.set_ylabel(f"recorded -\nforecast {axis_unit}", fontsize="small")
     below.axhline(0, color=RECORDED, linewidth=0.5)
     below.legend(fontsize="x-small", ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
                  frameon=False, borderaxespad=0.0)  # fmt: skip

@@ -132,24 +132,24 @@ def set_text(members: Sequence[Mapping[str, Any]]) -> str:
     """Return a set of effects in words: "dry_friction at elbow (0.15), payload at hand (0.3)"."""
     if any(m["effect"] == "unknown" for m in members):
         return "none of these, something unknown"
-    said = [f"{m['effect']} at {m['site']} ({m['value']:.3g})" for m in members]
-    return ", ".join(said) or "nothing is missing"
+    members_text = [f"{m['effect']} at {m['site']} ({m['value']:.3g})" for m in members]
+    return ", ".join(members_text) or "nothing is missing"
 
 
-def told_apart(findings: Sequence[Mapping[str, Any]]) -> list[str]:
+def undecided_sentences(findings: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a sentence for each set that the recordings do not tell from findings.
 
     A set stands in the place of the findings that list it.
     """
-    said: dict[str, None] = {}
+    sentences: dict[str, None] = {}
     for finding in findings:
         for other in finding["equivalents"]:
             own = _without([f for f in findings if other in f["equivalents"]], other)
             theirs = _without(other, findings)
             apart = f"{set_text(own)} from {set_text(theirs)}"
             what = apart if theirs else f"whether there is {set_text(own)}"
-            said[f"These recordings do not tell {what}."] = None
-    return list(said)
+            sentences[f"These recordings do not tell {what}."] = None
+    return list(sentences)
 
 
 def _without(

@@ -24,7 +24,7 @@ from bo_sysid.report.look import (
     with_gaps,
     worst_channels,
 )
-from bo_sysid.report.plotly_style import dressed, in_unit, light, said
+from bo_sysid.report.plotly_style import dressed, escaped, in_unit, light
 from bo_sysid.report.robot import Posed, Site, ball, view
 
 _POINTS = 6_000  # of all channels of a page together
@@ -61,7 +61,7 @@ def held_out(traces: pd.DataFrame, channel: str, unit: str = "rad", beside: int 
         shared = {"x": time, "line": line, "name": name, "legendgroup": model}
         figure.add_scatter(y=light(part[model]), row=1, col=1, **shared)
         figure.add_scatter(y=light(error), row=2, col=1, showlegend=False, **shared)
-    figure.update_yaxes(title=said(channel + in_unit(unit)), row=1, range=_range(recorded))
+    figure.update_yaxes(title=escaped(channel + in_unit(unit)), row=1, range=_range(recorded))
     figure.update_yaxes(title=f"recorded - forecast{in_unit(unit)}", row=2)
     figure.update_xaxes(title="time [s]", row=2)
     return dressed(figure, 520)
@@ -154,7 +154,7 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
     figure.update_xaxes(
         type="log", range=[-0.15, 1.7 * largest + 0.3], title="unexplained [sensor sigma, rms]"
     )
-    labels = [said(s).replace(" + ", "<br>+ ") for s in shown["set"]]
+    labels = [escaped(s).replace(" + ", "<br>+ ") for s in shown["set"]]
     figure.update_yaxes(automargin=True, tickvals=place, ticktext=labels)
     lines = sum(str(s).count(" + ") + 1 for s in shown["set"])
     return dressed(figure, 130 + 18 * len(shown) + 18 * lines)
@@ -187,7 +187,7 @@ def robot(posed: Posed, sites: Sequence[tuple[Site, str]]) -> go.Figure:
             shown = words.partition(":")[0] if many else words
             figure.add_scatter3d(
                 x=x, y=y, z=z, mode="text", textposition=side,
-                text=[said(shown).replace("\n", "<br>")],
+                text=[escaped(shown).replace("\n", "<br>")],
                 textfont={"color": NOMINAL, "size": 15}, hoverinfo="skip",
             )  # fmt: skip
     from_here = 1.7 * toward + 0.25 * up + 0.2 * right

@@ -7,7 +7,7 @@ from plotly.subplots import make_subplots
 
 from bo_sysid.intervals import half_width
 from bo_sysid.report.look import EQUIVALENT, IDENTIFIED, NOMINAL, SECOND
-from bo_sysid.report.plotly_style import dressed, in_unit, light, said
+from bo_sysid.report.plotly_style import dressed, escaped, in_unit, light
 
 _TICKS = 15
 
@@ -33,7 +33,7 @@ def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) ->
         )  # fmt: skip
     figure.add_vline(x=nominal, line={"dash": "dash", "color": NOMINAL}, annotation_text="nominal")
     figure.update_layout(barmode="overlay")
-    figure.update_xaxes(title=said(parameter + in_unit(unit)))
+    figure.update_xaxes(title=escaped(parameter + in_unit(unit)))
     figure.update_yaxes(title="probability")
     return dressed(figure, 320)
 
@@ -47,8 +47,8 @@ def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
         z=mass.to_numpy(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
     )  # fmt: skip
     figure.update_layout(showlegend=False)
-    figure.update_xaxes(title=said(second))
-    figure.update_yaxes(title=said(first))
+    figure.update_xaxes(title=escaped(second))
+    figure.update_yaxes(title=escaped(first))
     return dressed(figure, 360)
 
 

@@ -52,32 +52,32 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
 def _spent(summary: Mapping[str, Any]) -> str:
     """Return how much was recorded, in words."""
     several = "y" if summary["trajectories"] == 1 else "ies"
-    said = (
+    sentence = (
         f"{summary['trajectories']} real trajector{several} ({summary['seconds_recorded']:.4g} s)"
     )
     if summary.get("given"):
         several = "" if summary["given"] == 1 else "s"
-        said += (
+        sentence += (
             f" beside the study's {summary['given']} recording{several} "
             f"({summary['given_seconds']:.4g} s)"
         )
-    return said
+    return sentence
 
 
-def learning_said(summary: Mapping[str, Any]) -> dict[str, Any]:
+def learning_summary(summary: Mapping[str, Any]) -> dict[str, Any]:
     """Return what `learning.json` amounts to: a verdict, the sentences below it, and notes."""
     spent = _spent(summary)
     why = summary["waiting"] or summary["stopped"]
     rounds = summary.get("iterations") or []
-    told = [r for r in rounds if r.get("plant_return")]
+    with_plant = [r for r in rounds if r.get("plant_return")]
     notes = list(summary.get("notes") or ())
     if summary["waiting"]:
         return {"verdict": why, "sentences": [f"So far: {spent}.", *notes]}
     last = rounds[-1] if rounds else {}
     model = last.get("model_return")
     verdict = f"The policy was learned after {spent}."
-    if told:
-        plant = _with_interval(told[-1]["plant_return"])
+    if with_plant:
+        plant = _with_interval(with_plant[-1]["plant_return"])
         verdict = f"The policy returns {plant} on the plant, after {spent}."
     learned_on = ", ".join(f"{n} {v:.4g}" for n, v in summary["chosen"].items())
     where = f"It was learned on {learned_on}"

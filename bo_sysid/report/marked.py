@@ -22,19 +22,21 @@ def marked_robot(
         ModelError: the model cannot be read.
     """
     posed = Posed.of(Model.from_file(model), pose)
-    return posed, [(find_site(posed, kind, name), words) for kind, name, words in said(diagnosis)]
+    return posed, [
+        (find_site(posed, kind, name), words) for kind, name, words in site_labels(diagnosis)
+    ]
 
 
-def said(diagnosis: Mapping[str, object]) -> list[tuple[str, str, str]]:
+def site_labels(diagnosis: Mapping[str, object]) -> list[tuple[str, str, str]]:
     """Return kind and name of each guilty site with what a diagnosis says of it in a few words."""
     findings, unexplained = diagnosis["findings"], diagnosis["unexplained"]
     assert isinstance(findings, list) and isinstance(unexplained, dict)  # noqa: S101, PT018
     words: dict[tuple[str, str], list[str]] = {}
     for f in findings:
-        told = amount(Quantity(f["value"], f["unit"], tuple(f["interval"])))
+        size = amount(Quantity(f["value"], f["unit"], tuple(f["interval"])))
         more = f["value"] > 0 and f["after"] != f["value"]  # than the model has
-        sign = "+" if more and not told.startswith("+") else ""
-        line = f"{f['effect'].replace('_', ' ')} {sign}{told}"
+        sign = "+" if more and not size.startswith("+") else ""
+        line = f"{f['effect'].replace('_', ' ')} {sign}{size}"
         words.setdefault((f["kind"], f["site"]), []).append(line)
     if unexplained["kind"] is not None:
         key = (unexplained["kind"], unexplained["site"])

@@ -126,8 +126,8 @@ class Found:
             except RunError as error:
                 self.problems.append(str(error))
             except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
-                said = f"{type(error).__name__}: {error}"
-                self.problems.append(f"{_title(make)}: not as this version writes it ({said})")
+                reason = f"{type(error).__name__}: {error}"
+                self.problems.append(f"{_title(make)}: not as this version writes it ({reason})")
             else:
                 if section is not None:
                     yield section

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from bo_sysid.report.look import IDENTIFIED
 
 
-def said(text: str) -> str:
+def escaped(text: str) -> str:
     """Return text that Plotly shows as it is: it takes some HTML in its labels."""
     return html.escape(text, quote=False)
 

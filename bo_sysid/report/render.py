@@ -45,9 +45,9 @@ def rendered(
         The OpenGL that did it, None where none works.
     """
     out.unlink(missing_ok=True)  # what an earlier run drew is not this one's
-    told = os.environ.get("MUJOCO_GL", "")
+    backend_set = os.environ.get("MUJOCO_GL", "")
     request = {"model": str(model), "pose": dict(pose), "points": [list(p) for p in points]}
-    for backend in (told,) if told in (*BACKENDS, "glfw") else BACKENDS:
+    for backend in (backend_set,) if backend_set in (*BACKENDS, "glfw") else BACKENDS:
         with tempfile.TemporaryDirectory() as folder:
             asked, drawn = Path(folder) / "request.json", Path(folder) / "drawn.png"
             asked.write_text(json.dumps({**request, "out": str(drawn)}), encoding="utf-8")
@@ -120,6 +120,6 @@ def _mark(scene: mujoco.MjvScene, point: np.ndarray, radius: float) -> None:
 
 
 if __name__ == "__main__":
-    told = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    places = np.array(told["points"], float).reshape(-1, 3)
-    _draw(Path(told["model"]), told["pose"], places, Path(told["out"]))
+    job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+    places = np.array(job["points"], float).reshape(-1, 3)
+    _draw(Path(job["model"]), job["pose"], places, Path(job["out"]))

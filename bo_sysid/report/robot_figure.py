@@ -81,13 +81,13 @@ def _joints(
     for j in posed.feet:
         axis.plot(*places[j], "s", color=_EDGE, markersize=13, alpha=0.5)
     axis.plot(*places.T, "o", markerfacecolor="white", markeredgecolor=_EDGE, markersize=5)
-    said = {s.label for s in marked}
+    labels = {s.label for s in marked}
     rings = [onto @ s.point for s in marked if s.point is not None]
     names = [posed.model.joint(j).name for j in range(posed.model.njnt)]
     if len(names) > _NAMED:
         return
     for name, place in zip(names, places, strict=True):
-        if f"joint {name}" not in said:
+        if f"joint {name}" not in labels:
             near = [r for r in rings if np.linalg.norm(r - place) * scale < _NEAR]
             below = any(r[1] > place[1] + 1e-9 for r in near)
             axis.annotate(
@@ -137,9 +137,9 @@ def _numbers(axis: Axes, sites: Sequence[tuple[Site, str]], onto: Float[np.ndarr
 def _list(axis: Axes, sites: Sequence[tuple[Site, str]]) -> None:
     """Write the words of all sites under each other, by number."""
     axis.set_axis_off()
-    said = [
+    lines = [
         f"{k}  " + words.replace("\n", "\n     ") for k, (_, words) in enumerate(sites, start=1)
     ]
     size = "medium" if len(sites) <= _FEW else "small"
-    axis.text(0.0, 0.5, "\n".join(said), transform=axis.transAxes, va="center", fontsize=size,
+    axis.text(0.0, 0.5, "\n".join(lines), transform=axis.transAxes, va="center", fontsize=size,
               linespacing=1.35)  # fmt: skip

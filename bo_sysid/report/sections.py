@@ -12,10 +12,10 @@ from bo_sysid.report.diagnosis_text import (
     alternatives_table,
     errors_table,
     findings_table,
-    told_apart,
+    undecided_sentences,
     verdict_text,
 )
-from bo_sysid.report.learning import learning_said
+from bo_sysid.report.learning import learning_summary
 from bo_sysid.report.look import channel_units, error_units, top_sets, worst_channels, worst_joints
 from bo_sysid.report.marked import marked_robot
 from bo_sysid.report.parts import Found, Plot, Section, Table
@@ -56,11 +56,11 @@ def headline(found: Found) -> dict[str, Any]:
             }
         if found.has("learning.json"):
             made = read_json(found.folder, "learning.json")
-            return {"name": made["name"], **learning_said(made)}
+            return {"name": made["name"], **learning_summary(made)}
         if found.has("comparison.json"):
             made = read_json(found.folder, "comparison.json")
-            said = conclusions(made, found.folder)
-            return {"name": made["name"], "verdict": sentence(made), "sentences": said}
+            sentences = conclusions(made, found.folder)
+            return {"name": made["name"], "verdict": sentence(made), "sentences": sentences}
     except (RunError, KeyError, TypeError, ValueError):  # the sections say what is damaged
         verdict = "The result cannot be read: a file of the run is damaged."
     try:
@@ -80,8 +80,8 @@ def robot(found: Found) -> Section | None:
         posed, sites = marked_robot(inside(found.folder, str(diagnosis["model"])), pose, diagnosis)
     except BoSysidError as error:
         raise RunError(f"the robot cannot be drawn: {error}") from None
-    said = "; ".join(w.replace("\n", " ") for _, w in sites) or "no site is marked"
-    words = f"The robot in a recorded pose, {said}. Drag to turn it."
+    sites_text = "; ".join(w.replace("\n", " ") for _, w in sites) or "no site is marked"
+    words = f"The robot in a recorded pose, {sites_text}. Drag to turn it."
     plot = Plot(words, {"": interactive.robot(posed, sites)})
     return Section("robot", "Where", plots=[plot], images=_moving(found))
 
@@ -160,7 +160,7 @@ def explanations(found: Found) -> Section | None:
         plots.append(Plot(words, {"": interactive.evidence(sets)}))
     elif diagnosis["alternatives"]:
         tables.append(("Also tried", Table.of(alternatives_table(diagnosis["alternatives"]))))
-    text = told_apart(diagnosis["findings"])
+    text = undecided_sentences(diagnosis["findings"])
     if diagnosis["next_experiment"]:
         text.append(f"What to record next: {diagnosis['next_experiment'].get('sentence', '')}")
     return Section("explanations", "What was found, and what else was tried",

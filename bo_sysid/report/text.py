@@ -27,12 +27,12 @@ def run_text(folder: str | Path) -> str:
     head = f"{folder}: {record['command']}, {_status(folder, record)}"
     for name, say in _ANSWERS.items():
         if (folder / name).is_file():
-            return f"{head}\n{_said(say, folder, name)}"
+            return f"{head}\n{_answer_text(say, folder, name)}"
     if (folder / "evaluations.parquet").is_file():
         frame = read_frame(folder, "evaluations.parquet", ["deviation"])
         return (
             f"{head}\n{len(frame)} evaluations so far, lowest deviation "
-            f"{frame['deviation'].min():.4g}. The same command goes on."
+            f"{frame['deviation'].min():.4g}. Run the same command again to resume."
         )
     recorded = sorted(p.name for p in folder.glob("*.parquet"))
     if record["command"] == "record" and recorded:
@@ -43,29 +43,32 @@ def run_text(folder: str | Path) -> str:
     if rounds:
         return (
             f"{head}\nIterations so far: {rounds}, each with the policy that it learned "
-            "(iterations/*/policy.npz). The same command goes on."
+            "(iterations/*/policy.npz). Run the same command again to resume."
         )
     if record["command"] == "learn" and (begun := _begun(folder)):
-        return f"{head}\n{begun} The same command goes on."
+        return f"{head}\n{begun} Run the same command again to resume."
     compared = len(list(folder.glob("records/*/*/[0-9]*.json")))
     if record["command"] == "compare" and compared:
-        return f"{head}\nRuns of arms so far: {compared}. The same command goes on."
+        return f"{head}\nRuns of arms so far: {compared}. Run the same command again to resume."
     fits = len(list((folder / FITS).glob("*.npz")))
     if fits:
-        return f"{head}\nNothing is decided yet; fits so far: {fits}. The same command goes on."
+        return (
+            f"{head}\nNothing is decided yet; fits so far: {fits}. Run the same command again to "
+            "resume."
+        )
     return f"{head}\nNothing was computed yet."
 
 
 def _begun(folder: Path) -> str:
     """Say how far the first iteration of `learn` is; empty where nothing is there."""
-    said = []
+    sentences = []
     if real := len(list(folder.glob("trajectories/*.parquet"))):
-        said.append(f"Real trajectories so far: {real} (trajectories/*.parquet).")
+        sentences.append(f"Real trajectories so far: {real} (trajectories/*.parquet).")
     if list(folder.glob("iterations/*/identified.json")):
-        said.append("The model is identified (iterations/*/belief.parquet).")
+        sentences.append("The model is identified (iterations/*/belief.parquet).")
     if list(folder.glob("iterations/*/training/*.npz")):
-        said.append("TRPO has begun.")
-    return " ".join([*said, "No policy was learned yet."]) if said else ""
+        sentences.append("TRPO has begun.")
+    return " ".join([*sentences, "No policy was learned yet."]) if sentences else ""
 
 
 def _concealed(folder: Path) -> str:
@@ -91,48 +94,48 @@ def _status(folder: Path, record: Mapping[str, Any]) -> str:
     return str(record["status"])
 
 
-def _said(say: Callable[[Any, Path], str], folder: Path, name: str) -> str:
+def _answer_text(say: Callable[[Any, Path], str], folder: Path, name: str) -> str:
     """Return the words of an answer; where it is not as it is written, the file is named."""
-    told = read_json(folder, name)
+    content = read_json(folder, name)
     try:
-        return say(told, folder)
+        return say(content, folder)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
-        said = f"{type(error).__name__}: {error}"
+        problem = f"{type(error).__name__}: {error}"
         raise RunError(
-            f"{folder / name}: damaged, not as this version writes it ({said}); run the command "
+            f"{folder / name}: damaged, not as this version writes it ({problem}); run the command "
             "again, with another --out"
         ) from None
 
 
-def _identified(told: Any, _: Path) -> str:
-    return identification_text(told)
+def _identified(content: Any, _: Path) -> str:
+    return identification_text(content)
 
 
-def _learned(told: Any, folder: Path) -> str:
+def _learned(content: Any, folder: Path) -> str:
     from bo_sysid.report.learning import learning_text
 
-    return learning_text(told, folder)
+    return learning_text(content, folder)
 
 
-def _compared(told: Any, folder: Path) -> str:
+def _compared(content: Any, folder: Path) -> str:
     from bo_sysid.report.comparison import comparison_text
 
-    return comparison_text(told, folder)
+    return comparison_text(content, folder)
 
 
-def _diagnosed(told: Any, folder: Path) -> str:
+def _diagnosed(content: Any, folder: Path) -> str:
     from bo_sysid.report.diagnosis_text import diagnosis_text
 
     summary = _if_there(folder, "summary.json", read_json)
     sessions = _if_there(folder, "sessions.parquet", read_frame)
-    return diagnosis_text(told, summary if isinstance(summary, dict) else None, sessions)
+    return diagnosis_text(content, summary if isinstance(summary, dict) else None, sessions)
 
 
-def _frozen(told: Any, folder: Path) -> str:
+def _frozen(content: Any, folder: Path) -> str:
     """Return a diagnosis' answer of which the hold-out was not read yet."""
-    said = [str(f["sentence"]) for f in told["findings"]] or ["Nothing is named."]
-    goes_on = "The unseen recordings were not compared yet. The same command goes on."
-    return "\n".join([*said, goes_on])
+    sentences = [str(f["sentence"]) for f in content["findings"]] or ["Nothing is named."]
+    pending = "The unseen recordings were not compared yet. Run the same command again to resume."
+    return "\n".join([*sentences, pending])
 
 
 _ANSWERS: Mapping[str, Callable[[Any, Path], str]] = {

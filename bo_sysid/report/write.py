@@ -26,15 +26,15 @@ def write_figures(run: Run) -> list[Path]:
     Raises:
         RunError: a file of the run is missing or damaged.
     """
-    told = run.read_json("identification.json")
-    parameters = pd.DataFrame(told["parameters"])
+    content = run.read_json("identification.json")
+    parameters = pd.DataFrame(content["parameters"])
     return _written(
         run,
         {
             "marginals": figures.marginals(run.read_frame("belief.parquet"), parameters),
             "progress": figures.progress(run.read_frame("evaluations.parquet")),
             "predictions": figures.predictions(
-                run.read_frame("traces.parquet"), units=error_units(told["errors"])
+                run.read_frame("traces.parquet"), units=error_units(content["errors"])
             ),
         },
     )

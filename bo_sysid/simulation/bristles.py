@@ -20,8 +20,8 @@ def bristle_motors(model: mujoco.MjModel) -> Int[np.ndarray, " b"]:
     """
     motors = model.actuator_dyntype == int(mujoco.mjtDyn.mjDYN_DCMOTOR)
     at_joint = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    bent = (model.actuator_dynprm[:, _STIFFNESS] > 0) & (model.actuator_actnum == 1)
-    return np.flatnonzero(motors & at_joint & bent)
+    bristled = (model.actuator_dynprm[:, _STIFFNESS] > 0) & (model.actuator_actnum == 1)
+    return np.flatnonzero(motors & at_joint & bristled)
 
 
 def with_loaded_bristles(
@@ -81,10 +81,10 @@ def _loads(
     data = mujoco.MjData(model)
     load, mass = np.zeros((len(start), len(dof))), np.zeros((len(start), len(dof)))
     units, columns = np.eye(model.nv)[dof], np.zeros((len(dof), model.nv))
-    bent = model.actuator_actadr[motors]
+    deflections = model.actuator_actadr[motors]
     for w in range(len(start)):
         start.begin(data, w, ctrl[w])
-        data.qvel[dof], data.act[bent] = 0.0, 0.0
+        data.qvel[dof], data.act[deflections] = 0.0, 0.0
         mujoco.mj_forward(model, data)
         mujoco.mj_solveM(model, data, columns, units)
         load[w] = np.linalg.solve(columns[:, dof], data.qacc[dof])

@@ -80,11 +80,11 @@ def _wired(model: Model, tables: Sequence[RawTable], rules: Rules) -> tuple[Rule
 
 def _late(wiring: Wiring) -> str:
     """Return when the controls act, in words."""
-    told = f"{1e3 * abs(wiring.delay):.1f} ms (± {1.96e3 * wiring.sigma:.1f})"
+    delay = f"{1e3 * abs(wiring.delay):.1f} ms (± {1.96e3 * wiring.sigma:.1f})"
     if wiring.delay > 0:
-        return f"{told} later than stamped"
+        return f"{delay} later than stamped"
     return (
-        f"{told} earlier than stamped; what is measured and changes between samples looks so, for "
+        f"{delay} earlier than stamped; what is measured and changes between samples looks so, for "
         "that {hold: linear} in its place"
     )
 
@@ -96,22 +96,22 @@ def _judged(
     out, joints = {}, {model.joint(j).name for j in range(model.njnt)}
     for n, g in guesses.items():
         share = tested.left.get(driven(model, n), 1.0)
-        if n in tested.untold:
-            reason = f"{g.reason}; its sign is not told: {tested.untold[n]}"
+        if n in tested.undetermined:
+            reason = f"{g.reason}; its sign is not told: {tested.undetermined[n]}"
             g = replace(g, reason=reason, confidence=min(g.confidence, _LIKELY))
         elif share <= _AGREES and not g.reason.startswith(_MOVED):
-            told = f"{_AGREED} (unexplained forces {share:.2g})"
+            reason = f"{_AGREED} (unexplained forces {share:.2g})"
             if n in tested.mirrored:
-                told += f", as well with {tested.mirrored[n]} and this both turned"
-            g = replace(g, reason=f"{g.reason}; {told}", confidence=max(g.confidence, _LIKELY))
+                reason += f", as well with {tested.mirrored[n]} and this both turned"
+            g = replace(g, reason=f"{g.reason}; {reason}", confidence=max(g.confidence, _LIKELY))
         elif n.startswith("qpos.") and driven(model, n) in joints and share > _AGREES:
-            told = "the motion of others tells its sign"
+            reason = "the motion of others tells its sign"
             if driven(model, n) in tested.left:
-                told = (
+                reason = (
                     f"the motion tells its sign; {100 * share:.0f} % of the forces there stay "
                     "unexplained"
                 )
-            g = replace(g, reason=f"{g.reason}; {told}")
+            g = replace(g, reason=f"{g.reason}; {reason}")
         out[n] = g
     return out
 

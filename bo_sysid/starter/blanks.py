@@ -30,8 +30,8 @@ def skipping(rules: Rules, tables: Sequence[RawTable]) -> Rules:
             continue
         columns[channel] = rule | {"missing": "skip"}
         guess = guesses.get(channel, Guess(channel, channel, "", "the name", 1.0))
-        told = f"{guess.reason}; {empty} of {cells} cells are empty, and no new samples"
-        guesses[channel] = replace(guess, reason=told)
+        reason = f"{guess.reason}; {empty} of {cells} cells are empty, and no new samples"
+        guesses[channel] = replace(guess, reason=reason)
     return replace(rules, columns=columns, guesses=guesses)
 
 
@@ -41,9 +41,9 @@ def _empty(channel: str, rule: Rule, rules: Rules, tables: Sequence[RawTable]) -
     for table in tables:
         column = rule.get("from", channel)
         values, stamps = table.column(column, channel), _stamps(table, channel, column, rules)
-        told = np.isfinite(stamps[: len(values)])
-        empty += int(np.isnan(values[: len(told)][told]).sum())
-        cells += int(told.sum())
+        finite = np.isfinite(stamps[: len(values)])
+        empty += int(np.isnan(values[: len(finite)][finite]).sum())
+        cells += int(finite.sum())
     return empty, cells
 
 

@@ -119,8 +119,8 @@ def _wished(table: RawTable, found: Sequence[Column]) -> list[Column]:
 def _go_together(table: RawTable, one: Column, other: Column) -> bool:
     """Whether two columns are as alike as what was to be and what was."""
     a, b = table.column(one.name), table.column(other.name)
-    told = np.isfinite(a[: len(b)]) & np.isfinite(b[: len(a)])
-    a, b = a[: len(told)][told], b[: len(told)][told]
+    finite = np.isfinite(a[: len(b)]) & np.isfinite(b[: len(a)])
+    a, b = a[: len(finite)][finite], b[: len(finite)][finite]
     if len(a) <= 10 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return False
     return float(np.corrcoef(a, b)[0, 1]) > _ALIKE

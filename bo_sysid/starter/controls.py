@@ -13,21 +13,21 @@ from bo_sysid.recording import RawTable
 from bo_sysid.starter.matching import Guess, match
 from bo_sysid.starter.naming import PLACED, WORDS, Column, words
 from bo_sysid.starter.numbers import numbered
-from bo_sysid.starter.reading import driven, told_unit
+from bo_sysid.starter.reading import driven, stated_unit
 
 _SAME_NAME = 0.8  # confidence in a column that nothing but its name says to be a control
-Asked = Literal["position", "velocity", "force"]
-"""What an actuator is told: where to go, how fast, or what to exert."""
-_SAYING: dict[Asked, frozenset[str]] = {
+ControlKind = Literal["position", "velocity", "force"]
+"""What a control sets: where to go, how fast, or what to exert."""
+_SAYING: dict[ControlKind, frozenset[str]] = {
     "position": PLACED,
     "velocity": WORDS["velocity"],
     "force": WORDS["effort"] | {"u"},
 }
-"""Words of what is told, unless they are the name of an element."""
+"""Words of what a control sets, unless they are the name of an element."""
 _FEEDING, _PLACES, _SPEEDS = (
     ("current", "voltage"), ("angle", "length"), ("angular velocity", "velocity")
 )  # fmt: skip
-_NEVER: dict[Asked, tuple[str, ...]] = {
+_NEVER: dict[ControlKind, tuple[str, ...]] = {
     "position": (*_FEEDING, "torque", "force", *_SPEEDS),
     "velocity": (*_FEEDING, "torque", "force", *_PLACES),
     "force": _PLACES,
@@ -40,7 +40,7 @@ _FEEDS = frozenset(
 """Words of what feeds a motor: its control where the log has no force."""
 
 
-def asked(compiled: mujoco.MjModel, actuator: str) -> Asked:
+def control_kind(compiled: mujoco.MjModel, actuator: str) -> ControlKind:
     """Return what an actuator is told; a servo of speed brakes as much as its gain drives."""
     found = compiled.actuator(actuator)
     if is_position_servo(compiled, found.id):
@@ -51,13 +51,13 @@ def asked(compiled: mujoco.MjModel, actuator: str) -> Asked:
 
 def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:
     """Whether a column can be a control: no effort is a servo's goal, no goal a motor's force."""
-    what = asked(compiled, actuator)
+    what = control_kind(compiled, actuator)
     own = {*words(actuator), *words(driven(compiled, f"ctrl.{actuator}"))}
-    said = {k for k, known in _SAYING.items() if known & (set(column.words) - own)}
-    said |= {"force"} if column.kind == "effort" else set()
-    if said and what not in said:
+    kinds = {k for k, known in _SAYING.items() if known & (set(column.words) - own)}
+    kinds |= {"force"} if column.kind == "effort" else set()
+    if kinds and what not in kinds:
         return False
-    return told_unit(column.unit, column.name).quantity not in _NEVER[what]
+    return stated_unit(column.unit, column.name).quantity not in _NEVER[what]
 
 
 def matched_controls(
@@ -65,15 +65,15 @@ def matched_controls(
 ) -> list[Guess]:
     """Match controls: goals for servos, efforts for motors; what is closest comes first."""
     found: list[Guess] = []
-    wanted: tuple[Asked, ...] = ("position", "velocity", "force")
+    wanted: tuple[ControlKind, ...] = ("position", "velocity", "force")
     for what in wanted:
-        names = [n for n in model.controlled if asked(compiled, n) == what]
+        names = [n for n in model.controlled if control_kind(compiled, n) == what]
         also = [driven(compiled, f"ctrl.{n}") or n for n in names]
-        for told in (True, False):
+        for matching_kind in (True, False):
             used = {g.column for g in found}
             left = [n for n in names if f"ctrl.{n}" not in {g.channel for g in found}]
             some = [c for c in sorted(columns, key=_feeds) if c.commands and c.name not in used]
-            some = [c for c in some if not told or _is_effort(c) is (what == "force")]
+            some = [c for c in some if not matching_kind or _is_effort(c) is (what == "force")]
             beside = [also[names.index(n)] for n in left]
             found += match("ctrl", left, some, beside, fits=partial(fits_control, compiled))
     return found
@@ -87,8 +87,8 @@ def left_over(
     By the same name; then one with the only one, several with as many whose names differ by a
     number alone, in its order.
     """
-    used, told = {g.column for g in known}, {g.channel for g in known}
-    without = [a for a in model.controlled if f"ctrl.{a}" not in told]
+    used, channels = {g.column for g in known}, {g.channel for g in known}
+    without = [a for a in model.controlled if f"ctrl.{a}" not in channels]
     never = ("time", "velocity", "foreign")
     left = [c for c in columns if c.name not in used and c.kind not in never]
     left = [c for c in left if np.ptp(table.column(c.name)) > 0]
@@ -116,16 +116,18 @@ def _same_names(
     """Match actuators with the only column that is called like them."""
     found = []
     for a in actuators:
-        alike = [c for c in columns if words(c.name) == words(a) and fits_control(compiled, a, c)]
-        if len(alike) == 1:
-            (c,) = alike
+        same_name = [
+            c for c in columns if words(c.name) == words(a) and fits_control(compiled, a, c)
+        ]
+        if len(same_name) == 1:
+            (c,) = same_name
             found.append(Guess(f"ctrl.{a}", c.name, c.unit, "the same name", _SAME_NAME))
     return found
 
 
 def _feeds(column: Column) -> bool:
     """Whether a column is a current, a voltage or the like: a force beside it goes first."""
-    quantity = told_unit(column.unit, column.name).quantity
+    quantity = stated_unit(column.unit, column.name).quantity
     return bool(_FEEDS & set(column.words)) or quantity in _FEEDING
 
 

@@ -69,8 +69,8 @@ def init(
     files = _different([Path(log) for log in logs])
     held = max(len(files) // 4, 1) if len(files) > 1 else 0
     train, holdout = files[: len(files) - held], files[len(files) - held :]
-    tables = _alike([t for f in train for t in _read(f, rate)])
-    _alike([*tables[:1], *(t for f in holdout for t in _read(f, rate))])
+    tables = _require_same_columns([t for f in train for t in _read(f, rate)])
+    _require_same_columns([*tables[:1], *(t for f in holdout for t in _read(f, rate))])
     whole, notes, fixed = _held_base(source, tables[0])
     motors, edits = out.with_name(f"{out.stem}_motors.xml"), _motors(whole)
     if edits and motors.exists():
@@ -154,13 +154,15 @@ def _guessed(
         if rules.missing:
             return edits, rules, pd.DataFrame(), {}
         rules = by_behaviour(nominal, tables, rules)
-        told = [e for e in edits if e.joint not in rules.unmatched]
-        if edits and not (told or rules.unused):
+        recognised = [e for e in edits if e.joint not in rules.unmatched]
+        if edits and not (recognised or rules.unused):
             undriven = _guessed(source, whole, (), tables, base)
             if any(agrees(g) for n, g in undriven[1].guesses.items() if n.startswith("qpos.")):
                 return undriven
-        if any(f"ctrl.{e.joint}" in rules.columns for e in told) and len(told) < len(edits):
-            return _guessed(source, whole, told, tables, base)
+        if any(f"ctrl.{e.joint}" in rules.columns for e in recognised) and len(recognised) < len(
+            edits
+        ):
+            return _guessed(source, whole, recognised, tables, base)
         scales = _scales(nominal, [read(t, rules) for t in tables])
         hints = _hints(nominal, tables[0], rules)
         bare = [
@@ -182,7 +184,7 @@ def _hints(model: Model, table: RawTable, rules: Rules) -> dict[str, str]:
     return hints
 
 
-def _alike(tables: list[RawTable]) -> list[RawTable]:
+def _require_same_columns(tables: list[RawTable]) -> list[RawTable]:
     """Return the tables, which must have the columns of the first."""
     for table in tables[1:]:
         missing = set(tables[0].columns) ^ set(table.columns)
@@ -199,8 +201,8 @@ def _held_base(source: Path, table: RawTable) -> tuple[Model, list[str], bool]:
     model = Model.from_file(source)
     compiled = model.compile()
     free = [n for n in model.joints if int(compiled.joint(n).type[0]) == FREE]
-    told = [c for c in table.columns if any(f in c for f in free)]
-    if not free or told or pose_guesses(compiled, table):
+    free_columns = [c for c in table.columns if any(f in c for f in free)]
+    if not free or free_columns or pose_guesses(compiled, table):
         return model, [], False
     note = (
         f"No column was found for the pose of the base ({', '.join(free)}), which is held where "

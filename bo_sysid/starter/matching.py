@@ -87,13 +87,13 @@ def _named(
     fits: Fits,
 ) -> list[Guess]:
     """Match by names, of the elements or those beside them."""
-    own, beside = as_counted(elements, columns), as_counted(also, columns)
-    alike = _of_all(elements), _of_all(also)
+    own, own_also = as_counted(elements, columns), as_counted(also, columns)
+    common = _of_all(elements), _of_all(also)
     likeness = [
         [
             max(
-                _likeness(n, c, own[n, c.name], alike[0]),
-                _likeness(o, c, beside[o, c.name], alike[1], trust),
+                _likeness(n, c, own[n, c.name], common[0]),
+                _likeness(o, c, own_also[o, c.name], common[1], trust),
             )
             for c in columns
         ]
@@ -112,13 +112,15 @@ def _named(
     for p, r in chosen.items():
         like, reason = likeness[r][p]
         spare = [k for k in range(len(columns)) if k not in chosen and score[r, k] >= score[r, p]]
-        if rivals := [columns[k].name for k in spare if _alike(columns[k], columns[p])]:
+        if rivals := [
+            columns[k].name for k in spare if _differ_by_element_alone(columns[k], columns[p])
+        ]:
             like, reason = min(like, _OPEN), f"{reason}, which {rivals[0]} has as well"
         found.append(_guess(kind, elements[r], columns[p], reason, like))
     return found
 
 
-def _alike(one: Column, other: Column) -> bool:
+def _differ_by_element_alone(one: Column, other: Column) -> bool:
     """Whether two columns say the same beside the names of elements, as left_pos and right_pos."""
     return _GENERIC & set(one.words) == _GENERIC & set(other.words)
 
@@ -131,8 +133,8 @@ def _alone(
     fits: Fits,
 ) -> list[Guess]:
     """Match what is left and alone has a unit that fits."""
-    used, told = {g.column for g in known}, {g.channel for g in known}
-    left = [e for e in elements if f"{kind}.{e}" not in told]
+    used, channels = {g.column for g in known}, {g.channel for g in known}
+    left = [e for e in elements if f"{kind}.{e}" not in channels]
     unused = [c for c in columns if c.name not in used]
     found = []
     for e in left:
@@ -157,12 +159,12 @@ def _in_order(
         return []  # another order
     found = []
     for (first, before), (last, after) in pairwise(at):
-        between, told = elements[first + 1 : last], columns[before + 1 : after]
-        if len(between) == len(told):
+        between_elements, between_columns = elements[first + 1 : last], columns[before + 1 : after]
+        if len(between_elements) == len(between_columns):
             reason = "the order: the columns beside it are known"
             found += [
                 _guess(kind, e, c, reason, _ORDER)
-                for e, c in zip(between, told, strict=True)
+                for e, c in zip(between_elements, between_columns, strict=True)
                 if fits(e, c)
             ]
     return found
@@ -229,8 +231,8 @@ def _shared(own: Sequence[str], column: Column, of_all: Collection[str]) -> floa
         letters = [w for w in shared if not w.isdigit()]
         named = 0.95 if any(len(w) > 1 for w in letters) else _LETTER
         return named if letters else _LIKELY
-    telling = [w for w in special if w not in of_all and not w.isdigit()]
-    if all(_begun(w, column.words) for w in telling or special):
+    distinctive = [w for w in special if w not in of_all and not w.isdigit()]
+    if all(_begun(w, column.words) for w in distinctive or special):
         return _BEGUN
     return 0.5 * len(shared) / max(len(special), 1)
 

@@ -53,7 +53,9 @@ def with_movers(model: Model, tables: Sequence[RawTable], rules: Rules) -> Rules
     if evidence is None:
         return rules
     fits = partial(fits_control, compiled)
-    guesses = _told(evidence, rules.unmatched, [columns[n] for n in channels], channels, fits)
+    guesses = _movers_and_fits(
+        evidence, rules.unmatched, [columns[n] for n in channels], channels, fits
+    )
     ruled = {g.channel: column_rule(tables[0], compiled, g) for g in guesses}
     used = {g.column for g in guesses}
     return replace(
@@ -74,7 +76,7 @@ def _moves(tables: Sequence[RawTable], name: str) -> bool:
     return all(bool(np.isfinite(v).all()) and np.ptp(v) > 0 for v in values)
 
 
-def _told(
+def _movers_and_fits(
     evidence: WiringEvidence,
     actuators: Sequence[str],
     columns: Sequence[Column],
@@ -116,7 +118,7 @@ def _share(evidence: WiringEvidence, actuator: str, column: str) -> float:
         target, physics = evidence.value(h, f"qpos.{joint}"), []
     else:
         terms, j = evidence.terms(h), evidence.dof(name)
-        target = terms.needed[:, j]
+        target = terms.required_force[:, j]
         physics = [terms.velocity[:, j], terms.dry[:, j]]
     beside = np.column_stack([np.ones_like(target), *physics])
     spare = _left(beside, target)

@@ -126,10 +126,10 @@ def named_unit(name: str) -> tuple[str, str]:
 
 def _rate(parts: Sequence[str]) -> str:
     """Return the unit of a rate with which a name ends, as in elbow_vel_deg_s; empty if none."""
-    said = [w for w in parts if not w.isdigit() and w != "per"]
-    if said[-1:] and said[-1] in _RATES:
-        return _RATES[said[-1]]
-    place = _PER_SECOND.get(said[-2], "") if len(said) > 1 and said[-1] in ("s", "sec") else ""
+    left = [w for w in parts if not w.isdigit() and w != "per"]
+    if left[-1:] and left[-1] in _RATES:
+        return _RATES[left[-1]]
+    place = _PER_SECOND.get(left[-2], "") if len(left) > 1 and left[-1] in ("s", "sec") else ""
     return f"{place}/s" if place else ""
 
 
@@ -138,48 +138,48 @@ def named(name: str, unit: str) -> Column:
     by_channel = _CONVENTION.get(kind_of(name)) if "." in name else None
     if by_channel is not None:  # the rest is the name of an element, and says nothing
         return Column(name, by_channel, words(name), unit, "its name")
-    plain, told = named_unit(name)
+    plain, unit_word = named_unit(name)
     parts = words(plain)
-    said = _said(parts)
-    told = told or _rate(parts)
-    unit = unit or told or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    kinds = _kinds_of(parts)
+    unit_word = unit_word or _rate(parts)
+    unit = unit or unit_word or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
     bare = tuple(w for k, w in enumerate(parts) if w not in UNITS and (k == 0 or w not in _SECONDS))
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"
-    elif "foreign" in said or _of_gyroscope(parts, said):
+    elif "foreign" in kinds or _of_gyroscope(parts, kinds):
         kind = "foreign"
-    elif "command" in said:
+    elif "command" in kinds:
         kind = "command"
-    elif "effort" in said:
-        kind = "other" if "measured" in said else "effort"
-    elif "velocity" in said:
+    elif "effort" in kinds:
+        kind = "other" if "measured" in kinds else "effort"
+    elif "velocity" in kinds:
         kind = "velocity"
     elif unit == "ticks" and parts[-1:] == ("s",):
         kind, unit = "velocity", ""
-    elif told:
-        kind = _BY_QUANTITY.get(unit_called(told, name).quantity, "other")
-        kind = "position" if kind == "other" and "position" in said else kind
-    elif "position" in said or unit in PLACES:
+    elif unit_word:
+        kind = _BY_QUANTITY.get(unit_called(unit_word, name).quantity, "other")
+        kind = "position" if kind == "other" and "position" in kinds else kind
+    elif "position" in kinds or unit in PLACES:
         kind = "position"
     if kind == "velocity" and unit in _PER_SECOND:  # vel_deg
         unit = f"{_PER_SECOND[unit]}/s"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")
 
 
-def _of_gyroscope(parts: Sequence[str], said: Collection[str]) -> bool:
+def _of_gyroscope(parts: Sequence[str], kinds: Collection[str]) -> bool:
     """Whether a column is an axis of a gyroscope, which turns with a body and not with a joint."""
-    about = bool(_GYROSCOPES & set(parts)) or ("imu" in parts and "velocity" in said)
+    about = bool(_GYROSCOPES & set(parts)) or ("imu" in parts and "velocity" in kinds)
     return about and parts[-1] in ("x", "y", "z")
 
 
-def _said(parts: Sequence[str]) -> set[str]:
+def _kinds_of(parts: Sequence[str]) -> set[str]:
     """Return what the words of a name say; of letters x, y and i, only where they come first."""
     plain = {w for k, w in enumerate(parts) if w not in ("x", "y") or k == 0}
-    said = {kind for kind, known in WORDS.items() if known & plain}
+    kinds = {kind for kind, known in WORDS.items() if known & plain}
     if WORDS["effort"] & plain == {"current"} and (PLACED | WORDS["velocity"]) & plain:
-        said = said - {"effort"}  # the present one
-    return said | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else said
+        kinds = kinds - {"effort"}  # the present one
+    return kinds | {"effort"} if parts[:1] == ("i",) and len(parts) > 1 else kinds
 
 
 def named_after(elements: Sequence[str], column: Column) -> bool:

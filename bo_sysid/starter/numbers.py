@@ -21,13 +21,13 @@ def as_counted(
     """
     out: dict[tuple[str, str], tuple[str, ...]] = {}
     for own in _families({n: words(n) for n in names}):
-        for told in _families({c.name: c.words for c in columns}):
-            meant = _meant(own.values(), told.values()) or _meant(
-                own.values(), _differing(told.values())
+        for column_numbers in _families({c.name: c.words for c in columns}):
+            meant = _meant(own.values(), column_numbers.values()) or _meant(
+                own.values(), _differing(column_numbers.values())
             )
             for name, numbers in own.items():
                 seen = _renumbered(words(name), meant.get(numbers))
-                out |= {(name, column): seen for column in told}
+                out |= {(name, column): seen for column in column_numbers}
     return out
 
 
@@ -56,15 +56,17 @@ def _numbers(parts: Sequence[str]) -> _Numbers:
     return tuple(int(w) for w in parts if w.isdigit())
 
 
-def _differing(told: Collection[_Numbers]) -> list[_Numbers]:
+def _differing(column_numbers: Collection[_Numbers]) -> list[_Numbers]:
     """Return numbers without those that all have, as a robot's in robot1_joint3."""
-    kept = [k for k, own in enumerate(zip(*told, strict=False)) if len(set(own)) > 1]
-    return [tuple(n[k] for k in kept) for n in told]
+    kept = [k for k, own in enumerate(zip(*column_numbers, strict=False)) if len(set(own)) > 1]
+    return [tuple(n[k] for k in kept) for n in column_numbers]
 
 
-def _meant(own: Collection[_Numbers], told: Collection[_Numbers]) -> dict[_Numbers, _Numbers]:
+def _meant(
+    own: Collection[_Numbers], column_numbers: Collection[_Numbers]
+) -> dict[_Numbers, _Numbers]:
     """Return what each number of a family is called in another; empty where that is open."""
-    one, other = sorted(set(own)), sorted(set(told))
+    one, other = sorted(set(own)), sorted(set(column_numbers))
     from_0 = [any(n[-1:] == (0,) for n in numbers) for numbers in (one, other)]
     if from_0[0] == from_0[1]:
         within = set(one) <= set(other) or set(other) <= set(one)

@@ -47,11 +47,11 @@ def _placed(
 
     A gyro or an accelerometer has an x, a y and a z as well.
     """
-    (stem, *_), told = words(turned["x"]), WORDS["position"]
+    (stem, *_), position_words = words(turned["x"]), WORDS["position"]
     called: list[Callable[[tuple[str, ...]], bool]] = [
         lambda name: True,
         lambda name: name[0] == stem,
-        lambda name: bool(told & set(name[:-1])),
+        lambda name: bool(position_words & set(name[:-1])),
         lambda name: name == ("x",),
     ]
     for so in called:

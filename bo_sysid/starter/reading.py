@@ -35,7 +35,7 @@ _SHORTEST, _LONGEST = 8e-5, 0.4  # [s] between samples, of fast and slow logs
 _STEPPED = 0.7  # how sure a unit is for which the steps of a clock speak
 
 
-def told_unit(name: str, where: str) -> Unit:
+def stated_unit(name: str, where: str) -> Unit:
     """Return a unit that a name may carry; one of no quantity where it is none."""
     return unit(name, where) if is_unit(name) else Unit("", "", 1.0)
 
@@ -43,7 +43,7 @@ def told_unit(name: str, where: str) -> Unit:
 def fits_joint(compiled: mujoco.MjModel, joint: str, column: Column) -> bool:
     """Whether a column's unit lets it be a joint's position: no length is that of a hinge."""
     hinge = int(compiled.joint(joint).type[0]) == HINGE
-    return told_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
+    return stated_unit(column.unit, column.name).quantity != ("length" if hinge else "angle")
 
 
 def driven(compiled: mujoco.MjModel, channel: str) -> str:
@@ -61,7 +61,7 @@ def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:
     found = compiled.actuator(actuator)
     plain = int(found.gaintype[0]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     plain &= int(found.biastype[0]) == int(mujoco.mjtBias.mjBIAS_NONE)
-    if not plain or told_unit(stated, actuator).quantity != "current":
+    if not plain or stated_unit(stated, actuator).quantity != "current":
         return ""
     gear, joint = float(found.gear[0]), driven(compiled, f"ctrl.{actuator}")
     slides = bool(joint) and int(compiled.joint(joint).type[0]) != HINGE
@@ -80,15 +80,15 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
     """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
     rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
     kind, element = guess.channel.split(".", 1)
-    said = told_unit(guess.unit, guess.column)
-    fits = said.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
-    if kind == "qpos" and said.quantity == "count":
+    unit = stated_unit(guess.unit, guess.column)
+    fits = unit.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
+    if kind == "qpos" and unit.quantity == "count":
         reason = f"{guess.reason}; {_TICK_GUESS}"
         guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= _TICK_RULE
-    elif fits and (said.factor != 1 or said.quantity in _ELECTRIC):
+    elif fits and (unit.factor != 1 or unit.quantity in _ELECTRIC):
         rule["unit"] = guess.unit
-    elif kind == "qpos" and said.quantity != "angle":
+    elif kind == "qpos" and unit.quantity != "angle":
         made, reach = _by_reach(table, compiled, element, guess.column)
         if made:
             reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
@@ -160,6 +160,6 @@ def _by_steps(step: float, column: str) -> Guess | None:
     others = [u for u, t in lasts.items() if u != named and _SHORTEST < t < _LONGEST]
     if named == "s" and not others:
         return None
-    told = [f"{1e3 * lasts[u]:.4g} ms in {u}" for u in (named, *others)]
-    reason = f"its steps, of {', but '.join(told)}"
+    durations = [f"{1e3 * lasts[u]:.4g} ms in {u}" for u in (named, *others)]
+    reason = f"its steps, of {', but '.join(durations)}"
     return Guess("time", column, named, reason, _UNTOLD if others else _STEPPED)

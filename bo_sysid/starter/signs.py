@@ -34,13 +34,13 @@ def turned_by_range(model: mujoco.MjModel, recordings: Sequence[Recording], rule
         size, unit = 1.0, "m"
         if int(model.joint(joint).type[0]) == HINGE:
             size, unit = 180 / pi, "deg"
-        told = (
+        reason = (
             f"turned, since {size * least:.3g} to {size * most:.3g} {unit} lie outside the "
             f"model's range of {size * low:.3g} to {size * high:.3g} and the mirror image inside"
         )
         old = guesses[name]
         guesses[name] = replace(
-            old, reason=f"{old.reason}; {told}", confidence=min(old.confidence, _TURNED)
+            old, reason=f"{old.reason}; {reason}", confidence=min(old.confidence, _TURNED)
         )
     return replace(rules, columns=columns, guesses=guesses)
 
@@ -51,13 +51,13 @@ class Tested:
 
     Attributes:
         left: by joint whose balance of forces is known, the share that stays unexplained.
-        untold: by channel whose sign the motion does not tell, why.
+        undetermined: by channel whose sign the motion does not tell, why.
         mirrored: by position or control that may be turned together with the other of its joint,
             that other.
     """
 
     left: Mapping[str, float]
-    untold: Mapping[str, str]
+    undetermined: Mapping[str, str]
     mirrored: Mapping[str, str]
 
 
@@ -77,20 +77,20 @@ def tested_signs(model: mujoco.MjModel, recordings: Sequence[Recording]) -> Test
     before = evidence.shares(h, _DELAYS).min(axis=0)
     explained = evidence.weights * (before < _EXPLAINED)
 
-    def told(names: Sequence[str]) -> bool:
+    def sign_determined(names: Sequence[str]) -> bool:
         turned = {n: replace(h.wires[n], sign=-1) for n in names}
         after = evidence.shares(replace(h, wires={**h.wires, **turned}), _DELAYS).min(axis=0)
         worse = np.log((after + _FLOOR) / (before + _FLOOR)) * explained
         return bool(worse.max(initial=0.0) > MARGIN)
 
-    untold = {n: _why(evidence, n, before) for n in h.wires if not told([n])}
+    undetermined = {n: _why(evidence, n, before) for n in h.wires if not sign_determined([n])}
     mirrored: dict[str, str] = {}
     for name in evidence.inputs:
         pair = [f"qpos.{evidence.driven(name)}", name]
-        if all(n in h.wires and n not in untold for n in pair) and not told(pair):
+        if all(n in h.wires and n not in undetermined for n in pair) and not sign_determined(pair):
             mirrored |= dict(zip(pair, reversed(pair), strict=True))
     known = zip(evidence.joints, before.tolist(), evidence.weights, strict=True)
-    return Tested({j: share for j, share, weight in known if weight}, untold, mirrored)
+    return Tested({j: share for j, share, weight in known if weight}, undetermined, mirrored)
 
 
 def _why(evidence: WiringEvidence, name: str, shares: np.ndarray) -> str:

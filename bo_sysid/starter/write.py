@@ -15,7 +15,7 @@ _WORDS = ((0.85, "sure"), (0.55, "likely"), (0.0, "GUESS, look at it"))
 _FEW = 8  # columns that are named beside a channel
 _SHARED = "no column is left; two motors on one command name one column"
 _NOTHING_KNOWN = (
-    "# Bounds of parameters and limits follow from the motion. Once the columns are said, and",
+    "# Bounds of parameters and limits follow from the motion. Once the columns are stated, and",
     "# `bo-sysid check` agrees, add what is not known, for instance:",
     '# parameters: [{address: "joint[elbow].damping", low: 0, high: 1}]',
 )
@@ -94,9 +94,11 @@ def _open(rules: Rules) -> list[str]:
 def _held(rules: Rules) -> str:
     """Return what becomes of joints that were not recorded, as a comment."""
     held, following = ", ".join(rules.held), ", ".join(rules.following)
-    told = [f"held where the model puts them: {held}"] if held else []
-    told += [f"left to move, since the model ties them to others: {following}"] if following else []
-    return f"  # not recorded, so {'; '.join(told)}" if told else ""
+    notes = [f"held where the model puts them: {held}"] if held else []
+    notes += (
+        [f"left to move, since the model ties them to others: {following}"] if following else []
+    )
+    return f"  # not recorded, so {'; '.join(notes)}" if notes else ""
 
 
 def flow_text(text: str) -> str:
@@ -141,8 +143,8 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
             ("armature", row.armature, "kg m²"),
         ):  # fmt: skip
             address = json.dumps(f"joint[{row.joint}].{what}", ensure_ascii=False)
-            told = at_slide(unit) if row.slides else unit
-            lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}, unit: {told}}}")
+            unit_text = at_slide(unit) if row.slides else unit
+            lines.append(f"  - {{address: {address}, low: 0, high: {high:.2g}, unit: {unit_text}}}")
     return lines
 
 

@@ -131,8 +131,8 @@ def make_answer(
     answered = {best.key, kept.key} if kept.members else {kept.key}
     shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))
     probability = float(sum(shares.get(key, 0.0) for key in answered))
-    alike = _equivalents(decision, kept, machine)
-    found = findings(kept, machine, probability, fitted, alike)
+    equivalents = _equivalents(decision, kept, machine)
+    found = findings(kept, machine, probability, fitted, equivalents)
     alternatives: list[dict[str, Any]] = [
         {"findings": list(named(f, machine)), "probability": float(p)}
         for f, p in zip(decision.fits, posterior, strict=True)

@@ -46,10 +46,10 @@ def exchanges(
         others: sets that the recordings do not tell from them, by their names.
         most: sets that are told of one name.
     """
-    told: dict[Key, list[tuple[Entry, ...]]] = {key: [] for key in found}
+    alternatives: dict[Key, list[tuple[Entry, ...]]] = {key: [] for key in found}
     for other in irreducible(found, list(others)):
         gone, whole = found - other, tuple(others[other])
         own = tuple(e for e in whole if (e["effect"], e["site"]) not in found)
         for key in gone:
-            told[key].append(own if own and len(gone) == 1 else whole)
-    return {key: tuple(sets[:most]) for key, sets in told.items()}
+            alternatives[key].append(own if own and len(gone) == 1 else whole)
+    return {key: tuple(sets[:most]) for key, sets in alternatives.items()}

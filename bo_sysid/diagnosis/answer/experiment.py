@@ -41,7 +41,7 @@ EXPERIMENT = "next_experiment.csv"
 
 _LENGTH = 4.0  # [s] of a proposed motion
 _RIVALS, _OPEN = 2, 0.05  # how many rivals are looked at; probability from which a set is one
-_TELLS = 0.5  # [sigma] per sample below which a motion separates nothing
+_SEPARATES = 0.5  # [sigma] per sample below which a motion separates nothing
 _SLOW, _MIDDLE, _FAST = 0.15, 0.8, 3.0  # [Hz]
 _SMALLER, _TRIES = 0.7, 8  # factor by which a motion is made smaller until it keeps the limits
 _BEYOND = 0.15  # of a recorded range by which a motion may leave it where no limit is stated
@@ -103,12 +103,12 @@ def next_experiment(
     machine = problem.machine
     separates = tuple(named(f, machine) for f in (best, *rivals))
     bounds = _Bounds.of(located.evidence.given, stated)
-    separation, name, controls = _most_telling(problem, best, rivals, bounds)
-    if controls is None or separation < _TELLS:
+    separation, name, controls = _most_separating(problem, best, rivals, bounds)
+    if controls is None or separation < _SEPARATES:
         tried = bounds is not None and next(_motions(problem), None) is not None
         words = _in_words(best, rivals, machine, tried)
         return Experiment(words, separates, separation, None)
-    one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
+    one, other = _what_it_adds(best, other=rivals[0]), _what_it_adds(rivals[0], other=best)
     return Experiment(
         f"Record {name}: {one} and {other}, which these recordings do not tell apart, then differ "
         f"by {separation:.2g} sensor sigmas.",
@@ -142,7 +142,7 @@ class _Bounds:
             return None
 
 
-def _most_telling(
+def _most_separating(
     problem: Problem, best: Fit, rivals: Sequence[Fit], bounds: _Bounds | None
 ) -> tuple[float, str, Float[np.ndarray, "T nu"] | None]:
     """Return the motion that a rival is worst at, with its name and separation; None if none."""
@@ -151,14 +151,14 @@ def _most_telling(
         return found
     for name, controls in _motions(problem):
         try:
-            told = _kept(problem, best, bounds, controls)
-            if told is None:
+            planned = _kept(problem, best, bounds, controls)
+            if planned is None:
                 continue
-            separation = min(_separation(problem, r, told[1]) for r in rivals)
+            separation = min(_separation(problem, r, planned[1]) for r in rivals)
         except UserError:  # a rival diverges: no number says by how much they differ
             continue
         if separation > found[0]:
-            found = (separation, name, told[0])
+            found = (separation, name, planned[0])
     return found
 
 
@@ -183,23 +183,25 @@ def _about_unknown(unexplained: Unexplained) -> Experiment:
 
 def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, tried: bool) -> str:
     members = (*best.members, *(c for r in rivals for c in r.members))
-    told = (c.effect.separation.split("; ") for c in members if c.effect.separation)
-    ways = dict.fromkeys(chain.from_iterable(told))
+    ways_of_each = (c.effect.separation.split("; ") for c in members if c.effect.separation)
+    ways = dict.fromkeys(chain.from_iterable(ways_of_each))
     if not any(c.site.kind != "body" or machine.bodies[c.site.name].turns for c in members):
         ways = {}  # bodies that only slide have one posture
-    one, other = _said(best, beside=rivals[0]), _said(rivals[0], beside=best)
-    said = f"{one[:1].upper()}{one[1:]} and {other} are not told apart by what was recorded here."
+    one, other = _what_it_adds(best, other=rivals[0]), _what_it_adds(rivals[0], other=best)
+    sentence = (
+        f"{one[:1].upper()}{one[1:]} and {other} are not told apart by what was recorded here."
+    )
     if tried:
-        said = (
+        sentence = (
             f"None of the motions that were tried within the limits tells {one} from {other} by "
             "what was recorded here."
         )
-    return f"{said} What tells them apart: {'; '.join(ways)}." if ways else said
+    return f"{sentence} What tells them apart: {'; '.join(ways)}." if ways else sentence
 
 
-def _said(fit: Fit, beside: Fit) -> str:
+def _what_it_adds(fit: Fit, other: Fit) -> str:
     """Return what a set has that another lacks, all of it where it lacks nothing."""
-    own = units_beyond(fit, beside) or units_of(fit)
+    own = units_beyond(fit, other) or units_of(fit)
     words = [unit_words([fit.members[k] for k in unit]) for unit in own]
     return " with ".join(words) or "nothing missing"
 
@@ -233,13 +235,13 @@ def _kept(
     middle = controls.mean(axis=0)
     for _ in range(_TRIES):
         one = _posed(problem, recording_at_rest(problem, controls), len(controls) - 1)
-        told = one.simulate(best.hypothesis, one.windows.start)
+        simulated = one.simulate(best.hypothesis, one.windows.start)
         over = max(
-            float(bounds.limits.violation([m], told.trajectory, told.ctrl, 1.0)[0])
-            for m in (bounds.whole, *((told.model,) if told.coordinates.same else ()))
+            float(bounds.limits.violation([m], simulated.trajectory, simulated.ctrl, 1.0)[0])
+            for m in (bounds.whole, *((simulated.model,) if simulated.coordinates.same else ()))
         )  # motors may be stronger than the given model has them
-        if over == 0.0 and _within_reach(problem, bounds.stated, told.trajectory):
-            return controls, _shown(one, told, controls)
+        if over == 0.0 and _within_reach(problem, bounds.stated, simulated.trajectory):
+            return controls, _shown(one, simulated, controls)
         controls = middle + _SMALLER * (controls - middle)
     return None
 
@@ -272,10 +274,10 @@ def recording_at_rest(problem: Problem, controls: Float[np.ndarray, "T nu"]) -> 
     return Recording.from_frame(pd.DataFrame({"time": time, **channels}), name="proposed")
 
 
-def _shown(one: Problem, told: Simulated, controls: Float[np.ndarray, "T nu"]) -> Recording:
+def _shown(one: Problem, simulated: Simulated, controls: Float[np.ndarray, "T nu"]) -> Recording:
     """Return what the channels show of the proposed motion."""
     still = one.recordings[0]
-    shown = observe(one.layout, told.windows, told.trajectory, told.parts)[0]
+    shown = observe(one.layout, simulated.windows, simulated.trajectory, simulated.parts)[0]
     channels = {n: c.values for n, c in still.channels.items()}
     for k, name in enumerate(one.windows.channels):
         channels[name] = np.concatenate([still.channels[name].values[:1], shown[:, k]])

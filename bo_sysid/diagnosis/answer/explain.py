@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from bo_sysid.diagnosis.answer.longer_windows import shows_more, too_short
 from bo_sysid.diagnosis.answer.prediction_error import PredictionError
 from bo_sysid.diagnosis.answer.sessions import Sessions, by_recording, by_stretch
-from bo_sysid.diagnosis.answer.unexplained import Unexplained, said
+from bo_sysid.diagnosis.answer.unexplained import Unexplained, unexplained_of
 from bo_sysid.diagnosis.search.locate import Located
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import subset
@@ -22,7 +22,7 @@ from bo_sysid.diagnosis.unexplained.unknown import (
     Clue,
     Unknown,
     examine,
-    needed_beside,
+    needed_with_law,
     slopes_reach,
 )
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
@@ -80,12 +80,12 @@ def explain(located: Located) -> Outcome:
         law = alone
         if fit.members:
             law, clue = _learned(located, fit, unknown.clues, error)
-            unexplained = said(replace(unknown, clues=(clue,)))
+            unexplained = unexplained_of(replace(unknown, clues=(clue,)))
         if error is not None and _refuted(error, fit, nominal, law, alone):
             fit, law, sessions = nominal, alone, by_recording(problem, nominal)
             unexplained = replace(unexplained, share=_share(fit, nominal))
         if not fit.members and alone is not None:
-            unexplained = said(found)
+            unexplained = unexplained_of(found)
         bare = _stepped(located, fit.hypothesis, fit.rms, error) if fit.members else refitted
         repaired, unexplained = _better(error, bare, law, unexplained)
     unexplained = replace(unexplained, sought=bool(problem.machine.joints))
@@ -106,17 +106,17 @@ def _held(
     """
     decision, problem = located.decision, located.prepared.problem
     fit, unknown = decision.best, examine(problem, decision)
-    unexplained = said(unknown)
+    unexplained = unexplained_of(unknown)
     if unknown.flagged and unknown.law is None:
         unexplained = _placed(located, unexplained)
     if unknown.law is not None and slopes_reach(problem, fit, decision.nominal):
-        fit = _without(located, fit, needed_beside(problem, fit, unknown.law))
+        fit = _without(located, fit, needed_with_law(problem, fit, unknown.law))
     named = fit.members
     fit, sessions = _agreed(located, fit)
     disputed = tuple(c for c in named if c.key not in {d.key for d in fit.members})
     if disputed and not unknown.flagged:  # what they disagree on is left unexplained
         unknown = examine(problem, replace(decision, best=fit))
-        unexplained = said(unknown)
+        unexplained = unexplained_of(unknown)
     if fit.key != decision.best.key:
         unexplained = replace(unexplained, share=_share(fit, decision.nominal))
     return fit, sessions, unknown, unexplained, disputed

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.answer.sentences import set_words
 from bo_sysid.diagnosis.answer.wording import definite, spoken
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_of
-from bo_sysid.diagnosis.sets.meshing import LATE, meshing
+from bo_sysid.diagnosis.sets.meshing import LATE, backlash_suspects
 from bo_sysid.diagnosis.sets.rules import FLAT, clean
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
@@ -23,7 +23,7 @@ _MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
 _MORE = 0.15  # share by which a compliance must explain more than a late motor to be no hint
 _AT_BOUND = 1e-6  # of the bounds of a magnitude, within which it is at one
-_SLIGHT = 2.0  # [sigma] below which a load with a place of its own may be something else
+_SMALL_LOAD = 2.0  # [sigma] below which a load with a place of its own may be something else
 _STANDS_OUT = 0.15  # share of the smallest effect, below which what is left casts no doubt on it
 
 
@@ -45,35 +45,35 @@ def hints(
         others: fits of other sets.
         still: joints that do not move in the recordings.
     """
-    said = []
-    if fixed := unmoved(best, machine, still):
-        said.append(_unmoved_sentence(fixed))
-    if late := following(best, others, machine):
-        said.append(_following_sentence(late))
-    if bent := bending(best):
-        said.append(_bending_sentence(bent))
-    if held := holding(best):
-        said.append(_holding_sentence(held))
-    if unseen := unrepeated(best, machine):
-        said.append(_unrepeated_sentence(unseen, machine))
-    if small := slight(best):
-        said.append(_slight_sentence(small))
-    if late := meshing(best, machine):
-        said.append(_meshing_sentence(late))
-    said += [_nothing_sentence(*told) for told in perhaps_nothing(best, machine)]
+    sentences = []
+    if fixed := joints_at_rest(best, machine, still):
+        sentences.append(_at_rest_sentence(fixed))
+    if late := compliance_or_motor_lag(best, others, machine):
+        sentences.append(_motor_lag_sentence(late))
+    if soft := compliance_or_presliding(best):
+        sentences.append(_presliding_sentence(soft))
+    if held := stuck_joints(best):
+        sentences.append(_stuck_sentence(held))
+    if unseen := unswept_cogging(best, machine):
+        sentences.append(_unswept_sentence(unseen, machine))
+    if small := small_loads(best):
+        sentences.append(_small_loads_sentence(small))
+    if late := backlash_suspects(best, machine):
+        sentences.append(_backlash_sentence(late))
+    sentences += [_nothing_sentence(*member) for member in perhaps_nothing(best, machine)]
     if best.members and (joints := balls(machine)):
-        said.append(_balls_sentence(joints))
-    return tuple(said)
+        sentences.append(_balls_sentence(joints))
+    return tuple(sentences)
 
 
-def unmoved(best: Fit, machine: Machine, still: Sequence[str]) -> tuple[str, ...]:
+def joints_at_rest(best: Fit, machine: Machine, still: Sequence[str]) -> tuple[str, ...]:
     """Return the joints among some at rest at which a set names anything but friction."""
-    sites = {c.site.name for c in best.members if not c.bendable}
+    sites = {c.site.name for c in best.members if not c.may_preslide}
     body = {j: machine.model.body(int(machine.model.joint(j).bodyid[0])).name for j in still}
     return tuple(j for j in still if {j, body[j], *machine.joints[j].actuators} & sites)
 
 
-def _unmoved_sentence(joints: Sequence[str]) -> str:
+def _at_rest_sentence(joints: Sequence[str]) -> str:
     """Return in words that a joint does not move, and what would tell why."""
     which, one = " and ".join(joints), len(joints) == 1
     return (
@@ -112,17 +112,17 @@ def leaves_much(best: Fit) -> bool:
     return best.excess > _LEFT or sqrt(best.excess) > _STANDS_OUT * min(sizes, default=inf)
 
 
-def bending(best: Fit) -> tuple[str, ...]:
-    """Return the joints with a compliance beside friction: friction bends, too, before it slips.
+def compliance_or_presliding(best: Fit) -> tuple[str, ...]:
+    """Return the joints with a compliance beside friction: friction preslides, too.
 
-    Its bend is not always found, and a compliance was named in its place.
+    Its presliding is not always found, and a compliance was named in its place.
     """
-    rubbing = {c.site.name for c in best.members if c.bendable}
+    with_friction = {c.site.name for c in best.members if c.may_preslide}
     springy = [c.site.name for c in best.members if c.effect.id == _SOFT]
-    return tuple(joint for joint in springy if joint in rubbing)
+    return tuple(joint for joint in springy if joint in with_friction)
 
 
-def _bending_sentence(joints: Sequence[str]) -> str:
+def _presliding_sentence(joints: Sequence[str]) -> str:
     """Return in words that a compliance may be the friction beside it, and what would tell."""
     return (
         f"The compliance at {' and '.join(joints)} may be the friction there, which bends before "
@@ -130,7 +130,7 @@ def _bending_sentence(joints: Sequence[str]) -> str:
     )
 
 
-def following(best: Fit, others: Sequence[Fit], machine: Machine) -> tuple[str, ...]:
+def compliance_or_motor_lag(best: Fit, others: Sequence[Fit], machine: Machine) -> tuple[str, ...]:
     """Return the joints with a compliance in whose place a late motor leaves hardly more.
 
     A lag below the model's time step leaves what the step gets wrong of it, and a soft joint, which
@@ -154,7 +154,7 @@ def _is_late(names: frozenset[tuple[str, str]], soft: Candidate, machine: Machin
     return joint is not None and joint.name == soft.site.name
 
 
-def _following_sentence(joints: Sequence[str]) -> str:
+def _motor_lag_sentence(joints: Sequence[str]) -> str:
     """Return in words that a compliance may be a late motor, and what would tell."""
     which = " and ".join(joints)
     return (
@@ -163,16 +163,18 @@ def _following_sentence(joints: Sequence[str]) -> str:
     )
 
 
-def holding(best: Fit) -> tuple[str, ...]:
+def stuck_joints(best: Fit) -> tuple[str, ...]:
     """Return the joints that friction holds all the time, where any friction does the same.
 
     Such as that of a worn spot in which the joint rests.
     """
     members = zip(best.members, best.groups, best.linear_rms, strict=True)
-    return tuple(c.site.name for c, g, linear in members if c.bendable and not g and linear <= FLAT)
+    return tuple(
+        c.site.name for c, g, linear in members if c.may_preslide and not g and linear <= FLAT
+    )
 
 
-def _holding_sentence(joints: Sequence[str]) -> str:
+def _stuck_sentence(joints: Sequence[str]) -> str:
     """Return in words that friction is seen at one place only, and what would tell."""
     which = " and ".join(joints)
     return (
@@ -181,7 +183,7 @@ def _holding_sentence(joints: Sequence[str]) -> str:
     )
 
 
-def unrepeated(best: Fit, machine: Machine) -> Mapping[str, float]:
+def unswept_cogging(best: Fit, machine: Machine) -> Mapping[str, float]:
     """Return the joints that swept less than one period of a cogging there, and a period's length.
 
     Within one period a magnet, or a spring, may look the same.
@@ -196,16 +198,16 @@ def unrepeated(best: Fit, machine: Machine) -> Mapping[str, float]:
     return found
 
 
-def slight(best: Fit) -> Mapping[str, float]:
+def small_loads(best: Fit) -> Mapping[str, float]:
     """Return the bodies with a small load at a place of its own, and its size in sigma.
 
     It has four magnitudes, and a cable that pulls by 1.2 sigma was one with certainty.
     """
     sized = zip(best.members, best.unique, strict=True)
-    return {spoken(c.site): size for c, size in sized if c.moved and size < _SLIGHT}
+    return {spoken(c.site): size for c, size in sized if c.moved and size < _SMALL_LOAD}
 
 
-def _slight_sentence(loads: Mapping[str, float]) -> str:
+def _small_loads_sentence(loads: Mapping[str, float]) -> str:
     """Return in words that what a load does is little for four numbers, and what would tell."""
     which = " and ".join(loads)
     return (
@@ -215,7 +217,7 @@ def _slight_sentence(loads: Mapping[str, float]) -> str:
     )
 
 
-def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
+def _unswept_sentence(periods: Mapping[str, float], machine: Machine) -> str:
     """Return in words that less than a period was seen, and what would tell."""
     which = " and ".join(periods)
     reach = " and ".join(
@@ -229,7 +231,7 @@ def _unrepeated_sentence(periods: Mapping[str, float], machine: Machine) -> str:
     )
 
 
-def _meshing_sentence(joints: Sequence[str]) -> str:
+def _backlash_sentence(joints: Sequence[str]) -> str:
     """Return in words that a late motor may be a gap, and what would tell."""
     which = " and ".join(joints)
     return (
@@ -242,11 +244,13 @@ def perhaps_nothing(best: Fit, machine: Machine) -> tuple[tuple[Candidate, float
     """Return the members of a set whose interval holds 0: what they explain, chance may explain.
 
     So far from the recordings that what is left of them is no noise. Friction that changes in its
-    bend alone is none of them. With each come its first magnitude and what is reported of it.
+    presliding alone is none of them. With each come its first magnitude and what is reported of it.
     """
-    told = zip(best.members, best.x, quantities(best, machine), strict=True)
+    members = zip(best.members, best.x, quantities(best, machine), strict=True)
     return tuple(
-        (c, float(x[0]), q) for c, x, q in told if not c.bent and q.interval[0] < 0 < q.interval[1]
+        (c, float(x[0]), q)
+        for c, x, q in members
+        if not c.preslides and q.interval[0] < 0 < q.interval[1]
     )
 
 
@@ -270,15 +274,15 @@ def left_sentence(best: Fit, most: int, nearest: Fit) -> str:
         nearest: the set that leaves least of all that were fitted.
     """
     small = "" if best.excess > _LEFT else ", and the smallest effect does not stand out from that"
-    said = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
+    left = f"{best.rms:.3g} sensor sigmas are left where 1 is noise{small}: the names are hints"
     if best.size >= most:
         return (
-            f"{said}. All {most} effects that diagnosis.most allows are used, and more may be "
+            f"{left}. All {most} effects that diagnosis.most allows are used, and more may be "
             "missing."
         )
     if nearest.rms < _MUCH_LESS * best.rms:
         return (
-            f"{said}. Other sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
+            f"{left}. Other sets leave down to {nearest.rms:.3g} ({set_words(nearest)}), but have "
             "effects too small beside what stays unexplained to be named."
         )
-    return f"{said}. No further effect that was tried explains more."
+    return f"{left}. No further effect that was tried explains more."

@@ -56,8 +56,8 @@ class Holdout:
             return (self.note,) if self.note else ()
         nominal = self.error("forecast", AHEAD, "nominal") or before
         refitted = nominal > (1 + _ALIKE) * before  # parameters or the time step do some of it
-        told = before if before > (1 + _ALIKE) * nominal else nominal
-        verb, first = "falls" if after < (1 - _ALIKE) * told else "goes", _figure(told)
+        reference = before if before > (1 + _ALIKE) * nominal else nominal
+        verb, first = "falls" if after < (1 - _ALIKE) * reference else "goes", _figure(reference)
         if refitted and after != before:
             done = "the study's parameters fitted" if self.parameters else "a finer time step"
             first += f" ({_figure(before)} with {done})"
@@ -66,16 +66,18 @@ class Holdout:
             f"{_figure(after)} sensor sigmas; the noise floor is {_figure(floor)}."
         )
         if after > _AT_FLOOR * floor and self.rates:
-            said = f"{self.rates} What is left may be that: record both at one rate."
+            conclusion = f"{self.rates} What is left may be that: record both at one rate."
         elif after > max((1 + _ALIKE) * before, _AT_FLOOR * floor):
-            said = "The unseen recording does not confirm the repair."
+            conclusion = "The unseen recording does not confirm the repair."
         elif after > _AT_FLOOR * floor:
-            said = "The floor is not reached: these recordings do not show all that is missing."
+            conclusion = (
+                "The floor is not reached: these recordings do not show all that is missing."
+            )
         elif longer := self._longer:
-            said = longer
+            conclusion = longer
         else:
             return (text,)
-        return (text, said, *self._elsewhere)
+        return (text, conclusion, *self._elsewhere)
 
     @property
     def _longer(self) -> str:

@@ -93,8 +93,8 @@ def _other_rate(evidence: Evidence, unseen: Sequence[Recording]) -> str:
     apart = {}
     for name in (*evidence.model.qpos_channels, *evidence.model.ctrl_channels):
         known, new = (
-            [interval_of(r, [name]) for r in told if _is_steady(r, name)]
-            for told in (evidence.recordings, unseen)
+            [interval_of(r, [name]) for r in recordings if _is_steady(r, name)]
+            for recordings in (evidence.recordings, unseen)
         )
         if known and new:
             usual = float(np.median(new))

@@ -28,17 +28,19 @@ def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
 
 def not_compared(evidence: Evidence) -> tuple[str, ...]:
     """Return at which joints nothing or less is looked for, and which sensors are not compared."""
-    said = []
+    notes = []
     silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
     if silent:
-        said.append(f"Nothing is looked for at {listed(silent)}, whose position was not recorded.")
+        notes.append(f"Nothing is looked for at {listed(silent)}, whose position was not recorded.")
     model, recordings = evidence.machine.model, evidence.recordings
-    said += [f"{n}." for n in dict.fromkeys(n for r in recordings for n in balance_notes(model, r))]
+    notes += [
+        f"{n}." for n in dict.fromkeys(n for r in recordings for n in balance_notes(model, r))
+    ]
     channels = dict.fromkeys(n for r in recordings for n in r.channels)
     sensors = [n for n in channels if n.startswith("sensor.")]
     if sensors:
-        said.append(f"Positions of joints are compared, not {listed(sensors)}.")
-    return tuple(said)
+        notes.append(f"Positions of joints are compared, not {listed(sensors)}.")
+    return tuple(notes)
 
 
 def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
@@ -52,21 +54,21 @@ def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:
     sites = "nowhere in this model as it was recorded"
     if study.diagnosis.known:
         sites += ", or would change what is known"
-    said = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
+    notes = [f"Not looked for: {', '.join(missing)} can act {sites}."] if missing else []
     if any(e.family == "numerics" for e in wanted):
-        said.append(
+        notes.append(
             "The time step is no finding: every fit takes a finer one along, and a note "
             "says where it shows."
         )
-    return tuple(said)
+    return tuple(notes)
 
 
 def parameters_out_of_bounds(study: Study, evidence: Evidence) -> tuple[str, ...]:
     """Return the parameters whose bounds leave out the model's own value, and what is done then."""
     parameters = study.parameter_set(evidence.given)
     own = np.array([nominal(evidence.given, p) for p in parameters])
-    said = (flag.sentence for flag in bounds_flags(parameters, own))
-    return tuple(f"{sentence} Values between are fitted as well." for sentence in said)
+    sentences = (flag.sentence for flag in bounds_flags(parameters, own))
+    return tuple(f"{sentence} Values between are fitted as well." for sentence in sentences)
 
 
 def of_unseen(
@@ -79,5 +81,5 @@ def of_unseen(
 
 def of_training(located: Located) -> tuple[str, ...]:
     """Return what was left out of the training recordings, and what was done to read them."""
-    said = (note for recording in located.evidence.recordings for note in recording.notes)
-    return (*located.prepared.problem.windows.left_out, *said)
+    notes = (note for recording in located.evidence.recordings for note in recording.notes)
+    return (*located.prepared.problem.windows.left_out, *notes)

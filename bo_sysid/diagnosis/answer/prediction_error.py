@@ -48,15 +48,15 @@ class PredictionError:
         count = _WINDOWS if self._touching else _MORE_WINDOWS
         self._problem = problem.rows(problem.windows.evenly(count))
         self._kept = evidence.kept
-        self._told: WeakKeyDictionary[Hypothesis, float] = WeakKeyDictionary()  # asked for again
+        self._cached: WeakKeyDictionary[Hypothesis, float] = WeakKeyDictionary()  # asked for again
 
     def __call__(self, hypothesis: Hypothesis) -> float:
         """Return what forecasts leave, in sigma; one that took long is found again after a kill."""
-        if hypothesis not in self._told:
+        if hypothesis not in self._cached:
             made_from = ("forecasts", self._problem.identity, hypothesis.identity)
             found = self._kept.arrays(made_from, lambda: {"left": np.array(self._left(hypothesis))})
-            self._told[hypothesis] = float(found["left"])
-        return self._told[hypothesis]
+            self._cached[hypothesis] = float(found["left"])
+        return self._cached[hypothesis]
 
     def _left(self, hypothesis: Hypothesis) -> float:
         """Return the rms of a forecast over all windows, in contact its geometric mean, in sigma.

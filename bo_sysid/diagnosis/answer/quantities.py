@@ -15,7 +15,9 @@ from bo_sysid.intervals import Quantity
 
 _QUANTILE = 1.96
 _RELATIVE = 0.005  # model error of magnitudes, beside the statistical one
-_RELATIVE_BENT = 0.15  # the same of speed and bend of friction: a time step changes what they do
+_RELATIVE_PRESLIDING = (
+    0.15  # the same of speed and presliding of friction: a time step changes what they do
+)
 _TIME = 0.3e-3  # [s] the same for times
 
 
@@ -83,11 +85,11 @@ def details_of(
         if i == 0 and c.effect.vector == 1 and component.name not in asked:
             continue  # it is the value
         fitted, last = i < c.size, i == len(full) - 1
-        optional = not fitted and ((c.bendable and last) or not c.extent.grid)
+        optional = not fitted and ((c.may_preslide and last) or not c.extent.grid)
         if optional and full[i] == c.extent.probe[i] and component.name not in asked:
             continue  # as it usually is
         unit = unit_at(component.unit, c.site, machine)
-        relative = _RELATIVE_BENT if c.bendable and not fitted else _RELATIVE
+        relative = _RELATIVE_PRESLIDING if c.may_preslide and not fitted else _RELATIVE
         found = _quantity(float(full[i]), float(variances[i]), unit, relative)
         out[component.name] = _within(found, low[i], high[i])
     if c.effect.details is not None:

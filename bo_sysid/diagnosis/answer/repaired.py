@@ -29,7 +29,7 @@ class Written:
         beside: in words, what stands beside it.
         unrecorded: joints that were added, each with the joint whose encoder shows it as well.
         timestep: of the file in [s], and of the nominal model.
-        bristles: joints whose friction does not bend, and in the file does so, a little.
+        bristles: joints whose friction has no presliding, and in the file a little.
     """
 
     beside: tuple[str, ...]
@@ -41,22 +41,22 @@ class Written:
     def notes(self) -> tuple[str, ...]:
         """What stands beside the file, what nothing measures, and a finer step, in words."""
         step, own = self.timestep
-        said = [
+        notes = [
             f"MJCF cannot express {what}; it stands in {BESIDE}, beside {MODEL}"
             for what in self.beside
         ]
         for joint, shown_by in self.unrecorded.items():
             also = f"; the encoder of {shown_by} shows it as well" if shown_by else ""
-            said.append(f"{joint} is a joint of {MODEL} that nothing measures{also}")
+            notes.append(f"{joint} is a joint of {MODEL} that nothing measures{also}")
         if step < own:
-            said.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
-        said += [
+            notes.append(f"{MODEL} steps at {step:.3g} s, since {own:g} s shows in the recordings")
+        notes += [
             f"the friction of {joint} is dry friction and stiff bristles in {MODEL}, the nearest "
             "that MJCF has: where the joint stands still they ring a little, and forecasts of the "
             "file are not as good as those that are reported"
             for joint in self.bristles
         ]
-        return tuple(said)
+        return tuple(notes)
 
 
 def write_model(
@@ -97,7 +97,7 @@ def write_model(
             (folder / name).unlink(missing_ok=True)
     added = {p.joint: p.of if p.shown else None for p in parts if isinstance(p, Hidden)}
     step = float(machine.model.opt.timestep)
-    held = [c for c in written if c.effect.id == _STRIBECK and not c.bent]
+    held = [c for c in written if c.effect.id == _STRIBECK and not c.preslides]
     return Written(words, added, (share * step, step), tuple(c.site.name for c in held))
 
 

@@ -10,7 +10,7 @@ import yaml
 from bo_sysid.diagnosis.answer.findings import Finding
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, Written
 from bo_sysid.effects.commands import written_lag
-from bo_sysid.effects.friction import BEND
+from bo_sysid.effects.friction import PRESLIDING
 from bo_sysid.errors import ModelError
 from bo_sysid.intervals import Quantity
 from bo_sysid.mjcf import Address, Model
@@ -87,8 +87,8 @@ def study_text(
 
 def _bristles(finding: Finding) -> bool:
     """Whether a finding is friction of which `frictionloss` is not all, or none, in the file."""
-    bent = finding.effect == "dry_friction" and any(finding.x[BEND:])
-    return bent or finding.effect == "stribeck_friction"
+    presliding = finding.effect == "dry_friction" and any(finding.x[PRESLIDING:])
+    return presliding or finding.effect == "stribeck_friction"
 
 
 def _readdressed(model: Model, nominal: Model, data: dict[str, Any]) -> list[str]:
@@ -129,8 +129,8 @@ def _standing(model: Model, nominal: Model, address: str) -> str:
 def _of_body(nominal: Model, address: str) -> str | None:
     """Return the mass of the body in the place of its only geom's, None where it is not that."""
     target, *others = resolve(nominal, address)
-    told = Address.parse(target.address)
-    if others or (told.kind, told.attribute) != ("geom", "mass"):
+    parsed = Address.parse(target.address)
+    if others or (parsed.kind, parsed.attribute) != ("geom", "mass"):
         return None
     compiled = nominal.compile()
     body = compiled.body(int(compiled.geom(target.element).bodyid[0]))
@@ -175,8 +175,8 @@ def _parameters(model: Model, finding: Finding) -> list[dict[str, Any]]:
         own = _named(model, [a.format(site=finding.site) for a in _BRISTLES])
         return [_parameter(model, finding, "", own)]
     places = _ADDRESSES.get(finding.effect, {})
-    told = {d: a for d, a in places.items() if not d or d in finding.details}
-    named = {detail: a.format(site=finding.site) for detail, a in told.items()}
+    written = {d: a for d, a in places.items() if not d or d in finding.details}
+    named = {detail: a.format(site=finding.site) for detail, a in written.items()}
     placed = {d: [a, *_carried(model, finding)] for d, a in named.items()}
     held = {
         d: own

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.windows.projection import project
 
 _CHANCE = 1e-6  # that noise alone leaves as much in any of the windows
 _FEW, _MOST = 0.1, 0.8  # share of the windows at most, that hold that share of all that is left
-_TOLD = 3  # places
+_LISTED = 3  # places
 
 
 def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
@@ -36,9 +36,9 @@ def seen_once(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit) -> str:
         return ""
     size, elsewhere = _rms(squares, dof, rare), _rms(squares, dof, ~rare)
     places = _places(problem, rare)
-    more = f" and {len(places) - _TOLD} more" if len(places) > _TOLD else ""
+    more = f" and {len(places) - _LISTED} more" if len(places) > _LISTED else ""
     return (
-        f"{'; '.join(places[:_TOLD])}{more}: there the model misses the recording by {size:.2g} "
+        f"{'; '.join(places[:_LISTED])}{more}: there the model misses the recording by {size:.2g} "
         f"sensor sigmas, and by {elsewhere:.2g} elsewhere. What acts there, or disturbed the "
         "machine, was seen too rarely to tell: record that motion several times."
     )

@@ -17,7 +17,7 @@ from bo_sysid.effects.contract import unit_at
 from bo_sysid.intervals import amount
 
 _RIVALS = 3
-_TOLD = 8  # parameters
+_LISTED = 8  # parameters
 _LACKS = "that the model lacks"  # in a sentence about what is not there at all
 _MANY = 3  # members of a group from which on one sentence says them all
 
@@ -27,13 +27,13 @@ def found_sentences(findings: Sequence[Finding]) -> list[str]:
     groups: dict[str, list[Finding]] = {}
     for f in findings:
         groups.setdefault(f.group or f"{f.effect} at {f.kind} {f.site}", []).append(f)
-    said: list[str] = []
+    sentences: list[str] = []
     for name, members in groups.items():
         if members[0].group is None or len(members) < _MANY:
-            said += [f.sentence for f in members]
+            sentences += [f.sentence for f in members]
         else:
-            said.append(_group_sentence(name, members))
-    return said
+            sentences.append(_group_sentence(name, members))
+    return sentences
 
 
 def noise_sentence(noise: Mapping[str, float]) -> str:
@@ -67,13 +67,13 @@ def parameters_sentence(parameters: pd.DataFrame) -> str:
     """
     if parameters.empty:
         return ""
-    told = []
-    for p in parameters.head(_TOLD).itertuples():
+    changed = []
+    for p in parameters.head(_LISTED).itertuples():
         bound = ", at its bound" if p.at_bound else ""
         unit = "" if p.unit in ("", "1") else f" {p.unit}"
-        told.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
-    more = f" and {len(parameters) - _TOLD} more" if len(parameters) > _TOLD else ""
-    return f"Fitted, and in the model as it was: {'; '.join(told)}{more}."
+        changed.append(f"{p.name} {p.fitted:.4g}{unit} ({p.model:.4g}{bound})")
+    more = f" and {len(parameters) - _LISTED} more" if len(parameters) > _LISTED else ""
+    return f"Fitted, and in the model as it was: {'; '.join(changed)}{more}."
 
 
 def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
@@ -102,16 +102,16 @@ def _at_site(c: Candidate) -> str:
 
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
-    best, said = decision.best, dict[str, list[str]]()
-    alike = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
-    sets = irreducible(frozenset(c.key for c in best.members), list(alike))
-    for f in [alike[s] for s in sets][:_RIVALS]:
+    best, rivals_of = decision.best, dict[str, list[str]]()
+    by_keys = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
+    sets = irreducible(frozenset(c.key for c in best.members), list(by_keys))
+    for f in [by_keys[s] for s in sets][:_RIVALS]:
         theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
         if theirs and ours:
-            said.setdefault(ours, []).append(theirs)
+            rivals_of.setdefault(ours, []).append(theirs)
     return [
         f"Instead of {ours} it may be {', or '.join(theirs)}: these recordings do not tell."
-        for ours, theirs in said.items()
+        for ours, theirs in rivals_of.items()
     ]
 
 
@@ -124,8 +124,8 @@ def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> st
         size = " to ".join(dict.fromkeys(f"{v:.3g}" for v in (min(values), max(values))))
         # of several numbers the first alone does not say how large it is
         one = all(min(c.size, c.effect.acting) == 1 or c.effect.vector for c, _ in held)
-        said = f" ({size}{_unit(held[0][0], machine)})" if sized and one else ""
-        words.append(unit_words([c for c, _ in held]) + said)
+        size_text = f" ({size}{_unit(held[0][0], machine)})" if sized and one else ""
+        words.append(unit_words([c for c, _ in held]) + size_text)
     return " with ".join(words)
 
 

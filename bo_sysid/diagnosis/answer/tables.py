@@ -70,13 +70,13 @@ def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFra
     shown = order[:_SETS]
     shown += [(f, p) for f, p in order[_SETS:] if not f.members]
     equivalents = {e.key for e in decision.equivalents}
-    unheard = _unheard_of(answer)
+    outside_catalogue = _probability_outside_catalogue(answer)
     stranger = answer.unexplained.flagged and not answer.findings
     rows = [
         {
             "set": set_words(fit),
             "effects": fit.size,
-            "probability": (1.0 - unheard) * float(probability),
+            "probability": (1.0 - outside_catalogue) * float(probability),
             "p_boot": searched.of(fit),
             "rms": fit.rms,
             "best": fit is decision.best and not stranger,
@@ -86,14 +86,14 @@ def sets(decision: Decision, answer: Answer, searched: ArgminSets) -> pd.DataFra
     ]
     rows.append(
         {
-            "set": "none of these", "effects": 1, "probability": unheard, "p_boot": None,
+            "set": "none of these", "effects": 1, "probability": outside_catalogue, "p_boot": None,
             "rms": np.nan, "best": stranger, "equivalent": False,
         }
     )  # fmt: skip
     return pd.DataFrame(rows).astype({"p_boot": float})
 
 
-def _unheard_of(answer: Answer) -> float:
+def _probability_outside_catalogue(answer: Answer) -> float:
     """Return the probability of an effect outside the catalogue."""
     unknown = (
         float(a["probability"])

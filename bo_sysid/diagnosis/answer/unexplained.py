@@ -80,7 +80,7 @@ class Unexplained:
         return (f"{text}. {stands} in the repaired model.",)
 
 
-def said(unknown: Unknown) -> Unexplained:
+def unexplained_of(unknown: Unknown) -> Unexplained:
     """Return what an examination amounts to."""
     if not unknown.flagged:
         return Unexplained(unknown.share)

@@ -10,7 +10,7 @@ from bo_sysid.intervals import Quantity, amount
 
 _SHORT = 3  # letters of a name that needs its kind beside it
 _ROUNDING = 1e-9  # of what the model has, that may be left where all of it is taken away
-_UNTOLD = 0.6  # of the range of a coordinate, that its interval leaves open
+_UNDETERMINED = 0.6  # of the range of a coordinate, that its interval leaves open
 _OPPOSITE = {  # what a sentence says instead of a negative value
     "too much": "too little",
     "larger forwards than backwards": "larger backwards than forwards",
@@ -34,12 +34,12 @@ def sentence(
         details: further components by name, which a sentence may have placeholders for.
     """
     effect, site = candidate.effect, spoken(candidate.site)
-    bend = details.get(effect.components[-1].name) if candidate.bent else None
+    presliding = details.get(effect.components[-1].name) if candidate.preslides else None
     low, high = quantity.interval
-    if bend and begun and low < 0 < high:
+    if presliding and begun and low < 0 < high:
         return (
             f"{definite(effect.noun)} at {site}, {begun:.4g} {quantity.unit} in the model, gives "
-            f"way by {amount(bend)} before it slips, which the model lacks."
+            f"way by {amount(presliding)} before it slips, which the model lacks."
         )
     if (before or begun) and not effect.absolute and "the model's" not in effect.sentence:
         whole = Quantity(
@@ -50,17 +50,17 @@ def sentence(
         text = f"{noun} at {site} is {now}, not {before:.4g} as in the model."
     else:
         text = effect.sentence
-        for said, opposite in _OPPOSITE.items():
-            if said in text and quantity.value < 0:
-                text, quantity = text.replace(said, opposite), _negated(quantity)
+        for word, opposite in _OPPOSITE.items():
+            if word in text and quantity.value < 0:
+                text, quantity = text.replace(word, opposite), _negated(quantity)
         size = amount(quantity)
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
         more = {name: amount(q) for name, q in details.items()}
         between = f"{quantity.interval[0]:.4g} to {quantity.interval[1]:.4g}"
         text = text.format_map({**more, "site": site, "value": size, "interval": between})
-    if bend:
-        text += f" It gives way by {amount(bend)} before it slips."
+    if presliding:
+        text += f" It gives way by {amount(presliding)} before it slips."
     if candidate.moved:
         text += f" {_place_sentence(candidate, details)}"
     elif candidate.extent.place:
@@ -76,19 +76,19 @@ def definite(noun: str) -> str:
 
 def _place_sentence(c: Candidate, details: Mapping[str, Quantity]) -> str:
     """Return where a load lies, and which of its coordinates the recordings do not tell."""
-    told: list[str] = []
-    untold: list[str] = []
+    known: list[str] = []
+    unknown_places: list[str] = []
     bounds = zip(c.effect.components, c.low, c.high, strict=True)
     for component, low, high in list(bounds)[c.effect.acting :]:
         if component.name in details:
             first, last = details[component.name].interval
-            unknown = last - first > _UNTOLD * (high - low)
+            unknown = last - first > _UNDETERMINED * (high - low)
             words = f"{component.name} = {amount(details[component.name])}"
-            (untold if unknown else told).append(component.name if unknown else words)
-    text = f"It lies at {', '.join(told)} in the frame of {spoken(c.site)}" if told else ""
-    if untold:
-        text += "; the" if told else "The"
-        text += f" recordings do not tell its {' and '.join(untold)}"
+            (unknown_places if unknown else known).append(component.name if unknown else words)
+    text = f"It lies at {', '.join(known)} in the frame of {spoken(c.site)}" if known else ""
+    if unknown_places:
+        text += "; the" if known else "The"
+        text += f" recordings do not tell its {' and '.join(unknown_places)}"
     return f"{text}."
 
 

@@ -8,7 +8,7 @@ a motor of a tenth of its strength does what a missing rotor does, and no exchan
 import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
-from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, lengthened, windows_of
+from bo_sysid.diagnosis.search.window_lengths import TRACTABLE, next_length, windows_of
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import LOOSE
 from bo_sysid.diagnosis.sets.subsets import groups
@@ -57,7 +57,7 @@ def _carried(
 ) -> Search:
     """Carry a fit from short windows to full ones, its magnitudes and starts with it."""
     while length < horizon:
-        length = lengthened(length, horizon)
+        length = next_length(length, horizon)
         prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
         search = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
         fit = search.fit(fit.members, fit.x, guess=fit.hypothesis)

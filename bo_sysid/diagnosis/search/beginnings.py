@@ -28,7 +28,7 @@ _EXPLAINED = 1.1  # [sigma] in the other windows, which may be few
 _TRIED = 3  # sets, those that leave least of the other windows
 
 
-def unheard(search: Search) -> tuple[float, Fit] | None:
+def unexplained_start(search: Search) -> tuple[float, Fit] | None:
     """Return for how long in [s] after first commands logs are not explained, and what then does.
 
     That is where a set with a late drive explains all windows but those, and does not without it;
@@ -73,7 +73,7 @@ def _forgotten(fit: Fit) -> float:
 def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | None:
     """Return a set that explains some of the windows, and without its late drives does not."""
     alone = Search.on(search.prepared.rows(rest), search.candidates, search.most, fit.hypothesis)
-    for members, x in _alike(search, fit):
+    for members, x in _with_lags_for_late_drives(search, fit):
         made = alone.fit(members, x, guess=fit.hypothesis)
         if made.rms < _EXPLAINED:
             prompt = all_but(made, _late(made))
@@ -82,7 +82,7 @@ def _fitted(search: Search, fit: Fit, rest: Bool[np.ndarray, " W"]) -> Fit | Non
     return None
 
 
-def _alike(
+def _with_lags_for_late_drives(
     search: Search, fit: Fit
 ) -> Iterator[tuple[Sequence[Candidate], Sequence[Float[np.ndarray, " _"]]]]:
     """Yield a set, the lags of its late drives, and these beside its other members.

@@ -6,7 +6,7 @@ from dataclasses import replace
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
 from bo_sysid.diagnosis.search.ground import slide
 from bo_sysid.diagnosis.search.loads import place_loads
-from bo_sysid.diagnosis.search.moves import eliminate, rubbing
+from bo_sysid.diagnosis.search.moves import eliminate, has_friction
 from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped_finer
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
@@ -21,8 +21,8 @@ from bo_sysid.diagnosis.sets.rules import (
     admissible,
     clean,
     explains_little,
-    needed,
     ranked,
+    required_members,
 )
 from bo_sysid.diagnosis.sets.shapes import ranges, with_shapes_unsure
 from bo_sysid.diagnosis.windows.evidence import Evidence
@@ -33,9 +33,9 @@ _FAR = 2.0  # times what the leader leaves, above which a set is far from it
 # [sigma] a set without a part of the leader is fitted again unless that part costs more
 _NEEDED = 0.5
 _COMPARED = 3  # leading sets at most that are compared with others
-_TOLD = 2.0  # standard deviations from which a bend is told from none
+_SIGNIFICANT = 2.0  # standard deviations from which presliding is told from none
 _AS_GOOD = 1.02  # times what the leader leaves: simpler sets within that are as good
-_UNTOLD = 1.005  # the same, for friction that holds in the place of one that creeps
+_UNDECIDED = 1.005  # the same, for friction that holds in the place of one that creeps
 # times what the leader leaves, within which rivals are polished as well; how many of them
 _NEAR, _RIVALS = 1.05, 2
 
@@ -53,10 +53,10 @@ def final_fits(evidence: Evidence, search: Search, horizon: int, step: float) ->
     for f in chosen:
         if f.members:
             _fitted_on_all(final, leader if f is order[0] else f, far=f.rms > _FAR * order[0].rms)
-    _bent_anew(final)
+    _vary_presliding(final)
     if not (clean(final.best) or explains_little(final.best, final.nominal)):
         repeated_anew(final)
-    _straightened(final)
+    _drop_unsupported_presliding(final)
     return final
 
 
@@ -94,13 +94,13 @@ def compare(final: Search, first: Fit) -> None:
         substitute(final, leader)
         place_loads(final, leader, leader)
         slide(final, leader)
-        _shaped_alike(final, leader)
+        _fit_with_leader_shapes(final, leader)
         refit_from_nearer(final, leader)
         _polish(final, leader, finished)
         eliminate(final)
 
 
-def let_hold(final: Search) -> None:
+def prefer_static_friction(final: Search) -> None:
     """Let friction of the leading set hold a load where recordings do not tell that it creeps.
 
     Machines' friction holds; that of MuJoCo's default settings creeps.
@@ -110,16 +110,16 @@ def let_hold(final: Search) -> None:
         return
     known = [final.known(c.usual) if c.regularised else c for c in leader.members]
     held = final.fit(known, leader.x, start=leader.start, guess=leader.hypothesis, effort=FINAL)
-    if held.rms < _UNTOLD * leader.rms:
+    if held.rms < _UNDECIDED * leader.rms:
         for f in [f for f in final.fits.values() if _effects(f) == _effects(leader)]:
             if any(c.regularised for c in f.members):
                 del final.fits[f.key]
 
 
-def _shaped_alike(final: Search, leader: Fit) -> None:
+def _fit_with_leader_shapes(final: Search, leader: Fit) -> None:
     """Fit the sets that differ from the leader in one member with the shapes of the others.
 
-    Beside friction that bends otherwise a set looks worse than it is.
+    Beside friction that preslides otherwise a set looks worse than it is.
     """
     own = {c.key: c for c in leader.members}
     near = [f for f in final.fits.values() if f.rms < _AS_GOOD * leader.rms]
@@ -216,34 +216,36 @@ def _effects(fit: Fit) -> Names:
     return frozenset(c.key for c in fit.members)
 
 
-def _bent_anew(final: Search) -> None:
-    """Vary the bends of friction on all windows: in some of them alone joints may be stuck."""
+def _vary_presliding(final: Search) -> None:
+    """Vary the presliding of friction on all windows: in some of them joints may be stuck."""
     leader, smooth = final.best, not final.prepared.problem.machine.impacts
     decided = clean(leader) or explains_little(leader, final.nominal)
-    if smooth and rubbing(leader) and not decided:
+    if smooth and has_friction(leader) and not decided:
         vary(final, leader)
 
 
-def _straightened(final: Search) -> None:
-    """Leave out bends of the leading set that the recordings do not tell from none."""
+def _drop_unsupported_presliding(final: Search) -> None:
+    """Leave out presliding of the leading set that the recordings do not tell from none."""
     leader = final.best
-    if not rubbing(leader, bent=True):
+    if not has_friction(leader, presliding=True):
         return
     spread = with_shapes_unsure(final.prepared.problem, final.frame.Q, leader).spread
     untold = {
         c.key
         for c, s in zip(leader.members, spread, strict=True)
-        if c.bent and c.shapes[-1] < _TOLD * s[-1]
+        if c.preslides and c.shapes[-1] < _SIGNIFICANT * s[-1]
     }
     if not untold:
         return
-    members = [c.without_bend if c.key in untold else c for c in leader.members]
+    members = [c.without_presliding if c.key in untold else c for c in leader.members]
     known = [final.known(c) for c in members]
     straight = final.refit(known, leader.x, guess=leader.hypothesis, effort=FINAL)
     if straight.rms > _AS_GOOD * leader.rms:
         return
     for f in list(final.fits.values()):
-        if _effects(f) == _effects(leader) and any(c.bent and c.key in untold for c in f.members):
+        if _effects(f) == _effects(leader) and any(
+            c.preslides and c.key in untold for c in f.members
+        ):
             del final.fits[f.key]
 
 
@@ -257,7 +259,7 @@ def _without_trifles(search: Search) -> list[Fit]:
     able = {_effects(f): f for f in reversed(fits) if f.members and admissible(f, nominal)}
 
     def trifling(f: Fit) -> bool:
-        core = needed(f, nominal, fits)
+        core = required_members(f, nominal, fits)
         rest = able.get(core) if core != _effects(f) else None
         return rest is not None and rest.excess - f.excess < MARGIN**2
 

@@ -30,10 +30,10 @@ def add_joints(search: Search, leader: Fit) -> None:
     rigid = [k for k, c in enumerate(leader.members) if not c.effect.hidden]
     bases = dict.fromkeys((search.nominal, search.fit(*subset(leader, rigid)), leader))
     for base in (b for b in bases if b.size < search.most):
-        _add_beside(search, base, search.candidates)
+        _add_best_joints(search, base, search.candidates)
 
 
-def mesh(search: Search, leader: Fit, joints: Sequence[str]) -> None:
+def replace_by_backlash(search: Search, leader: Fit, joints: Sequence[str]) -> None:
     """Fit a joint that is added in the place of all that a set has at each of some joints.
 
     Where a motor that is late explains all, none is tried otherwise.
@@ -44,12 +44,12 @@ def mesh(search: Search, leader: Fit, joints: Sequence[str]) -> None:
             k for k, c in enumerate(leader.members) if name not in joints_at(c.site, machine)
         ]
         base = search.fit(*subset(leader, elsewhere))
-        _add_beside(search, base, [c for c in search.candidates if c.site.name == name])
+        _add_best_joints(search, base, [c for c in search.candidates if c.site.name == name])
 
 
-def _add_beside(search: Search, base: Fit, candidates: Sequence[Candidate]) -> None:
+def _add_best_joints(search: Search, base: Fit, candidates: Sequence[Candidate]) -> None:
     """Fit a set with each of the joints that leave least beside it."""
-    for points in _joints_beside(search, base, candidates)[:_TRIED]:
+    for points in _rank_added_joints(search, base, candidates)[:_TRIED]:
         for _, c, x in points[:_BEGUN]:
             search.refit(
                 (*base.members, c), (*base.x, x), start=base.start, guess=base.hypothesis,
@@ -69,7 +69,7 @@ def soften(search: Search, leader: Fit) -> None:
             )  # fmt: skip
 
 
-def _joints_beside(
+def _rank_added_joints(
     search: Search, base: Fit, candidates: Sequence[Candidate]
 ) -> list[list[_Point]]:
     """Return for each joint that may be added its points by what they leave; the best joint first.

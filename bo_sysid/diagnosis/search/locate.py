@@ -4,29 +4,29 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from bo_sysid.diagnosis.search.bare_joints import from_bare_joints
-from bo_sysid.diagnosis.search.beginnings import unheard
+from bo_sysid.diagnosis.search.beginnings import unexplained_start
 from bo_sysid.diagnosis.search.blocks import simulate_blocks
-from bo_sysid.diagnosis.search.final import compare, final_fits, let_hold
-from bo_sysid.diagnosis.search.gaps import mesh
-from bo_sysid.diagnosis.search.moves import carried, explore, rubbing, without_weakest
+from bo_sysid.diagnosis.search.final import compare, final_fits, prefer_static_friction
+from bo_sysid.diagnosis.search.gaps import replace_by_backlash
+from bo_sysid.diagnosis.search.moves import carried, explore, has_friction, without_weakest
 from bo_sysid.diagnosis.search.noisy_inputs import noisy_inputs
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import sharpened
 from bo_sysid.diagnosis.search.variants import creep
 from bo_sysid.diagnosis.search.window_lengths import (
     LEAST,
-    calm,
     contact_decides,
-    lengthened,
+    limit_by_growth_rate,
+    limit_by_input_noise,
+    limit_by_residual,
+    most_informative,
+    next_length,
     show_more,
-    stable,
-    telling,
-    tractable,
     windows_of,
 )
 from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
-from bo_sysid.diagnosis.sets.meshing import meshing
+from bo_sysid.diagnosis.sets.meshing import backlash_suspects
 from bo_sysid.diagnosis.sets.rules import clean, explains_little, follows_anything
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
@@ -36,8 +36,8 @@ _LONG_STEP = 2.0  # [sigma] of the correction above which the simulation steps a
 _LONG_STEP_IN_CONTACT = 0.7  # the same, where no share of a correction says when geoms touch
 _HALVINGS, _HALVINGS_IN_CONTACT = 3, 2
 _GAP_DIVISION = 4  # of the time step where a joint moves in a gap
-_BRISTLES_DIVISION = 2  # the same, where friction bends before it slips
-_BEND_SHOWS = 1.05  # [sigma] of a set from which a bend that it lacks is searched with that step
+_BRISTLES_DIVISION = 2  # the same, where friction preslides
+_PRESLIDING_SHOWS = 1.05  # [sigma] of a set that lacks it, from which it is searched so
 _LONGER = 1.3  # times as long, that makes windows worth lengthening once more
 
 
@@ -60,7 +60,7 @@ class Located:
 
 def locate(
     evidence: Evidence,
-    tell: Callable[[str], None] = lambda text: None,
+    on_stage: Callable[[str], None] = lambda text: None,
     doing: Callable[[str], None] = lambda text: None,
 ) -> Located:
     """Find the set of effects that explains the training recordings.
@@ -70,46 +70,46 @@ def locate(
 
     Args:
         evidence: what it is found from.
-        tell: told when a stage is done.
-        doing: told after every fit how far a stage is.
+        on_stage: is called when a stage is done.
+        doing: is called after every fit: how far a stage is.
     """
     if contact_decides(evidence):
         evidence = evidence.with_impacts()
         doing("a contact that lasts decides by chance: windows are short")
-    located = _located(evidence, tell, doing)
+    located = _located(evidence, on_stage, doing)
     leading = located.search.best  # which may not be what is answered: its members must be needed
     if follows_anything(leading) or follows_anything(located.decision.best):
-        tell(f"without added joints: {_said(leading)}")
-        located = _located(evidence.rigid, tell, doing)
+        on_stage(f"without added joints: {_in_words(leading)}")
+        located = _located(evidence.rigid, on_stage, doing)
     return located
 
 
 def _located(
-    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+    evidence: Evidence, on_stage: Callable[[str], None], doing: Callable[[str], None]
 ) -> Located:
     """Search in windows that grow, fit the leading sets on all of them, and decide."""
-    evidence, search, horizon, step = _searched(evidence, tell, doing)
+    evidence, search, horizon, step = _searched(evidence, on_stage, doing)
     if not explains_little(search.best, search.nominal):
         sharpened(search)
         without_weakest(search)
-    search = with_meshed_sets(evidence, search, horizon)
-    tell(f"final fits: {_said(search.best)}")
+    search = with_backlash_tried(evidence, search, horizon)
+    on_stage(f"final fits: {_in_words(search.best)}")
     step = _step_for(search, search.best, step)
     final = final_fits(evidence, search, horizon, step)
     if show_more(final.best, search.best, search.prepared.problem.dof):
-        tell(f"other windows, since they show more: {_said(final.best)}")
-        search = carried(search, telling(final.prepared, final.best))
+        on_stage(f"other windows, since they show more: {_in_words(final.best)}")
+        search = carried(search, most_informative(final.prepared, final.best))
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     noise = noisy_inputs(final)
     if noise != evidence.input_noise:  # seen in all windows alone
-        tell(f"other weights, since controls are noisy: {_said(final.best)}")
+        on_stage(f"other weights, since controls are noisy: {_in_words(final.best)}")
         evidence = replace(evidence, input_noise=noise)
         search = _carried(evidence, search, final.best, horizon, step)
         search, step = _explored(evidence, search, horizon, step)
         final = final_fits(evidence, search, horizon, _step_for(search, search.best, step))
     compare(final, search.best)
-    let_hold(final)
+    prefer_static_friction(final)
     simulate_blocks(final)
     fits, dof = list(final.fits.values()), final.prepared.problem.dof
     decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
@@ -117,7 +117,7 @@ def _located(
 
 
 def _searched(
-    evidence: Evidence, tell: Callable[[str], None], doing: Callable[[str], None]
+    evidence: Evidence, on_stage: Callable[[str], None], doing: Callable[[str], None]
 ) -> tuple[Evidence, Search, int, float]:
     """Search in windows that grow; return their full length in instants and the time step.
 
@@ -125,36 +125,38 @@ def _searched(
     """
     full = max(round(evidence.window / evidence.machine.sampling), LEAST)
     step = evidence.machine.model.opt.timestep
-    horizon = stable(evidence, full, step)
-    prepared, length = tractable(evidence, horizon, step)
+    horizon = limit_by_growth_rate(evidence, full, step)
+    prepared, length = limit_by_residual(evidence, horizon, step)
     if length == horizon or meets_impacts(prepared.problem):
         prepared, step = _short_enough(evidence, prepared, length, step)
     search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
     noise = noisy_inputs(search)
     if noise:
         evidence = replace(evidence, input_noise=noise)
-        horizon = calm(evidence, horizon, step)
-        prepared, length = tractable(evidence, horizon, step)
+        horizon = limit_by_input_noise(evidence, horizon, step)
+        prepared, length = limit_by_residual(evidence, horizon, step)
         search = Search.on(prepared, list(evidence.candidates), evidence.most, None, doing)
-    tell(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
+    on_stage(f"windows of {length} instants: {search.nominal.rms:.2f} sigma with the nominal model")
     begun = from_bare_joints(evidence, search, length, horizon, step)
     if begun is not None:
         search, length = begun, horizon
-        tell(f"windows of {length} instants at once: {_said(search.best)}")
+        on_stage(f"windows of {length} instants at once: {_in_words(search.best)}")
     evidence, search, step = _explored_anew(evidence, search, length, step)
     while True:
         if length >= horizon:
-            longer = _calmer(evidence, search, horizon, full, step)
+            longer = _longer_if_stable(evidence, search, horizon, full, step)
             if longer <= horizon:
                 return evidence, search, horizon, step
             horizon, step = longer, step / 2  # what a step does grows with a window
         step = _step_for(search, search.best, step)
-        search, length = _lengthened(evidence, search, length, horizon, step)
+        search, length = _carried_to_longer(evidence, search, length, horizon, step)
         evidence, search, step = _explored_anew(evidence, search, length, step, rounds=3)
-        tell(f"windows of {length} instants: {_said(search.best)}")
+        on_stage(f"windows of {length} instants: {_in_words(search.best)}")
 
 
-def _calmer(evidence: Evidence, search: Search, horizon: int, full: int, step: float) -> int:
+def _longer_if_stable(
+    evidence: Evidence, search: Search, horizon: int, full: int, step: float
+) -> int:
     """Lengthen the windows where what explains them is stabler than the nominal model.
 
     A wrist without damping and rotor falls within hundredths of a second, and so short windows
@@ -162,7 +164,7 @@ def _calmer(evidence: Evidence, search: Search, horizon: int, full: int, step: f
     """
     if horizon == full or search.best.rms > ROUGH:
         return horizon
-    longer = stable(evidence, full, step, search.best.hypothesis)
+    longer = limit_by_growth_rate(evidence, full, step, search.best.hypothesis)
     return longer if longer > _LONGER * horizon else horizon
 
 
@@ -185,18 +187,18 @@ def _explored_anew(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Evidence, Search, float]:
     """Explore, and once more without the first moments of each log where they alone do not fit."""
-    found = unheard(search)  # of sets from shorter windows
+    found = unexplained_start(search)  # of sets from shorter windows
     if found is None:
         evidence, search = _weighted_anew(evidence, search, length, step)
         search, step = _explored(evidence, search, length, step, rounds)
         before, (evidence, search) = search, _weighted_anew(evidence, search, length, step)
         if search is not before:
             search, step = _explored(evidence, search, length, step, rounds)
-        found = unheard(search)
+        found = unexplained_start(search)
     if found is None:
         return evidence, search, step
     seconds, fit = found
-    evidence = evidence.heard_from(max(seconds, evidence.unheard))
+    evidence = evidence.skipping_start(max(seconds, evidence.skipped_start))
     prepared = prepare(windows_of(evidence, length, step), fit.hypothesis)
     made = Search.on(prepared, search.candidates, search.most, fit.hypothesis, search.doing)
     made.fit(fit.members, fit.x, guess=fit.hypothesis)
@@ -217,7 +219,7 @@ def _weighted_anew(
 def _explored(
     evidence: Evidence, search: Search, length: int, step: float, rounds: int = 5
 ) -> tuple[Search, float]:
-    """Explore, with a finer step where friction leaves what may be its bend.
+    """Explore, with a finer step where friction leaves what may be its presliding.
 
     At once where it is a set from shorter windows that does, else once more.
     """
@@ -233,12 +235,12 @@ def _explored(
 def _finer(
     evidence: Evidence, search: Search, leader: Fit, length: int, step: float
 ) -> tuple[Search, float]:
-    """Carry the best sets to a finer step where that tells how friction bends."""
+    """Carry the best sets to a finer step where that tells how friction preslides."""
     finer = _step_for(search, leader, step)
-    if finer == step or not _bends(leader) or leader.rms < _BEND_SHOWS:
+    if finer == step or not _preslides(leader) or leader.rms < _PRESLIDING_SHOWS:
         return search, step
     creep(search, leader)
-    if search.best.rms < _BEND_SHOWS:  # it creeps, at the step of a simulated machine
+    if search.best.rms < _PRESLIDING_SHOWS:  # it creeps, at the step of a simulated machine
         return search, step
     return _carried(evidence, search, leader, length, finer), finer
 
@@ -247,39 +249,39 @@ def _step_for(search: Search, leader: Fit, step: float) -> float:
     """Return the time step for a leader whose joints meet ends of gaps between two long steps.
 
     No share of a finer step's difference corrects that: when it arrives bends what follows. Nor
-    does a long step tell bristles that bend from those that do not.
+    does a long step tell friction with presliding from one without.
     """
     problem, division = search.prepared.problem, 1
     if problem.loose(leader.hypothesis):
         division = _GAP_DIVISION
-    elif _bends(leader) and not problem.machine.impacts:
+    elif _preslides(leader) and not problem.machine.impacts:
         division = _BRISTLES_DIVISION
     return min(step, float(problem.machine.model.opt.timestep) / division)
 
 
-def _bends(leader: Fit) -> bool:
-    """Whether friction of a fit bends, or what is left may be its bend."""
-    return leader.rms < ROUGH and rubbing(leader, bent=leader.rms < _BEND_SHOWS)
+def _preslides(leader: Fit) -> bool:
+    """Whether friction of a fit preslides, or what is left may be its presliding."""
+    return leader.rms < ROUGH and has_friction(leader, presliding=leader.rms < _PRESLIDING_SHOWS)
 
 
-def with_meshed_sets(evidence: Evidence, search: Search, length: int) -> Search:
+def with_backlash_tried(evidence: Evidence, search: Search, length: int) -> Search:
     """Search on with a gap where that is what makes a motor late, at the step that it needs."""
     leader, machine = search.best, search.prepared.problem.machine
-    joints = meshing(leader, machine)
+    joints = backlash_suspects(leader, machine)
     if machine.impacts or not joints:
         return search
     step = float(machine.model.opt.timestep) / _GAP_DIVISION
     made = _carried(evidence, search, leader, length, step)
-    mesh(made, made.best, joints)
+    replace_by_backlash(made, made.best, joints)
     return search if made.best.names == leader.names else made
 
 
-def _lengthened(
+def _carried_to_longer(
     evidence: Evidence, search: Search, length: int, horizon: int, step: float
 ) -> tuple[Search, int]:
     """Carry the best sets to longer windows: at once to full ones where the leader holds there."""
     leader = search.best
-    longer = lengthened(length, horizon)
+    longer = next_length(length, horizon)
     for tried in dict.fromkeys((horizon, longer) if clean(leader) else (longer,)):
         made = _carried(evidence, search, leader, tried, step)
         if made.best.rms < ROUGH:
@@ -292,7 +294,7 @@ def _carried(evidence: Evidence, search: Search, leader: Fit, length: int, step:
     return carried(search, prepare(windows_of(evidence, length, step), leader.hypothesis))
 
 
-def _said(fit: Fit) -> str:
+def _in_words(fit: Fit) -> str:
     sites: dict[str, list[str]] = {}
     for c in fit.members:
         sites.setdefault(c.effect.id, []).append(c.site.name)

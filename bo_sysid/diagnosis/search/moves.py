@@ -17,9 +17,9 @@ from bo_sysid.diagnosis.sets.rules import (
     MARGIN,
     clean,
     explains_little,
-    needed,
     ranked,
-    required,
+    required_members,
+    required_size,
     sizes,
     weak,
 )
@@ -99,7 +99,9 @@ def _as_before(search: Search, before: Fit) -> bool:
     if before.rms > LOOSE or before.rms**2 - best.rms**2 > MARGIN**2:
         return False
     fits = search.fits.values()
-    return needed(best, search.nominal, fits) == needed(before, search.nominal, fits)
+    return required_members(best, search.nominal, fits) == required_members(
+        before, search.nominal, fits
+    )
 
 
 def carried(search: Search, prepared: Prepared) -> Search:
@@ -134,13 +136,13 @@ def without_weakest(search: Search) -> None:
             return
 
 
-def rubbing(fit: Fit, *, bent: bool = False) -> bool:
-    """Whether a fit has friction that may bend before it slips; with `bent`, one that does."""
-    if bent:
-        return any(c.bent for c in fit.members)
+def has_friction(fit: Fit, *, presliding: bool = False) -> bool:
+    """Whether a fit has friction that may preslide; with `presliding`, one that does."""
+    if presliding:
+        return any(c.preslides for c in fit.members)
     h = fit.hypothesis
     fitted = zip(h.nuisances, h.nuisance_x, strict=True)
-    return any(c.bendable for c in fit.members) or any(
+    return any(c.may_preslide for c in fit.members) or any(
         p.friction_joints and x[0] > 0 for p, x in fitted
     )
 
@@ -177,7 +179,7 @@ def eliminate(search: Search) -> None:
 
 def _by_cost(search: Search, f: Fit) -> list[int]:
     """Return the members that stay for what leaving them out costs alone."""
-    found, need = sizes(f, search.fits.values()), required(f, search.nominal)
+    found, need = sizes(f, search.fits.values()), required_size(f, search.nominal)
     return [k for k, u in enumerate(found) if u < need and f.groups[k] is None]
 
 

@@ -62,9 +62,9 @@ def noisy_inputs(search: Search) -> dict[str, float]:
     """
     linear, leader = search.frame, search.best
     problem = linear.problem
-    told = {w.actuator for w in problem.laws if isinstance(w, Controller)}
+    actuators_with_law = {w.actuator for w in problem.laws if isinstance(w, Controller)}
     names = [n.removeprefix("ctrl.") for n in problem.model.ctrl_channels]
-    flat = (_flat(problem.recordings, n) for n in names if n not in told)
+    flat = (_flat(problem.recordings, n) for n in names if n not in actuators_with_law)
     noises = [n for n in flat if n is not None]
     if not noises or problem.machine.impacts:
         return {}

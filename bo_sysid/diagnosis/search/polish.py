@@ -12,7 +12,7 @@ from bo_sysid.diagnosis.windows.estimated_starts import first_starts
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.problem import ROUGH, Problem
-from bo_sysid.diagnosis.windows.windowing import Prepared, prepare, settled
+from bo_sysid.diagnosis.windows.windowing import Prepared, linearise_at_best_starts, prepare
 
 _MOST = 6  # times at most that a set is linearised anew on all windows
 _SETTLED = 0.3  # standard deviations: magnitudes that moved less stay where they are
@@ -100,7 +100,7 @@ def fitted_at_itself(problem: Problem, fit: Fit) -> Fit:
     """Fit a set as the leader was, on the windows and with the weights that all are compared by."""
     for _ in range(_times(fit, problem)):
         first = first_starts(problem, fit.hypothesis)
-        linear = settled(problem, fit.hypothesis, [*first, fit.start])
+        linear = linearise_at_best_starts(problem, fit.hypothesis, [*first, fit.start])
         before, fit = fit, _refitted(linear, fit)
         if _distance(before, fit) < _SETTLED:
             break

@@ -161,9 +161,9 @@ def _as_good(
     own = max((s.gain for s in found if itself(s)), default=0.0)
     near = _ALIKE * max(1.0, base.rms**2)
     rough = _ROUGHLY if base.rms > ROUGH else _NEARLY
-    alike = [s for s in found if s.gain > own - max(near, rough * own)]
+    equally_good = [s for s in found if s.gain > own - max(near, rough * own)]
     most = sum(c.size for c in out)
-    return alike, [s for s in found if s.gain > _FEWER * own and size(s) < most]
+    return equally_good, [s for s in found if s.gain > _FEWER * own and size(s) < most]
 
 
 def _drop(search: Search, base: Fit, unit: tuple[int, ...]) -> None:
@@ -218,14 +218,14 @@ def _run(
 def _refine(search: Search, base: Fit) -> None:
     """Add finer shapes of the members of a fit to the candidates."""
     present = {set_key([c]) for c in search.candidates}
-    for c in (c for c in base.members if c.extent.grid or not c.bendable):
+    for c in (c for c in base.members if c.extent.grid or not c.may_preslide):
         turns = search.prepared.problem.machine.joint_of(c.site.kind, c.site.name)
         whole = turns is not None and turns.hinge and c.effect.vector > 1
         if whole and clean(base):
             continue  # periods in a turn are whole numbers
         for factor in c.extent.refine:
             shapes = factor * c.shapes
-            if c.bendable:
+            if c.may_preslide:
                 shapes[-1] = c.shapes[-1]
             made = c.with_shapes(shapes)
             if set_key([made]) not in present:

@@ -14,13 +14,15 @@ from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import linearise
 
 _SHARPENINGS, _SHARP = 12, 0.003  # fits of a period; share of its range that is told apart
-_SMOOTH = 0.05  # the same share of the range of a bend or a speed, fitted again on all windows
+_SMOOTH = (
+    0.05  # the same share of the range of a presliding or a speed, fitted again on all windows
+)
 _APART = 0.5  # of what a stroke tells apart, between periods that are tried again
-_UNTOLD = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
+_UNDETERMINED = 0.75  # of what was unsure of a shape beforehand, that leaves nothing to fit it by
 
 
 def sharpened(search: Search) -> None:
-    """Fit the shapes of effects that repeat with position, or bend, between the points of a grid.
+    """Fit the shapes of effects that repeat with position, or preslide, between points of a grid.
 
     Of the leading set, and of that set without each of its other members: beside a period that is
     a little off a second effect looks needed.
@@ -97,10 +99,10 @@ def _sharpen(search: Search, fit: Fit, at: Place, bounds: tuple[float, float]) -
 
     A shape that the recordings do not tell (the speed of friction that does not fall) stays.
     """
-    told = profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
-    if told.covariance[0, 0] > _UNTOLD * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
+    profiled = profile(search.prepared.problem, search.frame.Q, fit, {at: bounds})
+    if profiled.covariance[0, 0] > _UNDETERMINED * (bounds[1] - bounds[0]) ** 2 / UNIFORM:
         return fit
-    best, sharp = fit, _SMOOTH if fit.members[at[0]].bendable else _SHARP
+    best, sharp = fit, _SMOOTH if fit.members[at[0]].may_preslide else _SHARP
 
     def rss(value: float) -> float:
         nonlocal best

@@ -1,7 +1,7 @@
-"""Friction that the model or a parameter of the study has, as a member of a set: it may bend.
+"""Friction that the model or a parameter of the study has, as a member of a set: it may preslide.
 
-MuJoCo's `frictionloss` creeps under a load and does not bend before it slips. What is left where a
-machine's friction does is not linear in its level, and no screening proposes it.
+MuJoCo's `frictionloss` creeps under a load and does not give way before it slips. What is left
+where a machine's friction does is not linear in its level, and no screening proposes it.
 """
 
 from dataclasses import replace
@@ -16,7 +16,9 @@ from bo_sysid.diagnosis.sets.subsets import clashes
 from bo_sysid.diagnosis.windows.candidate import Candidate
 
 _THERE = 0.1  # of the level by which friction is probed, that friction of a model must have
-_BEGUN = 1e-2  # of that level, by which a member begins to change it: without a change none bends
+_BEGUN = (
+    1e-2  # of that level, by which a member begins to change it: without a change none preslides
+)
 
 
 def stand_in(search: Search, base: Fit) -> None:
@@ -52,7 +54,9 @@ def _present(search: Search, base: Fit) -> list[list[Candidate]]:
     able = [
         joints for joints in (*tied, *alone) if all(j in dry and j not in taken for j in joints)
     ]
-    return [[dry[j].without_bend for j in joints] for joints in able if any(map(rubs, joints))]
+    return [
+        [dry[j].without_presliding for j in joints] for joints in able if any(map(rubs, joints))
+    ]
 
 
 def _fitted(search: Search, base: Fit, own: list[Candidate], shape: int) -> Fit | None:

@@ -13,19 +13,19 @@ from bo_sysid.diagnosis.sets.subsets import clashes
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import linearise
 
-_PROMISING = 1.5  # times the least that is left, up to which a bend is fitted
+_PROMISING = 1.5  # times the least that is left, up to which presliding is fitted
 
 
 def reshape(search: Search, base: Fit) -> None:
-    """Fit a set with other shapes of its friction; the nearest that bends between grid points.
+    """Fit a set with other shapes of its friction; the nearest with presliding between grid points.
 
-    A grid is coarse: what a bend leaves that is half as large again looks like a compliance, and
-    every joint has a bend of its own.
+    A grid is coarse: what a presliding leaves that is half as large again looks like a compliance,
+    and every joint has one of its own.
     """
     vary(search, base)
     enrich(search, base)
     stand_in(search, base)
-    for f in _bent(search):
+    for f in _nearest_presliding(search):
         if clean(search.best):
             return
         effort = Effort(rival=search.least)
@@ -46,37 +46,39 @@ def creep(search: Search, base: Fit) -> None:
         search.listed(refit_at(there, best, effort=Effort(rival=search.least)))
 
 
-def _bent(search: Search) -> list[Fit]:
-    """Return the nearest set with friction that bends, after the nearest with fewer magnitudes.
+def _nearest_presliding(search: Search) -> list[Fit]:
+    """Return the nearest set with presliding, after the nearest with fewer magnitudes.
 
-    Only where they bend as points of a grid say, and were not fitted between them before.
+    Only where they preslide as points of a grid say, and were not fitted between them before.
     """
-    bent = [f for f in search.fits.values() if any(c.bent for c in f.members)]
-    near = sorted((f for f in bent if f.rms < _PROMISING * search.least), key=lambda f: f.rms)
+    presliding = [f for f in search.fits.values() if any(c.preslides for c in f.members)]
+    near = sorted((f for f in presliding if f.rms < _PROMISING * search.least), key=lambda f: f.rms)
     count = [f.width for f in near]
     fewer = [f for f, n in zip(near, count, strict=True) if n < count[0]]
     return [f for f in (*fewer[:1], *near[:1]) if any(map(_on_grid, f.members))]
 
 
 def _on_grid(c: Candidate) -> bool:
-    return c.bent and any(c.shapes[-1] == v[-1] for v in c.extent.variants)
+    return c.preslides and any(c.shapes[-1] == v[-1] for v in c.extent.variants)
 
 
 def vary(search: Search, base: Fit, *, straight: bool = False) -> None:
-    """Fit a set with other shapes of its effects, all sites alike; with `straight` none that bend.
+    """Fit a set with other shapes of its effects, all sites alike; with `straight` no presliding.
 
     Without the joints that were added where such effects are: what bristles do before they slip
     looks like a compliance, and beside one there is little left for them.
     """
-    rubbing = {c.site.name for c in base.members if c.bendable}
+    with_friction = {c.site.name for c in base.members if c.may_preslide}
     keep = [
-        k for k, c in enumerate(base.members) if not (c.effect.hidden and c.site.name in rubbing)
+        k
+        for k, c in enumerate(base.members)
+        if not (c.effect.hidden and c.site.name in with_friction)
     ]
     if len(keep) < len(base.members):
         base = search.fit(*subset(base, keep), guess=base.hypothesis)
-    for effect in dict.fromkeys(c.effect for c in base.members if c.bendable):
+    for effect in dict.fromkeys(c.effect for c in base.members if c.may_preslide):
         own = [c for c in base.members if c.effect is effect]
-        # the site with the fewest shapes, one that does not bend yet, ends the list for all
+        # the site with the fewest shapes, one without presliding yet, ends the list for all
         for shapes in zip(*(_other_shapes(c, straight) for c in own), strict=False):
             changed = {c: c.with_shapes(s) for c, s in zip(own, shapes, strict=True)}
             members = [changed.get(c, c) for c in base.members]
@@ -88,15 +90,15 @@ def vary(search: Search, base: Fit, *, straight: bool = False) -> None:
 
 
 def enrich(search: Search, base: Fit) -> None:
-    """Fit a set with each effect that holds a simpler one, in its place, and bent alike.
+    """Fit a set with each effect that holds a simpler one, in its place, with the same presliding.
 
     What a friction would do is far from linear at one of another size, so that no linear estimate
-    proposes it. One that does not bend never comes near, where that of the set does. Where a member
+    proposes it. One without presliding never comes near, where that of the set does. Where a member
     is such an effect itself, with its other shapes: from one of them none may lead to another.
     """
     for k, c in ((unit[0], base.members[unit[0]]) for unit in units_of(base) if len(unit) == 1):
         for d in _richer(search, c):
-            shapes = np.array([*d.shapes[:-1], c.shapes[-1]]) if c.bent else d.shapes
+            shapes = np.array([*d.shapes[:-1], c.shapes[-1]]) if c.preslides else d.shapes
             members = (*base.members[:k], d.with_shapes(shapes), *base.members[k + 1 :])
             if clashes(members) or set_key(members) in search.fits:
                 continue
@@ -117,7 +119,7 @@ def _richer(search: Search, c: Candidate) -> list[Candidate]:
 
 def _other_shapes(c: Candidate, straight: bool) -> list[np.ndarray]:
     given = np.array(c.extent.variants, float)
-    finer = [c.shapes[-1] * f for f in c.extent.refine if c.bent]
+    finer = [c.shapes[-1] * f for f in c.extent.refine if c.preslides]
     found = [
         *np.where(np.isnan(given), c.shapes, given),
         *(np.array([*c.shapes[:-1], s]) for s in finer),
@@ -126,9 +128,9 @@ def _other_shapes(c: Candidate, straight: bool) -> list[np.ndarray]:
 
 
 def simplify(search: Search, fit: Fit, effort: Effort | None = None) -> None:
-    """Fit a set with the simpler effect in the place of each that contains one, bent alike.
+    """Fit a set with the simpler effect for each that contains one, with the same presliding.
 
-    Where that does not bend also with its other shapes: friction that creeps is no less simple
+    Where that has none also with its other shapes: friction that creeps is no less simple
     than friction that holds, and beside one that rises by nothing it was never tried.
     """
     for k, c in enumerate(fit.members):
@@ -144,7 +146,7 @@ def _plainer(search: Search, c: Candidate) -> list[Candidate]:
     plain = next((d for d in search.candidates if d.key == wanted and not d.secant), None)
     if plain is None:
         return []
-    if c.bent:
+    if c.preslides:
         return [search.known(plain.with_shapes(np.array([*plain.shapes[:-1], c.shapes[-1]])))]
     straight = [np.array(v) for v in plain.extent.variants if not v[-1]]
     return [plain, *(search.known(plain.with_shapes(v)) for v in straight)]

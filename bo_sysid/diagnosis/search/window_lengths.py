@@ -84,7 +84,9 @@ def contact_decides(evidence: Evidence) -> bool:
     return bool(np.median(changed) > _BY_CHANCE)
 
 
-def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None = None) -> int:
+def limit_by_growth_rate(
+    evidence: Evidence, horizon: int, step: float, at: Hypothesis | None = None
+) -> int:
     """Shorten the windows until little disturbances do not grow to many times their size in them.
 
     λ = max log|eig A|/h of one step of the linear model of the mechanics is the rate at which the
@@ -107,7 +109,7 @@ def stable(evidence: Evidence, horizon: int, step: float, at: Hypothesis | None 
     return int(max(min(horizon, most / evidence.machine.sampling), horizon / _LESS, LEAST))
 
 
-def calm(evidence: Evidence, horizon: int, step: float) -> int:
+def limit_by_input_noise(evidence: Evidence, horizon: int, step: float) -> int:
     """Shorten the windows until noise of the controls does not move them far.
 
     Noise of acceleration moves a position with the power 3/2 of the time. Where it is moved by
@@ -123,7 +125,7 @@ def calm(evidence: Evidence, horizon: int, step: float) -> int:
     return int(max(horizon * (_SHAKEN / moved) ** (2 / 3), LEAST))
 
 
-def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:
+def limit_by_residual(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, int]:
     """Shorten the windows until the nominal residual is small enough for linear screening."""
     least = max(int(horizon * _SHORTEST), LEAST)
     length = horizon
@@ -138,7 +140,7 @@ def tractable(evidence: Evidence, horizon: int, step: float) -> tuple[Prepared, 
         length = max(int(length * factor), least)
 
 
-def lengthened(length: int, horizon: int) -> int:
+def next_length(length: int, horizon: int) -> int:
     """Return how long windows are to be next, on the way to full ones."""
     return horizon if length * _ALMOST > horizon else int(length * _GROWTH)
 
@@ -158,7 +160,7 @@ def show_more(whole: Fit, seen: Fit, dof: int) -> bool:
     return whole.rms > _RARE * seen.rms or (seen.rms < LOOSE and more)
 
 
-def telling(prepared: Prepared, fit: Fit) -> Prepared:
+def most_informative(prepared: Prepared, fit: Fit) -> Prepared:
     """Return as many of all windows as a search takes, and as many that a fit leaves most of.
 
     What acts once in a recording, such as a limit that is reached, is seen in few windows.

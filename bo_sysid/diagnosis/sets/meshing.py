@@ -7,7 +7,7 @@ LATE = ("actuator_lag", "actuator_delay")
 _SMALL = 0.15  # of a motor's lag: another effect at its joint no larger than that may mean a gap
 
 
-def meshing(best: Fit, machine: Machine) -> tuple[str, ...]:
+def backlash_suspects(best: Fit, machine: Machine) -> tuple[str, ...]:
     """Return the joints whose motor is late beside another effect there that is small.
 
     A gap in the gear is crossed at every reversal, which makes a joint late; what it does beside

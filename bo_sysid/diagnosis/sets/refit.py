@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.sets.fit import Fit, assess
 from bo_sysid.diagnosis.sets.gauss_newton import LeastSquares, broyden
-from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, free_parameters, slices_of
 from bo_sysid.diagnosis.windows.estimated_starts import caught_up
 from bo_sysid.diagnosis.windows.fitted_starts import held_joints
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
@@ -28,6 +28,14 @@ _STEPS = (1.0, 0.35)  # shares of a step that are tried; less of one gains nothi
 _RIDGE = 1e-5  # on unit columns: what a parameter does as well stays with it, to its bound
 _DAMPED = 0.03  # ridge on unit columns where the plain step leads nowhere
 _FAR_WORTH = 5e-3  # of the squared residual, that a step must gain far from the recordings
+_NEAR_WORTH = 1e-3  # the same near them; nothing in final fits
+# rms² above which no Jacobian is computed anew, of a fit whose step leads nowhere
+_TOO_FAR = 1e4
+# times the rivals' rms², and what is added: above, from the second step on, no Jacobian is
+# computed anew, ...
+_NO_RIVAL, _NO_RIVAL_MARGIN = 2, 3
+# ... and above that a step must gain a share of the squared residual
+_BEHIND, _BEHIND_MARGIN, _BEHIND_WORTH = 3, 1, 0.25
 _CUT = 1e9
 _NOTHING = 1e-3  # variances of the squared residual: where a step promises less, only starts move
 _WORTH, _HOPELESS = 0.02, 1.5  # gain to go on for; times the best rms of others to give up at
@@ -69,7 +77,7 @@ class _Space:
 
     @classmethod
     def of(cls, problem: Problem, members: Sequence[Candidate]) -> "_Space":
-        nuisances = beside(problem.nuisances, members)
+        nuisances = free_parameters(problem.nuisances, members)
         held = (*members, *nuisances)
         numerics = problem.correction is not None
         extra = ([SHARE_BOUNDS[0]], [SHARE_BOUNDS[1]], [1.0]) if numerics else ([], [], [])
@@ -168,7 +176,7 @@ def _fitted(
     S = np.zeros((*r.shape, 0)) if columns is None else columns.astype(float)
     if len(theta):
         point, S = _descend(frame, space, point, S if columns is not None else None, effort)
-    point = _settled(frame, space, point)
+    point = _with_starts_moved(frame, space, point)
     at = space.hypothesis(point.theta)
     resting = effort.final and effort.resting and held_joints(problem, at)
     if problem.machine.impacts or resting:
@@ -205,7 +213,7 @@ class _Point:
         return float((self.r**2).sum())
 
 
-def _settled(frame: Linear, space: _Space, point: _Point) -> _Point:
+def _with_starts_moved(frame: Linear, space: _Space, point: _Point) -> _Point:
     """Return a point with its starts moved once more along the response to them."""
     hypothesis = space.hypothesis(point.theta)
     start, r, _ = moved_along(frame.problem, frame, hypothesis, point.start, point.r, point.r)
@@ -245,12 +253,11 @@ def _descend(
         idle = local.promised(local.step(_RIDGE)) < _NOTHING * max(point.rss / dof, 1.0)
         tried: _Point | None = None
         if idle and (exact or iteration):
-            tried = _settled(frame, space, point)
+            tried = _with_starts_moved(frame, space, point)
         else:
             tried = _stepped(frame, space, point, J, local, exact=exact)
         if tried is None:
-            hopeless = point.rss / dof > 2 * effort.rival**2 + 3 and iteration >= 1
-            if exact or hopeless or point.rss / dof > 1e4:
+            if exact or _gives_up(point.rss / dof, effort, iteration):
                 break
             J, exact = _jacobian(frame, space, point), True
             continue
@@ -258,13 +265,39 @@ def _descend(
         if moved.any():
             J = broyden(SP, moved, project(frame.Q, point.r - tried.r))
         exact, point = exact and not moved.any(), tried
-        share = _FAR_WORTH if point.rss / dof > ROUGH**2 else 0.0 if effort.final else 1e-3
-        if gain < effort.gain * max(point.rss / dof, 1.0) + share * point.rss:
-            break
-        behind = point.rss / dof > 3 * effort.rival**2 + 1 and gain < 0.25 * point.rss
-        if iteration >= 1 and behind:
+        if _should_stop(gain, point.rss, dof, effort, iteration):
             break
     return point, J
+
+
+def _gives_up(variance: float, effort: Effort, iteration: int) -> bool:
+    """Whether a fit is not worth an exact Jacobian once a step leads nowhere.
+
+    Args:
+        variance: its rms², in sigma².
+        effort: how hard to fit.
+        iteration: number of the step, from 0.
+    """
+    no_rival = variance > _NO_RIVAL * effort.rival**2 + _NO_RIVAL_MARGIN and iteration >= 1
+    return no_rival or variance > _TOO_FAR
+
+
+def _should_stop(gain: float, rss: float, dof: int, effort: Effort, iteration: int) -> bool:
+    """Whether a step gained too little to go on, or little for a fit that is far behind others.
+
+    Args:
+        gain: of the squared residual.
+        rss: the squared residual after the step.
+        dof: degrees of freedom.
+        effort: how hard to fit.
+        iteration: number of the step, from 0.
+    """
+    variance = rss / dof
+    share = _FAR_WORTH if variance > ROUGH**2 else 0.0 if effort.final else _NEAR_WORTH
+    if gain < effort.gain * max(variance, 1.0) + share * rss:
+        return True
+    behind = variance > _BEHIND * effort.rival**2 + _BEHIND_MARGIN and gain < _BEHIND_WORTH * rss
+    return iteration >= 1 and behind
 
 
 def _stepped(

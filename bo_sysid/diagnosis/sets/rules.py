@@ -77,7 +77,7 @@ def criterion(fit: Fit, kappa: float, prior: SetPrior) -> float:
     return float(fit.cv.sum()) / kappa - 2 * (prior.log(fit) - log(0.5))
 
 
-def required(fit: Fit, nominal: Fit) -> float:
+def required_size(fit: Fit, nominal: Fit) -> float:
     """Return the unique size in sigma that every member of a fit must reach by itself."""
     return max(MARGIN, SHARE * _left(fit, ()), _part(nominal))
 
@@ -155,7 +155,7 @@ def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> list[int]:
     as the recordings show that they are there: what all joints have is not small by chance.
     """
     others = tuple(fits)
-    found, cost, part = sizes(fit, others), costs(fit, others), _part(nominal)
+    found, cost, part = sizes(fit, others), leave_one_out_costs(fit, others), _part(nominal)
     left, count = _left(fit, others), Counter(fit.groups)
     alone = [1.0 if g is None else sqrt(1.0 / count[g]) for g in fit.groups]
     large = [
@@ -169,13 +169,13 @@ def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> list[int]:
     return [k for k, ok in enumerate(large) if not ok and not (excused[k] and sure[k] > _THERE)]
 
 
-def needed(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> Names:
+def required_members(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> Names:
     """Return effects and sites of the members that are not `weak`."""
     small = weak(fit, nominal, fits)
     return frozenset(c.key for k, c in enumerate(fit.members) if k not in small)
 
 
-def costs(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
+def leave_one_out_costs(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
     """Return what leaving out each member costs in sigma, 0 where no set without it was fitted.
 
     A small part of what the nominal model leaves may be no more than the shape of a large effect

@@ -10,7 +10,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.signatures import signatures
 from bo_sysid.diagnosis.sets.subsets import Gram, gram
-from bo_sysid.diagnosis.windows.candidate import Candidate, beside, slices_of
+from bo_sysid.diagnosis.windows.candidate import Candidate, free_parameters, slices_of
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis
 from bo_sysid.diagnosis.windows.linear import Linear
 from bo_sysid.diagnosis.windows.projection import project
@@ -86,7 +86,7 @@ class Screen:
         known = {id(c) for c in self.candidates if not c.moved}  # no slope to a place is known
         if any(id(c) not in known for c in members):
             return None
-        if beside(self.parameters, members) != self.nuisances:
+        if free_parameters(self.parameters, members) != self.nuisances:
             return None
         own = [self._columns(c) for c in members]
         if any(

@@ -1,4 +1,4 @@
-"""The shapes of effects, such as a period or a bend: fitted between the points of their grids.
+"""The shapes of effects, such as a period or presliding: fitted between points of their grids.
 
 A candidate holds its shapes fixed, so that its magnitudes are nearly linear in the predictions.
 Here those of the leading set are fitted as well, and how sure they are is added to what the
@@ -20,8 +20,11 @@ from bo_sysid.diagnosis.windows.projection import project
 from bo_sysid.effects import Machine
 
 _LOBE = 1.5  # [rad] of phase over the range of the joint within which a residual has one minimum
-_BENT = 1.8  # times a bend of bristles that is fitted
-_SLOWER, _FASTER = 0.25, 2.0  # times a speed of friction, beside a bend that changes what is best
+_PRESLIDING_FACTOR = 1.8  # times a presliding that is fitted
+_SLOWER, _FASTER = (
+    0.25,
+    2.0,
+)  # times a speed of friction, beside a presliding that changes what is best
 UNIFORM = 12.0
 """The square of a range over the variance of what is uniform in it."""
 
@@ -39,11 +42,15 @@ def ranges(c: Candidate, machine: Machine) -> Mapping[int, tuple[float, float]]:
     if not (c.extent.refine and len(c.shapes)):
         return {}
     first, last = float(c.shapes[0]), float(c.shapes[-1])
-    if c.bendable:
+    if c.may_preslide:
         found = {0: (_SLOWER * first, _FASTER * first)} if c.extent.grid else {}
         place = len(c.shapes) - 1
         most = max(float(c.extent.high[c.size + place]), last)
-        return found | ({place: (last / _BENT, min(last * _BENT, most))} if c.bent else {})
+        return found | (
+            {place: (last / _PRESLIDING_FACTOR, min(last * _PRESLIDING_FACTOR, most))}
+            if c.preslides
+            else {}
+        )
     if c.effect.vector < 2 or len(c.shapes) != 1:
         return {}
     joint = machine.joint_of(c.site.kind, c.site.name)
@@ -67,13 +74,13 @@ def reshaped(
     for _ in range(_RESHAPINGS):
         bounds = _places(fit, linear.problem.machine)
         if friction_alone:
-            bounds = {at: b for at, b in bounds.items() if fit.members[at[0]].bendable}
+            bounds = {at: b for at, b in bounds.items() if fit.members[at[0]].may_preslide}
         if not bounds:
             break
-        told = profile(linear.problem, linear.Q, fit, bounds)
-        if told.gain < _HOPED * _WORTH * fit.rss:
+        profiled = profile(linear.problem, linear.Q, fit, bounds)
+        if profiled.gain < _HOPED * _WORTH * fit.rss:
             break
-        before, fit = fit, _stepped(linear, fit, bounds, told.step, effort)
+        before, fit = fit, _stepped(linear, fit, bounds, profiled.step, effort)
         if fit.rss > (1 - _WORTH) * before.rss:
             break
     return fit
@@ -89,7 +96,7 @@ def _stepped(
     """Return the fit after a step on its shapes, the fit itself where none leaves less.
 
     Starts follow as far as slopes lead: those of joints at rest were tried before, and a step that
-    changes a bend by a few percent is no reason to try them again, which takes most of a fit.
+    changes a presliding by a few percent is no reason to try them again, which takes most of a fit.
     """
     effort = replace(effort, resting=False)
     for halving in range(_HALVINGS):
@@ -116,8 +123,8 @@ def with_shapes_unsure(problem: Problem, Q: Float[np.ndarray, "W R k"], fit: Fit
     bounds = _places(fit, problem.machine)
     if not bounds:
         return fit
-    told = profile(problem, Q, fit, bounds)
-    V, K = told.covariance, told.following
+    profiled = profile(problem, Q, fit, bounds)
+    V, K = profiled.covariance, profiled.following
     deviations = dict(zip(bounds, np.sqrt(np.diag(V)), strict=True))
     spread = tuple(
         np.array([deviations.get((k, i), 0.0) for i in range(len(c.shapes))])

@@ -151,8 +151,8 @@ def _by_edits(linear: Linear, added: Hypothesis) -> tuple[np.ndarray, np.ndarray
         if isinstance(part, Force):
             w = w + _by_force(linear, part.joint, part.law(linear.along.anew))
     if new:
-        told = problem.controls(parts, problem.windows)
-        ctrl, old = (clamped(model, u) for u in (told, linear.ctrl[:, : told.shape[1]]))
+        controls = problem.controls(parts, problem.windows)
+        ctrl, old = (clamped(model, u) for u in (controls, linear.ctrl[:, : controls.shape[1]]))
         change = _per_macro(ctrl - old, linear.macro, linear.macros)
         if change.any():
             w = w + np.einsum("wmnu,wmu->wmn", linear.held(linear.E), change)

@@ -122,7 +122,7 @@ def slopes_reach(problem: Problem, fit: Fit, nominal: Fit) -> bool:
     return bool(1 / _FORETOLD < foretold < _FORETOLD)
 
 
-def needed_beside(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
+def needed_with_law(problem: Problem, fit: Fit, law: Clue) -> tuple[bool, ...]:
     """Return which members of a fit are still needed once a law acts at a joint.
 
     A flexible law can say within the recordings what almost any name says. What a name says that

@@ -86,14 +86,14 @@ class Candidate:
         return self.point[self.size :]
 
     @property
-    def bendable(self) -> bool:
-        """Whether it is friction that may bend before it slips, by its last shape."""
+    def may_preslide(self) -> bool:
+        """Whether it is friction that may give way before it slips, by its last shape."""
         return bool(self.extent.variants)
 
     @property
-    def bent(self) -> bool:
-        """Whether it does."""
-        return self.bendable and bool(self.shapes[-1] > 0)
+    def preslides(self) -> bool:
+        """Whether that presliding is more than 0."""
+        return self.may_preslide and bool(self.shapes[-1] > 0)
 
     @property
     def moved(self) -> bool:
@@ -108,15 +108,17 @@ class Candidate:
         return Candidate(self.effect.free, self.site, extent, np.array((*e.probe[:n], *e.place)))
 
     @property
-    def without_bend(self) -> "Candidate":
-        """The same friction, which does not bend."""
+    def without_presliding(self) -> "Candidate":
+        """The same friction without presliding."""
         return self.with_shapes(np.array([*self.shapes[:-1], 0.0]))
 
     @property
     def regularised(self) -> bool:
-        """Whether it is friction that neither holds, as it usually does, nor bends."""
-        switched = self.bendable and not self.extent.grid  # no speed is among its shapes
-        return switched and not self.bent and not np.array_equal(self.shapes, self.usual.shapes)
+        """Whether it is friction that neither holds, as it usually does, nor preslides."""
+        switched = self.may_preslide and not self.extent.grid  # no speed is among its shapes
+        return (
+            switched and not self.preslides and not np.array_equal(self.shapes, self.usual.shapes)
+        )
 
     @property
     def usual(self) -> "Candidate":
@@ -141,12 +143,12 @@ class Candidate:
     def total(self, x: Float[np.ndarray, " l"]) -> Float[np.ndarray, " l"]:
         """Return the magnitudes of all that a member is, for changes `x` of the model.
 
-        Friction that bends is all the friction of its joint, and its least change takes away what
-        the model has. A load is its mass, where it lies.
+        Friction with presliding is all the friction of its joint, and its least change takes away
+        what the model has. A load is its mass, where it lies.
         """
         if self.moved:
             return np.where(np.arange(self.size) < self.effect.acting, x, 0.0)
-        return x - self.low if self.bent else x
+        return x - self.low if self.preslides else x
 
     def with_shapes(self, shapes: Float[np.ndarray, " s"]) -> "Candidate":
         """Return the same effect at the same site with other shapes."""
@@ -208,7 +210,9 @@ def parameter_candidates(model: Model, parameters: Sequence[Parameter]) -> tuple
     return tuple(_parameter(model, p) for p in parameters)
 
 
-def beside(parameters: Sequence[Candidate], members: Sequence[Candidate]) -> tuple[Candidate, ...]:
+def free_parameters(
+    parameters: Sequence[Candidate], members: Sequence[Candidate]
+) -> tuple[Candidate, ...]:
     """Return the parameters that are fitted beside some members.
 
     Friction that is a member is all there is at its joint: a parameter that is no more than the

@@ -63,11 +63,11 @@ def _of_poses(
     """
     factors = {}
     for numbers in poses:
-        told = [r for r in recordings if all(n in r.channels for n in numbers)]
-        if not told or not all(_of_length_one(r, numbers) for r in told):
+        complete = [r for r in recordings if all(n in r.channels for n in numbers)]
+        if not complete or not all(_of_length_one(r, numbers) for r in complete):
             continue
         for name in numbers:
-            values = np.concatenate([r.channels[name].values for r in told])
+            values = np.concatenate([r.channels[name].values for r in complete])
             factors[name] = underrated(np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0)))
     return factors
 

@@ -44,7 +44,7 @@ class Evidence:
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
         kept: long fits of a diagnosis that was killed.
-        unheard: time in [s] after the first command of a log from which on positions are compared.
+        skipped_start: time in [s] after a log's first command in which nothing is compared.
         input_noise: σ of what recorded controls show and the machine did not get, by actuator.
     """
 
@@ -60,14 +60,14 @@ class Evidence:
     engine: Engine
     laws: tuple[Controller | ForceLaw, ...]
     kept: FitCache
-    unheard: float = 0.0
+    skipped_start: float = 0.0
     input_noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to the model, in words."""
         yielding = self.model.loops.yielding
-        said = [
+        notes = [
             f"{joint} is tied to {other}: what acts on one acts on the other, and "
             + (
                 "only how that tie gives way tells where."
@@ -79,17 +79,17 @@ class Evidence:
         ]
         following = [j for j in self.model.loops.joints if j not in self.machine.joints]
         if following:
-            said.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
+            notes.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
-            said.append("Nothing touches in the training recordings: contact is left out there.")
-        if self.unheard:
+            notes.append("Nothing touches in the training recordings: contact is left out there.")
+        if self.skipped_start:
             whole = ", ".join(r.name for r in self.recordings if not self._begins_late(r))
-            said.append(
-                f"Positions in the first {self.unheard:.2g} s after a log's first command are not "
-                f"compared{f', but in {whole}, of which half would go' if whole else ''}: a late "
-                "drive acts there on what was sent before, if anything was."
+            notes.append(
+                f"Positions in the first {self.skipped_start:.2g} s after a log's first command "
+                f"are not compared{f', but in {whole}, of which half would go' if whole else ''}: "
+                "a late drive acts there on what was sent before, if anything was."
             )
-        return (*said, *rates_note(self.recordings, self.model.qpos_channels))
+        return (*notes, *rates_note(self.recordings, self.model.qpos_channels))
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
@@ -107,25 +107,25 @@ class Evidence:
         machine = replace(self.machine, impacts=True)
         return replace(self, machine=machine, window=CONTACT_WINDOW)
 
-    def heard_from(self, seconds: float) -> "Evidence":
+    def skipping_start(self, seconds: float) -> "Evidence":
         """Return the same, compared from some time in [s] after the logs' first commands on."""
-        made = replace(self, unheard=seconds)
-        return replace(made, recordings=made.heard(self.recordings))
+        made = replace(self, skipped_start=seconds)
+        return replace(made, recordings=made.without_skipped_start(self.recordings))
 
-    def heard(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    def without_skipped_start(self, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
         """Return recordings without the positions that are not compared, all commands in them.
 
         One of which half would go stays whole.
         """
         return tuple(
-            r.between(first_command(r) + self.unheard, np.inf) if self._begins_late(r) else r
+            r.between(first_command(r) + self.skipped_start, np.inf) if self._begins_late(r) else r
             for r in recordings
         )
 
     def _begins_late(self, recording: Recording) -> bool:
         """Whether positions of a recording are compared from later on, and most of them are."""
-        start, (first, last) = first_command(recording) + self.unheard, recording.span
-        return bool(self.unheard and start < 0.5 * (first + last))
+        start, (first, last) = first_command(recording) + self.skipped_start, recording.span
+        return bool(self.skipped_start and start < 0.5 * (first + last))
 
     @property
     def still(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from bo_sysid.diagnosis.windows.candidate import Candidate, slices_of
 from bo_sysid.effects import Machine, Part
-from bo_sysid.effects.guard import told
+from bo_sysid.effects.guard import as_study_error
 from bo_sysid.mjcf import Edit
 
 _AT_BOUND = 1e-6  # of a parameter's range, within which it is at its end
@@ -92,7 +92,7 @@ def edits_and_parts(
         def edit(spec: mujoco.MjSpec) -> None:
             if c.tied and not x.any():
                 c.effect.apply(spec, c.site, x, machine)
-            with told(f"effect {c.effect.id!r} at {c.site}"):
+            with as_study_error(f"effect {c.effect.id!r} at {c.site}"):
                 made[number] = make(spec, c.site, c.full(x), machine)  # again, if edited twice
             parts[:] = [part for k in sorted(made) for part in made[k]]
 

@@ -138,7 +138,7 @@ def _likeliest(
     """Return the change of start and the noise that are most likely along a linear model."""
     weighted = linear.with_process(process)
     move = np.einsum("wkr,wr->wk", weighted.start_gain, weighted.residual)
-    left = linear.problem.deviation(linear.hypothesis, linear.start) + process.told
+    left = linear.problem.deviation(linear.hypothesis, linear.start) + process.drawn_response
     left = left - np.einsum("wrk,wk->wr", linear.J, move)
     return np.asarray(move), process.likely(left)
 

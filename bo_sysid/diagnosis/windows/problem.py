@@ -196,12 +196,12 @@ class Problem:
     def _before(self, windows: Windows, steps: int) -> Float[np.ndarray, "W D nu"]:
         """Return the recorded controls of the last steps before each window."""
         dt, start = windows.timestep, windows.time - steps * windows.timestep
-        told = [w.actuator for w in self.laws if isinstance(w, Controller)]
+        with_law = [w.actuator for w in self.laws if isinstance(w, Controller)]
         past = np.zeros((len(windows), steps, windows.ctrl.shape[2]))
         for i, recording in enumerate(self.recordings):
             own = windows.recording == i
             past[own] = controls(
-                self.model, self.machine.model, recording, start[own], steps, dt, told
+                self.model, self.machine.model, recording, start[own], steps, dt, with_law
             )
         return past
 
@@ -232,8 +232,8 @@ class Problem:
         """Return starts with the activations that a hypothesis has led to."""
         if not changed_activations(self.machine.model, model, parts):
             return start
-        told = commanded(self.recordings, parts, windows.timestep)
-        act = activations_of(self.model, model, told, windows, ctrl)
+        recordings = commanded(self.recordings, parts, windows.timestep)
+        act = activations_of(self.model, model, recordings, windows, ctrl)
         return replace(start, act=act[:, coordinates.act])
 
     def simulate(self, hypothesis: Hypothesis, start: State, finer: int = 1) -> "Simulated":
@@ -307,7 +307,7 @@ class Problem:
         """Return recorded minus predicted for every observation, in units of all noise."""
         r = self.deviation(hypothesis, start, finer)
         if self.process is not None:
-            r = self.process.whiten(r + self.process.told)
+            r = self.process.whiten(r + self.process.drawn_response)
         if self.correction is not None and hypothesis.numerics:
             r = r - hypothesis.numerics * self.correction
         return r

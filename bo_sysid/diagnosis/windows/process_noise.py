@@ -36,13 +36,13 @@ class ProcessNoise:
         response: `W x R x k` A, in sigma of the sensors.
         basis: `W x R x m` Q such that I - QQᵀ = (I + A Aᵀ)^-½; nothing in it weights alike.
         controls: `W x S x nu` course n₀ about which A holds, added to the controls.
-        told: `W x R` A ξ₀.
+        drawn_response: `W x R` A ξ₀.
     """
 
     response: Float[np.ndarray, "W R k"]
     basis: Float[np.ndarray, "W R m"]
     controls: Float[np.ndarray, "W S nu"]
-    told: Float[np.ndarray, "W R"]
+    drawn_response: Float[np.ndarray, "W R"]
 
     @classmethod
     def about(
@@ -52,8 +52,8 @@ class ProcessNoise:
         drawn: Float[np.ndarray, "W k"],
     ) -> "ProcessNoise":
         """Return the noise with a response A about the course that `drawn` ξ₀ make."""
-        told = np.einsum("wrk,wk->wr", response, drawn)
-        return cls(response, weighting(response), controls, told)
+        drawn_response = np.einsum("wrk,wk->wr", response, drawn)
+        return cls(response, weighting(response), controls, drawn_response)
 
     @property
     def unweighted(self) -> "ProcessNoise":
@@ -77,14 +77,17 @@ class ProcessNoise:
             response=self.response[keep],
             basis=self.basis[keep],
             controls=self.controls[keep],
-            told=self.told[keep],
+            drawn_response=self.drawn_response[keep],
         )
 
     def beginning(self, observations: int, steps: int) -> "ProcessNoise":
         """Return that of the first observations of every window, and of so many steps."""
         response = self.response[:, :observations]
         return ProcessNoise(
-            response, weighting(response), self.controls[:, :steps], self.told[:, :observations]
+            response,
+            weighting(response),
+            self.controls[:, :steps],
+            self.drawn_response[:, :observations],
         )
 
     def whiten(self, r: Float[np.ndarray, "W R *c"]) -> Float[np.ndarray, "W R *c"]:

@@ -103,7 +103,7 @@ def _begun(problem: Problem, at: Hypothesis, known: State | None) -> Linear:
             first = first_starts(problem, at)
         elif problem.loose(at):  # in a gap no step leads from one arrival to another
             first = [*first_starts(problem, at)[:1], *first]
-        made.append(settled(problem, at, first))
+        made.append(linearise_at_best_starts(problem, at, first))
         return made[0].start.arrays
 
     of = () if known is None else tuple(known.arrays.items())
@@ -111,13 +111,13 @@ def _begun(problem: Problem, at: Hypothesis, known: State | None) -> Linear:
     return made[0] if made else linearise(problem, at, State.of(found))
 
 
-def settled(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
+def linearise_at_best_starts(problem: Problem, at: Hypothesis, first: Sequence[State]) -> Linear:
     """Return the model linearised at the starts that leave least of each window.
 
     Args:
         problem: the windows.
         at: the hypothesis.
-        first: starts from each of which they are settled.
+        first: starts from each of which the best ones are looked for.
     """
     found: tuple[State, Float[np.ndarray, "W R"]] | None = None
     for start in first:

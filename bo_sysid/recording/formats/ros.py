@@ -165,8 +165,8 @@ def _table(
     for topic, groups in topics.items():
         for number, rows in enumerate(_joined(groups.values())):
             name = f"{topic}.time" if number == 0 else f"{topic}.time{number + 1}"
-            stamps, told = _clock(topic, rows, origin, foreign, source)
-            notes += told
+            stamps, note = _clock(topic, rows, origin, foreign, source)
+            notes += note
             notes += rows.left_out(topic)
             order = np.argsort(stamps, kind="stable")
             columns[name] = stamps[order]

@@ -37,7 +37,7 @@ def read_csv(path: Path) -> RawTable:
     from pyarrow import csv as arrow_csv
 
     try:
-        text, told = _text(path)
+        text, note = _text(path)
         names, separator, body = _header_and_body(path, text)
         units, body = _units(names, separator, body)
     except csv.Error as error:
@@ -68,7 +68,7 @@ def read_csv(path: Path) -> RawTable:
         raise RecordingError(f"{path}: the last column has values but no name in the first line")
     pointed = separator == "," or any(map(pa.types.is_floating, table.schema.types))
     commas = {} if pointed else _decimal_commas(columns)
-    notes = [told] if told else []
+    notes = [note] if note else []
     if units:
         notes.append("Units were read from the line below the header.")
     if commas:
@@ -183,8 +183,8 @@ def _names(header: str, row: str) -> tuple[str, list[str]]:
 
     def fits(separator: str) -> tuple[bool, bool, int]:
         count = header.count(separator)
-        alike = count == row.count(separator)
-        return count > 0, alike, 0 if alike else count
+        consistent = count == row.count(separator)
+        return count > 0, consistent, 0 if consistent else count
 
     separator = max(";\t,", key=fits)
     if separator not in header:
