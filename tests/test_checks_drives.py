@@ -9,7 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import Wire
+from bo_sysid.checks.search import _other_units
+from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.simulation import Law
@@ -125,6 +128,41 @@ def test_a_law_reads_what_its_late_actuator_acts_on() -> None:
 
     laws = {n: (law(j, n), (f"goal.{n}",)) for j, n in zip("ab", MOTORS, strict=True)}
     nothing_wrong(find_wiring(arm(motors(LATE)), [Recording("log", {**kept, **told})], laws))
+
+
+def test_drives_over_tendons_are_said_to_have_no_tested_delay() -> None:
+    """Two tendons of a finger acted 12 ms late, and clocks were said to be right."""
+    tendon = """<tendon><fixed name="flexor"><joint joint="a" coef="1"/><joint joint="b" coef=".5"/>
+    </fixed></tendon>"""
+    pulled = (
+        ARM.format(drives='<motor name="ma" tendon="flexor"/>', link="", joint="")
+        .replace("</worldbody>", f"</worldbody>{tendon}")
+    )  # fmt: skip
+    model = mujoco.MjModel.from_xml_string(pulled)
+    log = played(arm(motors()), tones(0.4))
+    only = Recording("log", {n: c for n, c in log.channels.items() if n != "ctrl.mb"})
+    flags = [f for f in find_wiring(model, [only]).flags if f.kind == "clock"]
+    assert [f.channels for f in flags] == [("ctrl.ma",)]
+    assert "was not tested" in flags[0].sentence
+
+
+def test_degrees_are_not_converted_twice() -> None:
+    """Of a model that explains nothing, a motion of next to nothing explained more."""
+    log = played(arm(motors()), tones(0.4))
+    heavy = mujoco.MjModel.from_xml_string(
+        ARM.format(drives=motors(), link="", joint='stiffness="90"')
+    )
+    for converted in ("", "deg"):
+        channels = {
+            n: replace(c, unit="rad", converted=converted) if n.startswith("qpos") else c
+            for n, c in log.channels.items()
+        }
+        evidence = WiringEvidence(heavy, Traces([Recording("log", channels)], ["qpos.a", "qpos.b"]))
+        units = list(_other_units(evidence, evidence.identity()))
+        again = [names for names, unit, _ in units if unit == "deg" and names]
+        back = [names for names, unit, factor in units if unit == "rad" and factor > 1 and names]
+        assert bool(again) == (not converted)
+        assert ("qpos.a",) in back
 
 
 def test_a_control_that_never_changes_tells_no_delay() -> None:

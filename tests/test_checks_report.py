@@ -137,6 +137,7 @@ def test_saturated_and_frozen_channels() -> None:
     frozen = next(f for f in flags if f.kind == "frozen")
     assert frozen.evidence["seconds"] == pytest.approx(0.99)
     assert any("leaves the model's control range" in f.sentence for f in flags)
+    assert sum(f.sentence.endswith("the drive saturates there.") for f in flags) == 2
     short = Recording.from_arrays(TIME[:30], qpos={"x": q[:30]}, ctrl={"m": np.sin(3 * TIME[:30])})
     assert channel_flags(Model.from_xml(SLIDE).compile(), [short]) == []  # one is the largest
     steady = Recording.from_arrays(TIME, qpos={"x": np.round(np.sin(TIME), 2)}, ctrl={"m": q})
@@ -152,6 +153,7 @@ def test_a_command_of_steps_saturates_only_where_it_was_cut_off() -> None:
         flags = channel_flags(Model.from_xml(SLIDE).compile(), [log])
         kinds.append([f.kind for f in flags])
     assert kinds == [[], ["saturation", "saturation"]]
+    assert all(f.sentence.endswith("saturates there, or a motion rests there.") for f in flags)
 
 
 def test_clocks_that_lose_samples() -> None:

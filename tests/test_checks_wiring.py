@@ -355,6 +355,7 @@ class Told(WiringEvidence):
     def __init__(self, late: float) -> None:
         self.joints, self.hinges, self.inputs, self.motors = ["a", "b"], {"a", "b"}, set(), set()
         self.stated, self.weights, self.late = {"qpos.a": "", "qpos.b": ""}, np.ones(2), late
+        self.converted = set()
 
     def scores(self, h: WiringHypothesis, delays) -> np.ndarray:
         felt = {"qpos.a": 3.0, "qpos.b": 0.85}

@@ -74,13 +74,13 @@ def test_a_share_of_the_load_is_said_as_a_share() -> None:
     ("effect", "site", "words"),
     [
         ("servo_kp", Site("actuator", "y_servo"),
-         "The proportional gain of the y servo differs from the model's by 633 ± 34 N/m."),
+         "The proportional gain of the y servo differs from the model's by 630 ± 30 N/m."),
         ("servo_kd", Site("actuator", "y2"),
-         "The derivative gain of actuator y2 differs from the model's by 633 ± 34 N/m."),
+         "The derivative gain of actuator y2 differs from the model's by 630 ± 30 N/m."),
         ("constant_force", Site("joint", "y_axis"),
-         "A constant force of 633 ± 34 N/m that the model lacks acts on the y axis."),
+         "A constant force of 630 ± 30 N/m that the model lacks acts on the y axis."),
         ("wind", Site("world", "world"),
-         "The medium moves at 633 ± 34 N/m against the model's."),
+         "The medium moves at 630 ± 30 N/m against the model's."),
     ],
 )  # fmt: skip
 def test_a_site_is_said_once_and_sentences_begin_with_what_acts(

@@ -317,6 +317,22 @@ def test_windows_do_not_span_gaps(arm: Model) -> None:
     np.testing.assert_allclose(length, 0.02)
 
 
+def test_long_windows_do_not_span_pauses_either(arm: Model) -> None:
+    """Of .6 s, of which a third was not recorded, one was hardly longer than the others."""
+    whole = simulated(arm, 1500)
+    keep = np.r_[0:700, 800:1501]
+    pausing = Recording(
+        "pause",
+        {n: Channel(c.time[keep], c.values[keep], hold=c.hold) for n, c in whole.channels.items()},
+    )
+    windows = cut(arm, [pausing], horizon=300)
+    assert windows.left_out == (
+        "pause: 1 of 4 windows span a gap in the recording and are left out",
+    )
+    length = (windows.step + windows.fraction)[:, -1] * windows.timestep
+    np.testing.assert_allclose(length, 0.6)
+
+
 def test_a_finer_simulation_sees_the_same_instants(arm: Model) -> None:
     windows, _ = forecast(arm, simulated(arm), 10)
     fine = cut(arm, [simulated(arm)], horizon=10, timestep=0.0005)

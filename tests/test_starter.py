@@ -386,7 +386,7 @@ def test_bounds_and_limits_are_those_of_all_logs_but_the_held_out(tmp_path: Path
         p.addresses[0]: p.high for p in Study.load(path).parameter_set(Model.from_file(model))
     }
     assert bounds["joint[wheel].frictionloss"] == pytest.approx(
-        np.concatenate(torque[:3]).std(), rel=0.05
+        2 * np.concatenate(torque[:3]).std(), rel=0.05
     )
 
 

@@ -70,6 +70,13 @@ def test_german_names_with_units_in_brackets_are_read() -> None:
     ]  # fmt: skip
 
 
+def test_a_unit_behind_a_name_of_the_convention_is_read_unless_the_joint_is_called_so() -> None:
+    log = RawTable("log", {"time": TIME, "qpos.elbow_deg": np.rad2deg(ANGLES["elbow"])})
+    assert guess_rules(Model.from_xml(ARM), log).columns["qpos.elbow"]["unit"] == "deg"
+    so_called = Model.from_xml(ARM.replace('"elbow"', '"elbow_deg"'))
+    assert "unit" not in guess_rules(so_called, log).columns.get("qpos.elbow_deg", {})
+
+
 @pytest.mark.parametrize(("output", "input_"), [("y.{}", "u.{}"), ("y_train.{}", "u_train.{}")])
 def test_outputs_y_beside_inputs_u_are_positions_in_their_order(output: str, input_: str) -> None:
     """As files of benchmarks have them: they were left to be filled in, though the inputs were

@@ -53,13 +53,15 @@ def _saturated(
             held = values == extreme
             share = float(spent[held].sum() / spent.sum())
             if share > max(_HELD_AT_LIMIT, _OFTEN * usual) and held.sum() >= _SEVERAL:
+                limited = limits is not None and not limits[0] < extreme < limits[1]
+                what = "the drive saturates there" + (", or a motion rests there" * (not limited))
                 flags.append(
                     Flag(
                         "note",
                         "saturation",
                         (name,),
                         f"{recording}: {name} stays at its {side} value {extreme:.4g} for "
-                        f"{100 * share:.0f} % of the time: the drive saturates there.",
+                        f"{100 * share:.0f} % of the time: {what}.",
                         {"value": float(extreme), "share": share},
                     )
                 )

@@ -47,6 +47,9 @@ class WiringEvidence:
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
         self.stated = {n: c.unit for r in traces.recordings for n, c in r.channels.items()}
+        self.converted = {
+            n for r in traces.recordings for n, c in r.channels.items() if c.converted
+        }
         silent = [j for j in self.joints if f"qpos.{j}" not in self.recorded]
         self._late = {
             n: float(model.actuator_delay[a]) for a, n in zip(ids, self.actuators, strict=True)

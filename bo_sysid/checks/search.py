@@ -176,7 +176,11 @@ def _units(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypo
 def _other_units(
     evidence: WiringEvidence, h: WiringHypothesis
 ) -> Iterator[tuple[tuple[str, ...], str, float]]:
-    """Yield channels with a unit that they may be in, and the factor to SI from what they are."""
+    """Yield channels with a unit that they may be in, and the factor to SI from what they are.
+
+    What was converted already is in no other unit than the stated one, or in none: of a balancer
+    whose place was not recorded, degrees converted twice explained more than once.
+    """
     turning = [f"qpos.{j}" for j in evidence.joints if j in evidence.hinges]
     turning = [n for n in turning if n in h.wires]
     sliding = [n for n in h.wires if n.startswith("qpos.") and n not in turning]
@@ -190,7 +194,8 @@ def _other_units(
     groups += [([n], ANGLES) for n in (*turning, *goals)]
     groups += [([n], LENGTHS) for n in sliding] + [([n], INPUTS) for n in motors]
     for names, units in groups:
-        yield from ((tuple(names), unit, factor) for unit, factor in units)
+        plain = tuple(n for n in names if h.wires[n].source not in evidence.converted)
+        yield from ((plain, unit, factor) for unit, factor in units)
         for si, back in UNDONE.items():
             stated = tuple(n for n in names if evidence.stated[h.wires[n].source] == si)
             yield from ((stated, unit, factor) for unit, factor in back)

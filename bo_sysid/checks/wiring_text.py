@@ -170,12 +170,26 @@ def untested_flags(evidence: WiringEvidence) -> list[Flag]:
         )
     if evidence.weights.any():
         joints = tuple(j for j, names in stateful.items() if names)
-        return [not_tested(reasons[0], joints)] if joints else []
+        stateful_flags = [not_tested(reasons[0], joints)] if joints else []
+        return stateful_flags + _late_untested(evidence)
     lacking = dict.fromkeys(n for names in evidence.unknown.values() for n in names if n not in own)
     if lacking:
         commands = ", ".join(f"ctrl.{n}" for n in lacking)
         reasons.append(f"commands were not recorded ({commands})")
     return [not_tested(", and ".join(reasons) or "none of the recorded joints moves on its own")]
+
+
+def _late_untested(evidence: WiringEvidence) -> list[Flag]:
+    """Return the controls of which no delay is known: those that drive no one joint."""
+    names = tuple(n for n in sorted(evidence.inputs) if not evidence.driven(n))
+    if not names:
+        return []
+    sentence = (
+        f"When {listed(names)} {'acts' if len(names) == 1 else 'act'} was not tested: a delay is "
+        "looked for at controls that drive one joint, by no tendon over several. `diagnose` looks "
+        "for it everywhere."
+    )
+    return [Flag("note", "clock", names, sentence)]
 
 
 def not_tested(reason: str, joints: Sequence[str] = ()) -> Flag:

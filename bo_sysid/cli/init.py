@@ -52,7 +52,11 @@ def run(args: argparse.Namespace) -> None:
     for note in started.notes:
         print(f"- {note}")
     if started.rules.held:
-        print(f"- Not recorded, held where the model puts them: {', '.join(started.rules.held)}.")
+        held = ", ".join(started.rules.held)
+        print(
+            f"- Not recorded, held where the model puts them: {held}. If they move (a base that "
+            "rolls, a passive joint), list them under `unrecorded` instead, in `model:`."
+        )
     if following := started.rules.following:
         joints = ", ".join(following)
         print(f"- Not recorded, left to move, since the model ties them to others: {joints}.")

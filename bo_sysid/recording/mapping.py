@@ -132,12 +132,13 @@ class _Mapper:
                 self._require_fast(stated, clock)
             self._measured.setdefault(stated, {})[rows.tobytes()] = rows
         self.notes += [f"{name}: {note}." for note in notes]
-        values, si = self._converted(name, rule, column, raw[rows], where)
+        values, si, converted = self._converted(name, rule, column, raw[rows], where)
         position = hold == "none" and kind_of(name) == "qpos"
         if position and (found := find_outliers(clock.stamps[rows], values)):
             text = in_words(found, raw[rows], rows)
             self._outliers.append(f"{self.name}: {name} jumps to {text}; all are used.")
-        return Channel(clock.stamps[rows], values, si, f"{table.source}: {column}", hold)
+        source = f"{table.source}: {column}"
+        return Channel(clock.stamps[rows], values, si, source, hold, converted)
 
     def flaws(self) -> list[str]:
         """Return sentences about all clocks that were read, and about outliers of positions."""
@@ -270,8 +271,8 @@ class _Mapper:
 
     def _converted(
         self, name: str, rule: ColumnRule, column: str, raw: np.ndarray, where: str
-    ) -> tuple[np.ndarray, str]:
-        """Return samples in SI units and the unit, and note what was done."""
+    ) -> tuple[np.ndarray, str, str]:
+        """Return samples in SI units, that and the former unit, and note what was done."""
         written = rule.unit if rule.unit is not None else self.table.units.get(column, "")
         if written and (rule.unit is not None or is_unit(written)):
             where += "" if rule.unit is not None else ", as the file says"
@@ -308,7 +309,7 @@ class _Mapper:
             values = values - turns * rule.period
         if done or column != name:
             self.notes.append(f"{name} is " + ", ".join([f"column {column!r}", *done]) + ".")
-        return values, si
+        return values, si, written if factor != 1.0 else ""
 
 
 def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:

@@ -50,6 +50,7 @@ class Channel:
             auxiliary inputs); "linear" where such an input changes all the time and was sampled at
             the stamp (a measured duty, current or voltage); "none" where it was measured at the
             stamp and says nothing between.
+        converted: unit that the samples were converted from; empty where they were in `unit`.
     """
 
     time: Times
@@ -57,6 +58,7 @@ class Channel:
     unit: str = ""
     source: str = ""
     hold: Hold = "none"
+    converted: str = ""
 
     def __post_init__(self) -> None:
         time = _frozen(self.time)

@@ -135,14 +135,14 @@ def _rate(parts: Sequence[str]) -> str:
 
 def named(name: str, unit: str) -> Column:
     """Return a column as its name and the unit that the file states describe it."""
-    by_channel = _CONVENTION.get(kind_of(name)) if "." in name else None
-    if by_channel is not None:  # the rest is the name of an element, and says nothing
-        return Column(name, by_channel, words(name), unit, "its name")
     plain, unit_word = named_unit(name)
     parts = words(plain)
     kinds = _kinds_of(parts)
     unit_word = unit_word or _rate(parts)
     unit = unit or unit_word or next((UNITS[w] for w in reversed(parts) if w in UNITS), "")
+    by_channel = _CONVENTION.get(kind_of(name)) if "." in name else None
+    if by_channel is not None:  # the rest is the name of an element, and says nothing of the kind
+        return Column(name, by_channel, words(name), unit, "its name")
     bare = tuple(w for k, w in enumerate(parts) if w not in UNITS and (k == 0 or w not in _SECONDS))
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):

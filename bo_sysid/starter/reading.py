@@ -78,7 +78,9 @@ def without_constant(guess: Guess) -> Guess:
 
 def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tuple[Rule, Guess]:
     """Return the rule of a guess, and the guess, less sure where a unit was guessed as well."""
-    rule: Rule = {} if guess.column == guess.channel else {"from": guess.column}
+    rule: Rule = {"from": guess.column}
+    if guess.column == guess.channel:  # it ends as the element is called
+        rule, guess = {}, replace(guess, unit=table.units.get(guess.column, ""))
     kind, element = guess.channel.split(".", 1)
     unit = stated_unit(guess.unit, guess.column)
     fits = unit.quantity in _FITS.get(kind, ()) and table.units.get(guess.column) is None
