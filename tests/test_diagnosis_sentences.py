@@ -215,6 +215,24 @@ def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
 
 
 @pytest.mark.parametrize(
+    ("forecast", "fit", "begins"),
+    [
+        (1.1, 1.0, "Nothing is missing"),
+        (1.1, 5.0, "Nothing is missing"),  # a hopper of which nothing is
+        (1.1, 328.0, "Nothing was found to be missing, but"),
+        (4.0, 1.0, "Nothing was found to be missing, but"),
+    ],
+)
+def test_an_unseen_recording_contradicts_that_nothing_is_missing(
+    forecast: float, fit: float, begins: str
+) -> None:
+    left = {"forecast": forecast, "fit": fit}
+    holdout = {m: {"repaired": e, "noise_floor": 1.0} for m, e in left.items()}
+    answer = {"verdict": "nothing-missing", "findings": [], "holdout": holdout}
+    assert verdict_text(answer).startswith(begins)
+
+
+@pytest.mark.parametrize(
     ("instead", "begins"),
     [
         ("actuator_gain", "Either the model or what was measured is off"),
