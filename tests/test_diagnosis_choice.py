@@ -218,7 +218,7 @@ def test_a_tilt_that_the_first_encoder_copies_stands_in_one_class_with_it() -> N
     assert beside.startswith("Instead of an encoder offset at the shoulder it may be a tilt (0.0")
     said = next_experiment(made, explain(made), {}).sentence
     assert "tells an encoder offset at the shoulder from a tilt by" in said
-    assert said.endswith("What tells them apart: several postures; a known posture at rest.")
+    assert said.endswith("apart by several postures; a known posture at rest.")
 
 
 def test_a_motion_is_proposed_that_tells_and_keeps_the_limits(friction) -> None:

@@ -196,7 +196,8 @@ def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, tried: bool) -
             f"None of the motions that were tried within the limits tells {one} from {other} by "
             "what was recorded here."
         )
-    return f"{sentence} What tells them apart: {'; '.join(ways)}." if ways else sentence
+    rule = "As a rule such effects are told apart by" if tried else "What tells them apart:"
+    return f"{sentence} {rule} {'; '.join(ways)}." if ways else sentence
 
 
 def _what_it_adds(fit: Fit, other: Fit) -> str:
