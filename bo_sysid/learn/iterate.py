@@ -5,7 +5,6 @@ is not there is computed. Every phase follows from the files before it and the s
 the result is the one of a run that was never killed.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -47,6 +46,42 @@ class ProgressReporter:
         self.on_progress(Progress(step, PHASES * self.of, f"iteration {number}: {message}"))
 
 
+@dataclass(frozen=True)
+class _Step:
+    """What every phase of one iteration needs beside the scene, which a repair may change.
+
+    Attributes:
+        source: of real trajectories, which has recorded one more.
+        before: the iteration before; None in the first.
+        run: folder of the loop.
+        report: called after every phase.
+    """
+
+    source: Source
+    before: Iteration | None
+    run: Run
+    report: ProgressReporter
+
+    @property
+    def number(self) -> int:
+        """Number of the iteration, from 1 on."""
+        return self.before.number + 1 if self.before else 1
+
+    @property
+    def folder(self) -> str:
+        """Folder of the iteration, within that of the loop."""
+        return f"iterations/{self.number:02d}"
+
+    @property
+    def repairs(self) -> tuple[Repair, ...]:
+        """The repairs of the iterations before."""
+        return self.before.repairs if self.before else ()
+
+    def done(self, phase: int, message: str) -> None:
+        """Report that a phase is done."""
+        self.report(self.number, phase, message)
+
+
 def iterate(
     scene: Scene, source: Source, before: Iteration | None, run: Run, report: ProgressReporter
 ) -> Iteration:
@@ -59,50 +94,48 @@ def iterate(
         run: folder of the loop.
         report: called after every phase.
     """
-    number = before.number + 1 if before else 1
-    folder = f"iterations/{number:02d}"
+    step = _Step(source, before, run, report)
     count = len(source.trajectories)
-    report(number, 1, f"{count} real trajector{'y' if count == 1 else 'ies'}")
+    step.done(1, f"{count} real trajector{'y' if count == 1 else 'ies'}")
     known = before.found.rows if before else np.zeros(0, int)
-    found = _believed(scene, source, known, before, run, folder)
+    found = _identified(scene, step, known, step.folder)
     evaluations = len(found.rows)  # those of before were evaluated again
-    report(number, 2, f"least deviation {found.floor.deviation:.4g}")
-    repairs = before.repairs if before else ()
-    repair = _repaired(scene, source, found, repairs, run, number, report)
+    step.done(2, f"least deviation {found.floor.deviation:.4g}")
+    repair, repairs = _repaired(scene, step, found), step.repairs
     if repair is not None:
         repairs += (repair,)
         if repair.study is not None:
             scene = repaired_scene(scene, run, repair)
             none = np.zeros(0, int)  # the repaired model has other candidates
-            found = _believed(scene, source, none, before, run, f"{folder}/repaired")
+            found = _identified(scene, step, none, f"{step.folder}/repaired")
             evaluations += len(found.rows)
-    row = _chosen(scene, found, number)
-    steps = _steps(scene, source, found, row)
-    policy = _learned(scene, found, row, steps, before, run, number, report)
-    report(number, 3, "judged")
-    verdict = _judged(scene, source, found, row, policy, before)
-    figures = _figures(scene, source, found, row, policy, verdict, repair)
+    row = _chosen(scene, found, step.number)
+    policy = _learned(scene, step, found, row)
+    step.done(3, "judged")
+    verdict = _judged(scene, step, found, row, policy)
+    figures = _figures(scene, step, found, row, policy, verdict, repair)
     figures["evaluations"] = evaluations
-    result = Iteration(number, scene, found, row, policy, verdict, repairs, figures)
-    run.write_json(f"{folder}/iteration.json", figures)
-    report(number, 4, verdict.sentence)
+    result = Iteration(step.number, scene, found, row, policy, verdict, repairs, figures)
+    run.write_json(f"{step.folder}/iteration.json", figures)
+    step.done(4, verdict.sentence)
     return result
 
 
-def _believed(
-    scene: Scene,
-    source: Source,
-    known: Int[np.ndarray, " k"],
-    before: Iteration | None,
-    run: Run,
-    folder: str,
-) -> Identified:
-    stored = Identified.read(run, folder)
+def _identified(scene: Scene, step: _Step, known: Int[np.ndarray, " k"], folder: str) -> Identified:
+    """Return the belief after all trajectories, as a folder has it or after a search.
+
+    Args:
+        scene: gives the candidates.
+        step: the iteration.
+        known: rows that begin the search.
+        folder: where the belief is kept.
+    """
+    stored = Identified.read(step.run, folder)
     if stored is not None:
         return stored
-    learn, value_stop = scene.study.learn, None
-    if STOP_RULES[learn.stop].guided and before is not None:
-        valued = partial(value_candidates, scene, before.policy)
+    learn, value_stop, source = scene.study.learn, None, step.source
+    if STOP_RULES[learn.stop].guided and step.before is not None:
+        valued = partial(value_candidates, scene, step.before.policy)
 
         def value_stop(probabilities: Probabilities) -> Verdict:
             return value_guided(probabilities, learn.epsilon, learn.eta, valued)
@@ -114,40 +147,30 @@ def _believed(
         if not faults:
             raise
         raise RecordingError("; ".join([str(error), *faults])) from None
-    found.write(run, folder, scene.candidates)
+    found.write(step.run, folder, scene.candidates)
     return found
 
 
-def _repaired(
-    scene: Scene,
-    source: Source,
-    found: Identified,
-    repairs: Sequence[Repair],
-    run: Run,
-    number: int,
-    report: ProgressReporter,
-) -> Repair | None:
+def _repaired(scene: Scene, step: _Step, found: Identified) -> Repair | None:
     """Diagnose, where no candidate will do and no diagnosis was in vain before."""
-    folder = f"iterations/{number:02d}"
-    stored = stored_repair(run, folder)
+    stored = stored_repair(step.run, step.folder)
     if stored is not None:
         return stored
-    hopeless = len(repairs) >= MOST or any(r.study is None for r in repairs)
+    hopeless = len(step.repairs) >= MOST or any(r.study is None for r in step.repairs)
     if scene.study.learn.diagnose == "never" or hopeless:
         return None
     if not lacks_physics(found.floor, found.reason):
         return None
     ratio = found.floor.ratio
-    report(number, 2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
+    step.done(2, f"no candidate explains the recordings ({ratio:.1f} x noise): diagnosis")
 
     def diagnosing(progress: Progress) -> None:
         if not progress.passing:
-            report(number, 2, f"diagnosis: {progress.message}")
+            step.done(2, f"diagnosis: {progress.message}")
 
-    repair = repaired(scene, run, source.training, number, diagnosing)
-    run.write_json(
-        f"{folder}/repair.json", {"study": repair.study, "sentences": list(repair.sentences)}
-    )
+    repair = repaired(scene, step.run, step.source.training, step.number, diagnosing)
+    content = {"study": repair.study, "sentences": list(repair.sentences)}
+    step.run.write_json(f"{step.folder}/repair.json", content)
     return repair
 
 
@@ -156,23 +179,14 @@ def _chosen(scene: Scene, found: Identified, number: int) -> int:
     return CHOOSE[scene.study.learn.choose](found.probabilities, found.mean, rng)
 
 
-def _learned(
-    scene: Scene,
-    found: Identified,
-    row: int,
-    steps: int,
-    before: Iteration | None,
-    run: Run,
-    number: int,
-    report: ProgressReporter,
-) -> LearnedPolicy:
+def _learned(scene: Scene, step: _Step, found: Identified, row: int) -> LearnedPolicy:
     """Learn a policy by TRPO on the model at the chosen candidate, or over P_boot.
 
     A fresh policy begins with the networks and the draws of every other one: they differ by their
     models alone, and none inherits what a wrong model taught it. A warm one resumes from the
     previous checkpoint, under the new model.
     """
-    place = run.path(f"iterations/{number:02d}/policy.npz")
+    place = step.run.path(f"{step.folder}/policy.npz")
     if place.is_file():
         return LearnedPolicy.load(place)
 
@@ -182,17 +196,18 @@ def _learned(
     probabilities = found.bootstrap if scene.study.learn.models == "bootstrap" else None
 
     def watch(batch: TrainingIteration) -> None:
-        report(number, 2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
+        step.done(2, f"TRPO {batch.steps} steps, return {batch.batch_return:.4g}")
 
     environment = scene.training(point, probabilities, threads())
-    start = Beginning()
+    start, before = Beginning(), step.before
     same = before is not None and before.scene is scene  # no repair in between
     if before and same and scene.study.policy.start == "warm":
         start = Beginning(before.number, go_on=True)
     elif before and same and probabilities is None and before.row == row:
         start = Beginning(before.number)  # the same training: its result is taken over
-    policy = train_on(scene, environment, run, number, start, steps, watch)
-    about = {**policy.about, "iteration": number, "beta": _named(scene, row)}
+    steps = _steps(scene, step, found, row)
+    policy = train_on(scene, environment, step.run, step.number, start, steps, watch)
+    about = {**policy.about, "iteration": step.number, "beta": _named(scene, row)}
     about["share_beyond"] = limit_violation_share(scene, policy, point)
     about["commands"] = dict(zip(("low", "high"), command_range(scene), strict=True))
     about["machine"] = machine_names(scene)
@@ -218,29 +233,24 @@ def value_candidates(
 
 
 def _judged(
-    scene: Scene,
-    source: Source,
-    found: Identified,
-    row: int,
-    policy: LearnedPolicy,
-    before: Iteration | None,
+    scene: Scene, step: _Step, found: Identified, row: int, policy: LearnedPolicy
 ) -> Verdict:
     """Return whether the loop ends: by its rule, or because more trajectories are of no use."""
     learn = scene.study.learn
     all_spent = f"All {learn.trajectories} trajectories of learn.trajectories are spent."
     if not STOP_RULES[learn.stop].near:
-        if _budget_exhausted(scene, source):
+        if _budget_exhausted(scene, step.source):
             return Verdict(True, all_spent, budget_exhausted=True)
         return Verdict(False, "The loop goes on until its trajectories are spent.")
     valued = partial(value_candidates, scene, policy)
     verdict = near_enough(scene.candidates, row, found.best, learn.epsilon, learn.r, valued)
-    if not verdict.stop and _repeats(found, row, policy, before):
+    if not verdict.stop and _repeats(found, row, policy, step.before):
         text = (
             "The trajectory of this very policy left the belief where it was: another one "
             "would tell no more."
         )
         return Verdict(True, f"{verdict.sentence} {text}", verdict.figures)
-    if _budget_exhausted(scene, source) and not verdict.stop:
+    if _budget_exhausted(scene, step.source) and not verdict.stop:
         return Verdict(
             True, f"{all_spent} {verdict.sentence}", verdict.figures, budget_exhausted=True
         )
@@ -259,13 +269,13 @@ def _budget_exhausted(scene: Scene, source: Source) -> bool:
     return len(source.trajectories) >= scene.study.learn.trajectories
 
 
-def _steps(scene: Scene, source: Source, found: Identified, row: int) -> int:
+def _steps(scene: Scene, step: _Step, found: Identified, row: int) -> int:
     """Return how long to learn: a policy that cannot be the last may be a draft."""
     policy, learn = scene.study.policy, scene.study.learn
     near = distances(scene.candidates, row)[found.best] <= learn.epsilon + 1e-12
     if (
         policy.draft is None
-        or _budget_exhausted(scene, source)
+        or _budget_exhausted(scene, step.source)
         or (near and STOP_RULES[learn.stop].near)
     ):
         return policy.steps
@@ -279,7 +289,7 @@ def _named(scene: Scene, row: int) -> dict[str, float]:
 
 def _figures(
     scene: Scene,
-    source: Source,
+    step: _Step,
     found: Identified,
     row: int,
     policy: LearnedPolicy,
@@ -287,9 +297,9 @@ def _figures(
     repair: Repair | None,
 ) -> dict[str, Any]:
     value = value_candidates(scene, policy, np.array([row]), 1).value(0)
-    plant = source.evaluate(policy)
+    plant = step.source.evaluate(policy)
     return {
-        "trajectories": len(source.trajectories),
+        "trajectories": len(step.source.trajectories),
         "study": scene.study.name,
         "row": row,
         "chosen": _named(scene, row),
