@@ -70,6 +70,26 @@ def test_german_names_with_units_in_brackets_are_read() -> None:
     ]  # fmt: skip
 
 
+def test_numbered_axes_with_actual_and_set_values_are_joints_and_goals_in_order() -> None:
+    """As controllers of machines name them; the eight columns of a SCARA were left to be filled."""
+    bodies = "".join(
+        f'<body pos="{k} 0 0"><joint name="{n}" range="-170 170"/><geom size=".1"/></body>'
+        for k, n in enumerate(("J1", "J2"))
+    )
+    servos = "".join(f'<position name="servo{k}" joint="J{k}" kp="20" kv="1"/>' for k in (1, 2))
+    model = f"<mujoco><worldbody>{bodies}</worldbody><actuator>{servos}</actuator></mujoco>"
+    columns = {f"axis{k}_act": np.rad2deg(q) for k, q in enumerate(ANGLES.values(), 1)}
+    columns |= {f"axis{k}_set": np.rad2deg(q) for k, q in enumerate(GOALS.values(), 1)}
+    rules = guess_rules(Model.from_xml(model), RawTable("log", {"time": TIME, **columns}))
+    assert rules.columns == {
+        "qpos.J1": {"from": "axis1_act", "unit": "deg"},
+        "qpos.J2": {"from": "axis2_act", "unit": "deg"},
+        "ctrl.servo1": {"from": "axis1_set", "unit": "deg"},
+        "ctrl.servo2": {"from": "axis2_set", "unit": "deg"},
+    }
+    assert named("motor_applied", "").kind == "other"
+
+
 def test_a_unit_behind_a_name_of_the_convention_is_read_unless_the_joint_is_called_so() -> None:
     log = RawTable("log", {"time": TIME, "qpos.elbow_deg": np.rad2deg(ANGLES["elbow"])})
     assert guess_rules(Model.from_xml(ARM), log).columns["qpos.elbow"]["unit"] == "deg"

@@ -118,6 +118,7 @@ def findings_table(findings: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
                 "low95": d["interval"][0], "high95": d["interval"][1], "unit": d["unit"],
             }
             for name, d in f["details"].items()
+            if d["value"] or d["interval"][0] != d["interval"][1]  # else there is none of it
         ]  # fmt: skip
     return pd.DataFrame(rows)
 

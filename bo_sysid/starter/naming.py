@@ -28,7 +28,7 @@ WORDS: dict[str, frozenset[str]] = {
     "command": frozenset(
         {"ctrl", "cmd", "command", "commands", "action", "actions", "goal", "goals", "target",
          "targets", "desired", "des", "ref", "reference", "setpoint", "setpoints", "input",
-         "inputs", "u", "con", "control", "soll", "sollwert"}
+         "inputs", "u", "con", "control", "set", "soll", "sollwert"}
     ),
     "effort": frozenset(
         {"torque", "torques", "tau", "tq", "trq", "moment", "moments", "effort", "efforts",
@@ -40,7 +40,7 @@ WORDS: dict[str, frozenset[str]] = {
          "temperature", "temperatures", "temp"}
     ),
     "measured": frozenset({"meas", "measured", "present", "actual", "feedback", "applied",
-                           "ist", "istwert"}),
+                           "act", "ist", "istwert"}),
 }  # fmt: skip
 """Words in the names of columns, by what they say."""
 PLACED = WORDS["position"] - {"state", "states", "joint", "x", "y"}
@@ -160,8 +160,8 @@ def named(name: str, unit: str) -> Column:
     elif unit_word:
         kind = _BY_QUANTITY.get(unit_called(unit_word, name).quantity, "other")
         kind = "position" if kind == "other" and "position" in kinds else kind
-    elif "position" in kinds or unit in PLACES:
-        kind = "position"
+    elif "position" in kinds or unit in PLACES or ("measured" in kinds and "applied" not in parts):
+        kind = "position"  # what was measured, of which nothing else is said
     if kind == "velocity" and unit in _PER_SECOND:  # vel_deg
         unit = f"{_PER_SECOND[unit]}/s"
     return Column(name, kind, parts, unit, "its name" if kind != "other" else "")

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from bo_sysid.checks.proposal import Rule
-from bo_sysid.mjcf.commands import driven_joint
+from bo_sysid.mjcf.commands import driven_joint, is_position_servo
 from bo_sysid.mjcf.joints import HINGE
 from bo_sysid.recording import RawTable
 from bo_sysid.recording.units import Unit, is_unit, unit
@@ -90,14 +90,26 @@ def column_rule(table: RawTable, compiled: mujoco.MjModel, guess: Guess) -> tupl
         rule |= _TICK_RULE
     elif fits and (unit.factor != 1 or unit.quantity in _ELECTRIC):
         rule["unit"] = guess.unit
-    elif kind == "qpos" and unit.quantity != "angle":
-        made, reach = _by_reach(table, compiled, element, guess.column)
+    elif unit.quantity != "angle" and (joint := _placed(compiled, kind, element)):
+        made, reach = _by_reach(table, compiled, joint, guess.column)
         if made:
             reason = f"{guess.reason}; {made['unit']}, since it reaches {reach:.4g}"
             reason += f"; {_TICK_GUESS}" if made is _TICK_RULE else ""
             guess = replace(guess, reason=reason, confidence=min(guess.confidence, _UNTOLD))
         rule |= made
     return rule, guess
+
+
+def _placed(compiled: mujoco.MjModel, kind: str, element: str) -> str:
+    """Return the joint of which a channel is a place: its own, or a servo's goal; else empty."""
+    if kind == "qpos":
+        return element
+    if kind != "ctrl":
+        return ""
+    servo = compiled.actuator(element).id
+    integrates = int(compiled.actuator_dyntype[servo]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    goal = is_position_servo(compiled, servo) and not integrates
+    return (driven_joint(compiled, servo) or "") if goal else ""
 
 
 def _by_reach(
