@@ -53,10 +53,10 @@ class Unexplained:
             return ()
         if self.longer:
             return (
-                "Something is missing that the short windows of a diagnosis in contact do not "
-                f"show: nothing is left in them, and {self.longer:.3g} sensor sigmas in windows of "
-                f"{LONGER:g} s. Positions that were not recorded may follow anything that is "
-                "short: record them, or hold the base.",
+                "Something is missing that the short windows of this diagnosis do not show: "
+                f"nothing is left in them, and {self.longer:.3g} sensor sigmas in windows of "
+                f"{LONGER:g} s. Positions that were not recorded, if there are any, follow "
+                "anything for so short a time: record them, or hold the base.",
             )
         where = spoken(Site("world" if self.kind == "world" else "joint", self.site))
         text = f"Something acts on {where} that no known effect explains"
