@@ -82,8 +82,8 @@ class Whitening:
     @property
     def spread(self) -> dict[str, float]:
         """Scale of each channel that is its recorded spread, by name."""
-        told = zip(self.channels, self.scale.tolist(), self.source, strict=True)
-        return {name: scale for name, scale, source in told if source == "recorded spread"}
+        scales = zip(self.channels, self.scale.tolist(), self.source, strict=True)
+        return {name: scale for name, scale, source in scales if source == "recorded spread"}
 
     def frame(self) -> pd.DataFrame:
         """Return one row a channel: its scale and where that comes from."""

@@ -2,22 +2,18 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal
 
 import mujoco
 import numpy as np
 
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import is_position_servo
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.matching import Guess, match
 from bo_sysid.starter.naming import PLACED, WORDS, Column, words
 from bo_sysid.starter.numbers import numbered
-from bo_sysid.starter.reading import driven, stated_unit
+from bo_sysid.starter.reading import ControlKind, control_kind, driven, stated_unit
 
 _SAME_NAME = 0.8  # confidence in a column that nothing but its name says to be a control
-ControlKind = Literal["position", "velocity", "force"]
-"""What a control sets: where to go, how fast, or what to exert."""
 _SAYING: dict[ControlKind, frozenset[str]] = {
     "position": PLACED,
     "velocity": WORDS["velocity"],
@@ -38,15 +34,6 @@ _FEEDS = frozenset(
      "voltages", "throttle"}
 )  # fmt: skip
 """Words of what feeds a motor: its control where the log has no force."""
-
-
-def control_kind(compiled: mujoco.MjModel, actuator: str) -> ControlKind:
-    """Return what an actuator is told; a servo of speed brakes as much as its gain drives."""
-    found = compiled.actuator(actuator)
-    if is_position_servo(compiled, found.id):
-        integrates = int(found.dyntype[0]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-        return "velocity" if integrates else "position"
-    return "velocity" if 0 != found.gainprm[0] == -found.biasprm[2] else "force"
 
 
 def fits_control(compiled: mujoco.MjModel, actuator: str, column: Column) -> bool:

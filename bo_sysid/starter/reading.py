@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import log, pi
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -16,6 +17,8 @@ from bo_sysid.starter.columns import BY_STEPS
 from bo_sysid.starter.matching import Guess
 from bo_sysid.starter.naming import Column
 
+ControlKind = Literal["position", "velocity", "force"]
+"""What a control sets: where to go, how fast, or what to exert."""
 _TURNS = 4 * pi  # a hinge that seems to move by more is not in radians
 _TICK_RULE: Rule = {"unit": "ticks", "scale": round(2 * pi / 4096, 8)}
 _TICK_GUESS = "its scale is a guess, 4096 ticks a turn"
@@ -54,6 +57,15 @@ def driven(compiled: mujoco.MjModel, channel: str) -> str:
     if kind != "ctrl":
         return ""
     return driven_joint(compiled, compiled.actuator(element).id) or ""
+
+
+def control_kind(compiled: mujoco.MjModel, actuator: str) -> ControlKind:
+    """Return what an actuator takes; a servo of speed brakes as much as its gain drives."""
+    found = compiled.actuator(actuator)
+    if is_position_servo(compiled, found.id):
+        integrates = int(found.dyntype[0]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+        return "velocity" if integrates else "position"
+    return "velocity" if 0 != found.gainprm[0] == -found.biasprm[2] else "force"
 
 
 def constant_hint(compiled: mujoco.MjModel, actuator: str, stated: str) -> str:
@@ -106,10 +118,8 @@ def _placed(compiled: mujoco.MjModel, kind: str, element: str) -> str:
         return element
     if kind != "ctrl":
         return ""
-    servo = compiled.actuator(element).id
-    integrates = int(compiled.actuator_dyntype[servo]) == int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
-    goal = is_position_servo(compiled, servo) and not integrates
-    return (driven_joint(compiled, servo) or "") if goal else ""
+    goal = control_kind(compiled, element) == "position"
+    return driven(compiled, f"ctrl.{element}") if goal else ""
 
 
 def _by_reach(
