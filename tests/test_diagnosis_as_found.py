@@ -24,7 +24,7 @@ def test_a_proposed_motion_keeps_efforts_of_motors_that_are_stronger_than_the_mo
     gain = candidate(machine, "actuator_gain", "elbow")
     fit = refit(prepare(problem).linear, [gain], [np.array([0.5])])
     limits = {"elbow": Limit(effort=0.2), "shoulder": Limit(effort=0.8)}
-    bounds = _Bounds.of(arm(), limits)
+    bounds = _Bounds.of(arm(), limits, problem, fit)
     model, _ = problem.compiled(fit.hypothesis)
     most = float(model.actuator_gainprm[1, 0] * model.actuator_gear[1, 0])
     assert most == pytest.approx(1.6, rel=0.01)
@@ -35,6 +35,29 @@ def test_a_proposed_motion_keeps_efforts_of_motors_that_are_stronger_than_the_mo
     efforts = [most * np.abs(controls[:, 1]).max() for controls, _ in kept]
     assert max(efforts) <= 0.2
     assert max(efforts) > 0.1
+
+
+def test_a_proposed_motion_keeps_to_what_was_recorded_where_no_limit_is_stated() -> None:
+    problem, machine = posed(record([("dry_friction", "joint", "elbow", [0.15])], duration=3.0))
+    friction = candidate(machine, "dry_friction", "elbow")
+    fit = refit(prepare(problem).linear, [friction], [np.array([0.15])])
+    bounds = _Bounds.of(arm(), {}, problem, fit)
+    shown = problem.simulate(fit.hypothesis, fit.start)
+    speed = np.abs(shown.trajectory.qvel).max(axis=(0, 1))
+    gear = problem.machine.model.actuator_gear[:2, 0]
+    effort = np.abs(gear * shown.ctrl).max(axis=(0, 1))
+    tried = 0
+    for _, controls in _motions(problem):
+        if kept := _kept(problem, fit, bounds, controls):
+            recording = kept[1]
+            assert (np.abs(gear * kept[0]).max(axis=0) <= 1.151 * effort).all()
+            for j, name in enumerate(problem.model.joints):
+                q = recording.channels[f"qpos.{name}"].values
+                rate = np.abs(np.gradient(q, machine.sampling)).max()
+                assert rate <= 1.16 * speed[j]
+                assert np.ptp(q) <= 1.31 * machine.joints[name].span
+            tried += 1
+    assert tried
 
 
 def test_what_a_parameter_fitted_of_a_servo_is_what_a_finding_begins_with() -> None:

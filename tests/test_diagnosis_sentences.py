@@ -202,7 +202,10 @@ def test_a_group_of_three_is_said_in_one_sentence_and_two_in_two() -> None:
 
 @pytest.mark.parametrize(
     ("nominal", "refitted", "begins"),
-    [(8.16, 1.06, "The model needs what was fitted"), (1.27, 1.25, "Nothing is missing")],
+    [
+        (8.16, 1.06, "The model needs what was fitted"),
+        (1.27, 1.25, "These recordings show nothing"),
+    ],
 )
 def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
     nominal: float, refitted: float, begins: str
@@ -211,14 +214,15 @@ def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
     forecast = {"nominal": nominal, "refitted": refitted}
     answer = {"verdict": "nothing-missing", "holdout": {"forecast": forecast}}
     assert verdict_text(answer).startswith(begins)
-    assert verdict_text({**answer, "holdout": {}}) == "Nothing is missing from the model."
+    plain = "These recordings show nothing that is missing from the model."
+    assert verdict_text({**answer, "holdout": {}}) == plain
 
 
 @pytest.mark.parametrize(
     ("forecast", "fit", "begins"),
     [
-        (1.1, 1.0, "Nothing is missing"),
-        (1.1, 5.0, "Nothing is missing"),  # a hopper of which nothing is
+        (1.1, 1.0, "These recordings show nothing"),
+        (1.1, 5.0, "These recordings show nothing"),  # a hopper of which nothing is
         (1.1, 328.0, "Nothing was found to be missing, but"),
         (4.0, 1.0, "Nothing was found to be missing, but"),
     ],

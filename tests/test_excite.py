@@ -243,8 +243,8 @@ def test_random_tones_are_flat_in_their_band_and_as_large_as_the_limits_allow() 
     assert power[frequency > 6.0].max() < 0.02 * inside.mean()
     assert inside.max() < 5 * inside.min()  # 16 draws, faded in and out
     for u in tones[:3]:
-        assert d.violation(u, d.machines, 1.0) == 0.0
-        assert d.violation(1.15 * u, d.machines, 1.0) > 0.0
+        assert d.violation(u, d.proof, 1.0) == 0.0
+        assert d.violation(1.15 * u, d.proof, 1.0) > 0.0
 
 
 def test_a_plan_tells_more_than_random_tones_and_keeps_energy_and_the_limits_of_every_machine() -> (
@@ -256,7 +256,8 @@ def test_a_plan_tells_more_than_random_tones_and_keeps_energy_and_the_limits_of_
     energy = float(np.median(d.energy(tones)))
     planned = design(d, budget=200, seed=0, energy=energy)
     assert d.information(planned).sigma.max() < 0.5 * before
-    assert d.violation(planned, d.machines, 1.0) == 0.0
+    assert d.violation(planned, d.proof, 1.0) == 0.0
+    assert len(d.proof) == len(d.machines) + 4  # the corners of two parameters' bounds
     assert d.energy(planned) <= 1.01 * energy
 
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from bo_sysid.belief.bootstrap import resample
 from bo_sysid.belief.stopping import StopReason, StopRule
-from bo_sysid.deviation import Evaluation
+from bo_sysid.deviation import Blocks, Evaluation
 from bo_sysid.deviation.forecast import Residual
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.identify import identify
@@ -24,7 +24,14 @@ from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import make_problem
 from bo_sysid.identify.refine import Level, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import History, Rules, initial_rows, search, update_belief
+from bo_sysid.identify.search import (
+    History,
+    Rules,
+    SearchOutcome,
+    initial_rows,
+    search,
+    update_belief,
+)
 from bo_sysid.parameters import COLUMNS, CandidateSet, Parameter
 from bo_sysid.recording import Channel, Recording
 from bo_sysid.runs import Run
@@ -310,19 +317,29 @@ def test_no_candidate_is_there_twice_after_zooming(grid: CandidateSet) -> None:
     assert apart.min() > 0.5
 
 
+def level(candidates: CandidateSet, history: History) -> Level:
+    """A set in which nothing more is evaluated."""
+    rules = Rules("argmin-entropy", StopRule(1))
+    surrogate, belief = update_belief(candidates, history, rules)
+    return Level(candidates, SearchOutcome(history, surrogate, belief, StopReason.BUDGET))
+
+
+BLOCKS = Blocks(np.arange(8), np.full(8, 1 / 8), None)
+
+
 def test_a_value_is_not_there_twice_a_rounding_apart_after_zooming() -> None:
     """Candidates that were not evaluated have values of finer grids as well."""
     whole = CandidateSet.from_grid([replace(X, low=0.3, high=0.9, steps=7), replace(X, name="y")])
-    for row in range(len(whole)):
+    for row in range(0, len(whole), 5):
         history = History.empty(8).with_evaluation(row, bowl(whole)(row))
         finer = zoomed(whole, history, np.eye(len(whole))[row], 0)
         assert finer is not None
-        points = joined([Level(whole, history), Level(*finer)])[0].candidates.points
+        points = joined([level(whole, history), level(*finer)], BLOCKS, 0).candidates.points
         for values, cell in zip(points.T, finer[0].cell, strict=True):
             assert np.diff(np.unique(values)).min() > 0.01 * cell
 
 
-def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet) -> None:
+def test_all_sets_together_have_the_finer_one_in_its_box(grid: CandidateSet) -> None:
     middle = len(grid) // 2
     history = History.empty(8)
     for row in (0, middle, 3):
@@ -331,17 +348,24 @@ def test_all_sets_together_keep_every_candidate_and_its_cell(grid: CandidateSet)
     assert finer is not None
     candidates, known = finer
     known = known.with_evaluation(len(known), bowl(candidates)(len(known)))
-    whole, cells = joined([Level(grid, history), Level(candidates, known)])
+    coarse, fine = level(grid, history), level(candidates, known)
+    whole = joined([coarse, fine], BLOCKS, 0)
     points = whole.candidates.points
     assert len(np.unique(points, axis=0)) == len(points)
-    assert {*map(tuple, points)} == {*map(tuple, grid.points), *map(tuple, candidates.points)}
-    assert len(whole.history) == 4
-    for row, value in zip(whole.history.rows, whole.history.evaluation.deviation, strict=True):
-        assert bowl(whole.candidates)(int(row)).deviation[0] == value
     low, high = candidates.bounds
-    within = ((points > low + 1e-9) & (points < high - 1e-9)).all(axis=1)
-    np.testing.assert_allclose(cells[within], np.tile(candidates.cell, (within.sum(), 1)))
-    np.testing.assert_allclose(cells[~within], np.tile(grid.cell, ((~within).sum(), 1)))
+    outside = ((grid.points < low - 1e-9) | (grid.points > high + 1e-9)).any(axis=1)
+    expected = {*map(tuple, grid.points[outside]), *map(tuple, candidates.points)}
+    assert {*map(tuple, points)} == expected
+    within = ((points > low - 1e-9) & (points < high + 1e-9)).all(axis=1)
+    np.testing.assert_allclose(whole.cells[within], np.tile(candidates.cell, (within.sum(), 1)))
+    np.testing.assert_allclose(whole.cells[~within], np.tile(grid.cell, ((~within).sum(), 1)))
+    # P of the box times P within it
+    assert whole.probabilities.sum() == pytest.approx(1.0)
+    of_box = 1 - coarse.outcome.belief.probabilities[outside].sum()
+    assert whole.probabilities[within].sum() == pytest.approx(of_box)
+    ratio = whole.probabilities[within].max() / whole.probabilities[within].sum()
+    assert ratio == pytest.approx(fine.outcome.belief.probabilities.max())
+    assert whole.bootstrap.sum() == pytest.approx(1.0)
 
 
 def test_the_initial_design_keeps_to_the_budget(grid: CandidateSet) -> None:
@@ -443,6 +467,67 @@ def test_zooming_leaves_the_interval_as_wide_as_the_recordings_do(tmp_path: Path
     assert found.identifiability["of_range"][0] == pytest.approx(row["high95"] - row["low95"])
     assert found.unsure == ()
     assert len(found.evaluations) == found.evaluations["mass"].nunique() <= 20
+
+
+PENDULUM = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="hinge" axis="0 1 0" damping="{damping}"/>
+      <geom name="rod" type="capsule" fromto="0 0 0 0 0 -.4" size=".02" mass="{mass}"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator>
+</mujoco>
+"""
+
+
+def pendulum_study(folder: Path, **search: object) -> Study:
+    """A driven pendulum of .63 kg with damping .083 N m s/rad, 12 s at 100 Hz."""
+    model = mujoco.MjModel.from_xml_string(PENDULUM.format(damping=0.083, mass=0.63))
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    for _ in range(1200):
+        data.ctrl[0] = 0.6 * np.sin(3 * data.time) + 0.3 * np.sin(7.1 * data.time)
+        rows.append([data.time, data.qpos[0], data.qvel[0], data.ctrl[0]])
+        mujoco.mj_step(model, data, 5)
+    time, angle, speed, torque = np.array(rows).T
+    Recording.from_arrays(
+        time,
+        qpos={"hinge": angle + 1e-3 * rng.standard_normal(len(time))},
+        qvel={"hinge": speed + 1e-2 * rng.standard_normal(len(time))},
+        ctrl={"motor": torque},
+    ).to_frame().to_parquet(folder / "log.parquet")
+    (folder / "pendulum.xml").write_text(PENDULUM.format(damping=0.05, mass=0.5))
+    mass = {"name": "mass", "address": "geom[rod].mass", "low": 0.2, "high": 1.0}
+    damping = {"name": "damping", "address": "joint[hinge].damping", "low": 0.0, "high": 0.2}
+    data = {
+        "model": "pendulum.xml",
+        "recordings": {"train": ["log.parquet"], "noise": {"qpos": 1e-3, "qvel": 1e-2}},
+        "parameters": [{**mass, "steps": 9}, {**damping, "steps": 9}],
+        "deviation": {"horizon": 10},
+        "search": {"budget": 60, "refine": True, **search},
+    }
+    return Study.from_dict(data, folder)
+
+
+@pytest.mark.parametrize(("candidates", "seed"), [("grid", 0), ("grid", 1), ({"sobol": 1000}, 0)])
+def test_the_interval_is_that_of_the_recordings_for_two_parameters(
+    tmp_path: Path, candidates: object, seed: int
+) -> None:
+    """Beside the arg-min of every bootstrap over a set so fine that it does not matter."""
+    study = pendulum_study(tmp_path, candidates=candidates, seed=seed)
+    found = identify(study).parameters
+    problem = make_problem(study, threads=1)
+    axes = np.linspace(0.618, 0.642, 25), np.linspace(0.079, 0.088, 19)
+    fine = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+    blocks = problem.deviation.blocks
+    drawn = resample(np.zeros(len(blocks.weight), int), 4000, np.random.default_rng(0))
+    sums = problem.deviation(fine).contributions @ (drawn * blocks.weight).T
+    low, high = np.quantile(fine[sums.argmin(axis=0)], [0.025, 0.975], axis=0)
+    # a candidate stands for its cell, a tenth of the interval and more beside it
+    assert (abs(found["low95"] - low) < 0.5 * (high - low)).all()
+    assert (abs(found["high95"] - high) < 0.5 * (high - low)).all()
 
 
 @pytest.mark.parametrize("steps", [6, 11])

@@ -25,7 +25,7 @@ from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
 from bo_sysid.starter.matching import Guess, match
 from bo_sysid.starter.naming import words
-from bo_sysid.starter.pose import pose_guesses
+from bo_sysid.starter.pose import pose_guesses, pose_rule
 from bo_sysid.starter.reading import clock_rule
 from bo_sysid.study import Study
 
@@ -794,6 +794,27 @@ def test_the_pose_of_a_floating_base_is_found_by_its_letters(tmp_path: Path) -> 
     pd.DataFrame(log).drop(columns="mocap_qw").to_csv(tmp_path / "part.csv", index=False)
     held = init(tmp_path / "rover.xml", [tmp_path / "part.csv"], tmp_path / "other.yaml")
     assert any("wrong for one that drives or walks" in note for note in held.notes)
+
+
+@pytest.mark.parametrize(
+    "called", ["mocap_{}_mm", "x_mm", "pos_{}_mm", "drone_pos_{}_mm", "p{} [mm]", "mocap_{}"]
+)
+def test_the_unit_behind_the_letters_of_a_pose_is_left_aside_and_written(
+    tmp_path: Path, called: str
+) -> None:
+    places = {k: called.format(k) if "{" in called else f"{k}_mm" for k in "xyz"}
+    compiled = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint name="root"/><geom size=".1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    columns = {name: np.linspace(0, 500, 9) for name in places.values()}
+    columns |= {f"rot_{k}": np.full(9, float(k == "w")) for k in "xyzw"}
+    table = RawTable("log", columns)
+    found = {g.channel: (g.column, pose_rule(table, g)) for g in pose_guesses(compiled, table)}
+    assert [found[f"qpos.root.{k}"][0] for k in range(3)] == list(places.values())
+    unit = {"unit": "mm"} if "mm" in called else {}
+    assert found["qpos.root.0"][1] == {"from": places["x"], **unit}
+    assert found["qpos.root.3"][1] == {"from": "rot_w"}
 
 
 def test_a_machine_that_only_floats_is_read_from_its_pose_and_its_motors(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ References:
     Davison & Hinkley (1997), Bootstrap methods and their application, 3.8.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import ndtr
@@ -33,6 +35,21 @@ from bo_sysid.belief.joint import CHUNK, DENSE, EXACT, MASS, TIED, covariance_fa
 from bo_sysid.belief.surrogate import Surrogate
 
 UPPER_BOUND_SIGMAS = 5.0  # standard deviations above a mean: the minimum hardly ever exceeds that
+
+
+@dataclass(frozen=True)
+class BootstrapMinima:
+    """The least Δ in each bootstrap of the recordings.
+
+    Attributes:
+        rows: the candidate that has it.
+        deviations: its value, comparable between searches that draw the same bootstraps.
+        mass_lost: bound on the probability of the candidates that were left out of the sampling.
+    """
+
+    rows: Int[np.ndarray, " b"]
+    deviations: Float[np.ndarray, " b"]
+    mass_lost: float
 
 
 def bootstrap_argmin(
@@ -62,6 +79,29 @@ def bootstrap_argmin(
     Raises:
         ValueError: shapes do not agree, or there are fewer than two blocks.
     """
+    found = bootstrap_minima(
+        surrogate, candidates, rows, contributions, weights,
+        samples=samples, seed=seed, groups=groups,
+    )  # fmt: skip
+    counts = np.bincount(found.rows, minlength=len(candidates))
+    return ArgminBelief(counts / samples, "bootstrap", found.mass_lost)
+
+
+def bootstrap_minima(
+    surrogate: Surrogate,
+    candidates: Points,
+    rows: Rows,
+    contributions: Float[np.ndarray, "n blocks"],
+    weights: Float[np.ndarray, " blocks"],
+    *,
+    samples: int = 2048,
+    seed: int = 0,
+    groups: Int[np.ndarray, " blocks"] | None = None,
+) -> BootstrapMinima:
+    """Return the least Δ of each bootstrap and where it is; see `bootstrap_argmin`.
+
+    Bootstraps follow from `seed` alone: sets with surrogates of their own can be compared.
+    """
     rows = np.asarray(rows, dtype=np.intp)
     contributions = np.asarray(contributions, dtype=float)
     _check(surrogate, candidates, rows, contributions, weights)
@@ -72,15 +112,16 @@ def bootstrap_argmin(
     values = surrogate.standardise(surrogate.warp(deviations))
     x = surrogate.unit(candidates)
     in_set = np.flatnonzero(rows >= 0)
-    counts, lost = np.zeros(len(x)), 0.0
+    winners, lowest, lost = np.empty(samples, dtype=np.intp), np.empty(samples), 0.0
     edges = np.cumsum(np.append(0, samples_per_member(surrogate.weights, samples)))
     for member, start, stop in zip(surrogate.members, edges[:-1], edges[1:], strict=True):
         if stop > start:
             mine = values[:, start:stop]
-            winners, dropped = _minima(member, x, mine, mine[in_set], rows[in_set], rng)
-            counts += np.bincount(winners, minlength=len(x))
+            winners[start:stop], lowest[start:stop], dropped = _minima(
+                member, x, mine, mine[in_set], rows[in_set], rng
+            )
             lost += dropped * (stop - start) / samples
-    return ArgminBelief(counts / samples, "bootstrap", lost)
+    return BootstrapMinima(winners, surrogate.deviations(lowest), lost)
 
 
 def resample(
@@ -137,8 +178,8 @@ def _minima(
     known_values: Float[np.ndarray, "k b"],
     known_rows: Int[np.ndarray, " k"],
     rng: np.random.Generator,
-) -> tuple[Int[np.ndarray, " b"], float]:
-    """Return the arg-min of one joint sample for each bootstrap, and a bound on the mass lost."""
+) -> tuple[Int[np.ndarray, " b"], Float[np.ndarray, " b"], float]:
+    """Return the arg-min of one joint sample for each bootstrap, its value, and the mass lost."""
     residual = member.residual(values)
     open_rows, bound, lost = _open_rows(member, x, residual, known_values, known_rows)
     V = member.whitened(x[open_rows])
@@ -147,7 +188,7 @@ def _minima(
         member, x[open_rows], member.variance(V), None if exact else bound, rng
     )
     labels = np.concatenate([open_rows, known_rows])
-    winners = np.empty(values.shape[1], dtype=np.intp)
+    winners, lowest = np.empty(values.shape[1], dtype=np.intp), np.empty(values.shape[1])
     step = max(1, CELLS // len(labels))
     for start in range(0, len(winners), step):
         some = slice(start, start + step)
@@ -155,7 +196,8 @@ def _minima(
         draws += member.mean + residual[:, some].T @ V
         everything = np.concatenate([draws, known_values[:, some].T], axis=1)
         winners[some] = labels[_lowest(everything, rng)]
-    return winners, lost
+        lowest[some] = everything.min(axis=1)
+    return winners, lowest, lost
 
 
 def _lowest(values: Float[np.ndarray, "b m"], rng: np.random.Generator) -> Int[np.ndarray, " b"]:

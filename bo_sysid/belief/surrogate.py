@@ -71,6 +71,10 @@ class Surrogate:
         """Return values of y in the units of the members."""
         return (values - self.shift) / self.scale
 
+    def deviations(self, standardised: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
+        """Return Δ for values in the units of the members."""
+        return self.warp.inverse(self.shift + self.scale * standardised)
+
     @property
     def standardised(self) -> Deviations:
         """The values in the units of the members."""

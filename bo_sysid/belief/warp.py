@@ -43,3 +43,11 @@ class Warp:
         if self.power == 0:
             return np.asarray(np.log(ratio))
         return np.asarray((ratio**self.power - 1.0) / self.power)
+
+    def inverse(self, values: Float[np.ndarray, "n *b"]) -> Float[np.ndarray, "n *b"]:
+        """Return the Δ of values of g; 0 where no Δ has so low a value."""
+        if self.power == 0:
+            return np.asarray(self.unit * np.exp(values))
+        return np.asarray(
+            self.unit * np.maximum(1.0 + self.power * values, 0.0) ** (1.0 / self.power)
+        )

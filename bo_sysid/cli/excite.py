@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> None:
     folder.mkdir(parents=True, exist_ok=True)  # before the search, which takes minutes
 
     from bo_sysid.excite.excite import excite
+    from bo_sysid.excite.trial import PROOF
     from bo_sysid.execution import Progress, use_threads
     from bo_sysid.report.check_figures import recording_figure
     from bo_sysid.report.figures import save
@@ -76,7 +77,8 @@ def run(args: argparse.Namespace) -> None:
     print("What a recording of this trajectory would tell at best:")
     print(table(found.parameters.rename(columns=shown_columns)))
     print(
-        f"\n{100 * found.used:.0f} % of the limits are used, over parameters within their bounds."
+        f"\n{100 * found.used:.0f} % of the limits are used by the machines that were tried: the "
+        f"nominal one, {PROOF} within the parameters' bounds, and corners of these."
         if found.used
         else "\nNo limits were kept: neither the study nor the model states any for these joints."
     )

@@ -1,7 +1,7 @@
 """The diagnosis: where a simulation differs from recordings, which physics it lacks, the repair."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,12 @@ from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.hints import doubtful, hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.answer.holdout import Holdout
 from bo_sysid.diagnosis.answer.judge import judge
-from bo_sysid.diagnosis.answer.notes import of_study, of_training, of_unseen
+from bo_sysid.diagnosis.answer.notes import (
+    of_study,
+    of_training,
+    of_unseen,
+    unsought_sentence,
+)
 from bo_sysid.diagnosis.answer.repaired import MODEL, STUDY, write_model
 from bo_sysid.diagnosis.answer.repaired_study import study_text
 from bo_sysid.diagnosis.answer.seen_once import seen_once
@@ -26,6 +31,7 @@ from bo_sysid.diagnosis.answer.sentences import (
     noise_sentence,
     parameters_sentence,
     rivals,
+    shift_sentence,
     stood_in_sentence,
 )
 from bo_sysid.diagnosis.answer.tables import bent_pose, sets
@@ -78,6 +84,7 @@ class Diagnosis:
         searched: the same choice between sets as a search of the arg-min.
         notes: what was done to the data, and what the repaired model cannot say.
         contact: whether the machine touches something in the recordings, or meets its stops.
+        shifts: seconds by which the study takes commands later than stamped, by channel or kind.
     """
 
     name: str
@@ -90,6 +97,7 @@ class Diagnosis:
     searched: ArgminSets
     notes: tuple[str, ...]
     contact: bool = False
+    shifts: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -140,7 +148,8 @@ class Diagnosis:
         if whole:
             sentences += rivals(self.located.decision, self.evidence.machine)
         instead = stood_in_sentence(self.evidence.nuisances, self.outcome.fit)
-        sentences += [words for words in (fitted, instead) if words]
+        assumed = (shift_sentence(self.shifts), unsought_sentence(self.evidence))
+        sentences += [words for words in (fitted, instead, *assumed) if words]
         if whole:
             sentences += doubts(self.located.decision, self.searched)
         if self.contact and self.answer.findings:
@@ -218,6 +227,7 @@ def diagnose(
         frozen.searched,
         tuple(dict.fromkeys(all_notes)),
         frozen.contact,
+        {n: c.shift for n, c in study.recordings.clocks.items() if n.startswith("ctrl")},
     )
     if run is not None:
         _write(run, result)

@@ -101,7 +101,7 @@ def excite(
         found.table(),
         predicted,
         limits.of_channels(model.ctrl_channels, *trial.commands),
-        trial.violation(controls, trial.machines, 0.0),
+        trial.violation(controls, trial.proof, 0.0),
         tuple(notes),
     )
 

@@ -221,14 +221,26 @@ def _acting(
     return np.asarray(act[:, 1:] if model.actuator_actearly[actuator] else act[:, :-1])
 
 
-def _require_effort_follows(model: mujoco.MjModel) -> None:
-    """Refuse actuators whose command says no effort: those that integrate it, and muscles.
+def knows_effort(model: mujoco.MjModel) -> bool:
+    """Return whether commands say the effort along every joint that is driven."""
+    along = np.isin(model.actuator_trntype, ALONG_JOINT).all()
+    return bool(along) and all(_effort_follows(model, a) for a in controlled(model))
 
-    And those whose gain changes with position or speed, as a damper's does.
+
+def _effort_follows(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return whether an actuator's force follows from its command.
+
+    It does not where the command is integrated, in muscles, and where the gain changes with
+    position or speed, as a damper's does.
     """
+    affine = int(model.actuator_gaintype[actuator]) == mujoco.mjtGain.mjGAIN_AFFINE
+    varies = affine and model.actuator_gainprm[actuator, 1:3].any()
+    return follows(model, actuator) and not varies
+
+
+def _require_effort_follows(model: mujoco.MjModel) -> None:
     for a in controlled(model):
-        affine = int(model.actuator_gaintype[a]) == mujoco.mjtGain.mjGAIN_AFFINE
-        if not follows(model, a) or (affine and model.actuator_gainprm[a, 1:3].any()):
+        if not _effort_follows(model, a):
             raise StudyError(
                 f"limits: effort is not known of actuator {model.actuator(a).name!r}: its force "
                 "does not follow from its command; leave effort out, and watch the machine"

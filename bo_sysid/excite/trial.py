@@ -104,11 +104,17 @@ class Trial:
         high = np.array([p.high for p in self.parameters])
         self.draws = low + (high - low) * sobol
         self.machines = np.vstack([self.point[None], self.draws[:PROOF]])
+        self._corners = corners(low, high, sobol)
         self._judges: dict[tuple[int, ...], Judge] = {}
         self._horizon = max(round(_WINDOW / step), 1)
         if self.violation(self._still, self.machines, 1.0) > 0:
-            self._rest_held(corners(low, high, sobol))
+            self._rest_held(self._corners)
         self._require_stable()
+
+    @property
+    def proof(self) -> Float[np.ndarray, "M d"]:
+        """The machines with which a plan must keep the limits: `machines`, and corners."""
+        return np.vstack([self.machines, self._corners])
 
     @property
     def _still(self) -> Float[np.ndarray, "R nu"]:
@@ -263,7 +269,7 @@ class Trial:
         return np.asarray((self.series.unit(controls) ** 2).mean(axis=(-2, -1)))
 
     def safe(self, unit: Float[np.ndarray, "R nu"]) -> Float[np.ndarray, "R nu"]:
-        """Return controls, made smaller until every drawn machine keeps every limit.
+        """Return controls, made smaller until every machine of `proof` keeps every limit.
 
         Args:
             unit: distances to rest in units of the half widths of the controls' ranges.
@@ -271,16 +277,16 @@ class Trial:
         Raises:
             StudyError: even a thousandth of them exceeds a limit.
         """
-        size, worst = 1.0, 0
+        size, worst, machines = 1.0, 0, self.proof
         while size > _SMALLEST:
             controls = self.series.scaled(size * unit)
-            if self.violation(controls, self.machines[[worst]], 1.0) == 0:
-                over = self.violations(controls, self.machines, 1.0)
+            if self.violation(controls, machines[[worst]], 1.0) == 0:
+                over = self.violations(controls, machines, 1.0)
                 if over.max() == 0:
                     return controls
                 worst = int(over.argmax())
             size *= _SHRINK
-        run = self.run(self.series.scaled(size * unit), self.machines)
+        run = self.run(self.series.scaled(size * unit), machines)
         raise StudyError(why_not_moved(first_exceeded(self.limits, *run)))
 
 

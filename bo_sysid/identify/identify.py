@@ -7,17 +7,17 @@ from itertools import count
 import numpy as np
 import pandas as pd
 
-from bo_sysid.arrays import Point, Points, Probabilities
+from bo_sysid.arrays import Point
 from bo_sysid.belief.bootstrap import credible_interval
-from bo_sysid.belief.stopping import StopRule
+from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.execution import OnProgress, Progress, silent, threads
 from bo_sysid.identify.discretisation import step_notes
 from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
 from bo_sysid.identify.problem import Problem, instants_of, make_problem
-from bo_sysid.identify.refine import Level, is_fine_enough, joined, zoomed
+from bo_sysid.identify.refine import Level, Refined, best_of, is_fine_enough, joined, zoomed
 from bo_sysid.identify.result import Identification
-from bo_sysid.identify.search import Evaluate, History, Rules, SearchOutcome, search, update_belief
+from bo_sysid.identify.search import Evaluate, History, Rules, search
 from bo_sysid.mjcf import parameter_edits
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.recording import Recording, kind_of, sensor_noise, stated_for
@@ -54,11 +54,10 @@ def identify(
     _require_long_enough(problem)
     journal = Journal(run, problem.fingerprint)
     found = _searched(problem, journal, progress)
-    candidates, outcome, bootstrap = found.candidates, found.outcome, found.bootstrap
-    best = candidates.points[outcome.history.rows[outcome.history.evaluation.deviation.argmin()]]
-    parameters = _parameters(problem, candidates.points, found.cells, best, bootstrap)
+    best, refined = found.best, found.refined
+    parameters = _parameters(problem, best, refined)
     if run is not None:
-        _write_answer(run, problem, best, candidates, outcome.belief.probabilities, bootstrap)
+        _write_answer(run, problem, best, refined)
     holdout = load_holdout(study, strict=strict)  # read once, after the answer is written
     errors = compared(problem, best, {"train": problem.recordings, "holdout": holdout})
     shown = traces(problem, best, holdout)
@@ -66,13 +65,13 @@ def identify(
         name=study.name,
         best=best,
         parameters=parameters,
-        candidates=candidates,
-        probabilities=outcome.belief.probabilities,
-        bootstrap=bootstrap,
+        candidates=refined.candidates,
+        probabilities=refined.probabilities,
+        bootstrap=refined.bootstrap,
         evaluations=_evaluations(problem, journal),
         errors=errors,
         traces=shown,
-        reason=outcome.reason.sentence,
+        reason=found.reason.sentence,
         notes=(
             *remarks(errors),
             *held_notes(study),
@@ -121,44 +120,39 @@ def _require_long_enough(problem: Problem) -> None:
         )
 
 
-def _write_answer(
-    run: Run,
-    problem: Problem,
-    best: Point,
-    candidates: CandidateSet,
-    probabilities: Probabilities,
-    bootstrap: Probabilities,
-) -> None:
+def _write_answer(run: Run, problem: Problem, best: Point, refined: Refined) -> None:
     edits = parameter_edits(problem.model, problem.parameters, best)
     problem.model.export(run.path("model_identified.xml"), edits)
-    belief = candidates.frame().assign(P=probabilities, P_boot=bootstrap)
-    run.write_frame("belief.parquet", belief)
+    frame = refined.candidates.frame()
+    frame = frame.assign(P=refined.probabilities, P_boot=refined.bootstrap)
+    run.write_frame("belief.parquet", frame)
 
 
 @dataclass(frozen=True)
 class _Searched:
-    """All candidates, `N x d` sides of the box that each stands for, the outcome, and P_boot."""
+    """The best candidate, all of them with what is known of each, and why the search ended."""
 
-    candidates: CandidateSet
-    cells: Points
-    outcome: SearchOutcome
-    bootstrap: Probabilities
+    best: Point
+    refined: Refined
+    reason: StopReason
 
 
 def _searched(problem: Problem, journal: Journal, progress: OnProgress) -> _Searched:
     """Search B and, where the study says so, finer sets around the mass of P."""
-    settings, blocks = problem.study.search, len(problem.deviation.blocks.weight)
-    candidates, history, spent = problem.candidates, journal.history(0, blocks), 0
-    most = settings.budget if settings.refine else min(settings.budget, len(candidates))
+    settings, blocks = problem.study.search, problem.deviation.blocks
+    most = settings.budget if settings.refine else min(settings.budget, len(problem.candidates))
+    candidates, known, spent = problem.candidates, History.empty(len(blocks.weight)), 0
     levels: list[Level] = []
     for number in count():
         rules = _rules(problem.study, number, spent)
         on_step = _ProgressReporter(journal, progress, number, candidates, spent, most)
+        stored = journal.history(number, len(blocks.weight))
+        history = stored if len(stored) else known
         outcome = search(candidates, evaluation(problem, candidates), rules, history, on_step)
-        levels.append(Level(candidates, outcome.history))
-        found = _together(problem, levels, outcome)
+        levels.append(Level(candidates, outcome))
+        refined = joined(levels, blocks, settings.seed)
         over = not settings.refine or spent + len(outcome.history) >= settings.budget
-        if over or is_fine_enough(candidates, found.candidates, found.bootstrap):
+        if over or is_fine_enough(candidates, refined):
             break
         mass = outcome.belief.probabilities
         finer = zoomed(candidates, outcome.history, mass, settings.seed + number)
@@ -166,23 +160,7 @@ def _searched(problem: Problem, journal: Journal, progress: OnProgress) -> _Sear
             break
         spent += len(outcome.history) - len(finer[1])
         candidates, known = finer
-        stored = journal.history(number + 1, blocks)
-        history = stored if len(stored) else known
-    return found
-
-
-def _together(problem: Problem, levels: list[Level], last: SearchOutcome) -> _Searched:
-    """Return the candidates of all levels, and what is known of them."""
-    candidates, outcome = levels[0].candidates, last
-    cells = np.tile(candidates.cell, (len(candidates), 1))
-    if len(levels) > 1:
-        whole, cells = joined(levels)
-        candidates, history = whole.candidates, whole.history
-        surrogate, belief = update_belief(candidates, history, _rules(problem.study, 0, 0))
-        outcome = SearchOutcome(history, surrogate, belief, last.reason)
-    blocks, seed = problem.deviation.blocks, problem.study.search.seed
-    bootstrap = outcome.bootstrap(candidates.points, blocks.weight, blocks.session, seed)
-    return _Searched(candidates, cells, outcome, bootstrap)
+    return _Searched(best_of(levels), refined, outcome.reason)
 
 
 def _rules(study: Study, level: int, spent: int) -> Rules:
@@ -225,16 +203,15 @@ _CORRELATED_ERRORS = (
 _AT_BOUND = 1e-9  # of the range between the bounds
 
 
-def _parameters(
-    problem: Problem, points: Points, cells: Points, best: Point, bootstrap: Probabilities
-) -> pd.DataFrame:
+def _parameters(problem: Problem, best: Point, refined: Refined) -> pd.DataFrame:
     """Return one row a parameter: its value, its interval and whether it lies on a bound.
 
     A candidate stands for its cell: the interval reaches half a cell further. Values
     without an order have nothing between or beyond them.
     """
-    low95 = credible_interval(points - cells / 2, bootstrap, 0.95)[0]
-    high95 = credible_interval(points + cells / 2, bootstrap, 0.95)[1]
+    points, half = refined.candidates.points, refined.cells / 2
+    low95 = credible_interval(points - half, refined.bootstrap, 0.95)[0]
+    high95 = credible_interval(points + half, refined.bootstrap, 0.95)[1]
     bounds = problem.candidates.bounds
     at_bound = (abs(best - bounds) < _AT_BOUND * (bounds[1] - bounds[0])).any(axis=0)
     at_bound[list(problem.candidates.categories)] = False

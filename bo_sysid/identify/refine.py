@@ -6,16 +6,16 @@ uncertain. So the last set alone gives the minimum, and all sets together the un
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from bo_sysid.arrays import Points, Probabilities
-from bo_sysid.belief.bootstrap import credible_interval
-from bo_sysid.belief.rows import RowIndex
-from bo_sysid.deviation import Evaluation
-from bo_sysid.identify.search import History
+from bo_sysid.arrays import Point, Points, Probabilities
+from bo_sysid.belief.bootstrap import BootstrapMinima, bootstrap_minima, credible_interval
+from bo_sysid.deviation import Blocks, Evaluation
+from bo_sysid.identify.search import History, SearchOutcome
 from bo_sysid.parameters import CandidateSet, Parameter
 
 MASS = 0.999  # of P that the new box must hold
@@ -27,58 +27,109 @@ _FINEST = 1e-6  # of the stated range, the same where the recordings are explain
 
 @dataclass(frozen=True)
 class Level:
-    """One set that was searched.
+    """One set that was searched, and how its search ended."""
+
+    candidates: CandidateSet
+    outcome: SearchOutcome
+
+
+def best_of(levels: Sequence[Level]) -> Point:
+    """Return the candidate with the smallest Δ of all that were evaluated."""
+    lowest = [float(v.outcome.history.evaluation.deviation.min()) for v in levels]
+    level = levels[int(np.argmin(lowest))]
+    history = level.outcome.history
+    return np.asarray(level.candidates.points[history.rows[history.evaluation.deviation.argmin()]])
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Every set with a finer one inside it, as one set in the bounds of the stated one.
 
     Attributes:
-        candidates: the set.
-        history: what was evaluated of it.
+        candidates: those of each set outside the box of the next.
+        cells: `N x d` sides of the box that each stands for.
+        probabilities: P of each.
+        bootstrap: P_boot of each.
     """
 
     candidates: CandidateSet
-    history: History
+    cells: Points
+    probabilities: Probabilities
+    bootstrap: Probabilities
 
 
-def joined(levels: Sequence[Level]) -> tuple[Level, Points]:
-    """Return the candidates and evaluations of all levels as one, and what each stands for.
+def joined(levels: Sequence[Level], blocks: Blocks, seed: int) -> Refined:
+    """Return what is known of the arg-min over all sets, the stated one first.
+
+    Every candidate is judged by the surrogate of its own set: one of all evaluations, which crowd
+    around the minimum, would follow Δ badly far from it. P of a finer set is P of its box times P
+    within it. In each bootstrap the least of the minima of all sets is the minimum.
 
     Args:
-        levels: the stated set first, each other one inside the one before.
-
-    Returns:
-        The joined level, in the bounds of the stated set, each candidate once; and `N x d` sides
-        of the box that each candidate stands for: those of the finest set that has it inside.
+        levels: each inside the one before.
+        blocks: of the recordings.
+        seed: of bootstraps and samples.
     """
-    first, everything = levels[0].candidates, [level.candidates.points for level in levels]
-    points = np.concatenate(everything)
-    points = points[np.sort(np.unique(RowIndex.of(points).find(points)))]
-    whole = CandidateSet(first.parameters, points)
-    cells = np.tile(first.cell, (len(points), 1))
-    for level in levels[1:]:
-        cells[_inside(points, level.candidates, first)] = level.candidates.cell
-    index = RowIndex.of(points)
-    rows = np.concatenate(
-        [index.find(level.candidates.points[level.history.rows]) for level in levels]
+    parts = [
+        _Part(level, np.flatnonzero(~_in_box(level.candidates, finer.candidates)))
+        for level, finer in pairwise(levels)
+    ]
+    parts = [p for p in parts if len(p.rows)]
+    parts.append(_Part(levels[-1], np.arange(len(levels[-1].candidates))))
+    points = np.concatenate([p.points for p in parts])
+    cells = [np.tile(p.level.candidates.cell, (len(p.rows), 1)) for p in parts]
+    mass, shares = 1.0, []
+    for part in parts:
+        shares.append(mass * part.level.outcome.belief.probabilities[part.rows])
+        mass -= float(shares[-1].sum())
+    minima = [p.minima(blocks, seed) for p in parts]
+    first = np.cumsum([0, *(len(p.rows) for p in parts[:-1])])
+    winners = np.array([start + m.rows for start, m in zip(first, minima, strict=True)])
+    lowest = np.argmin([m.deviations for m in minima], axis=0)
+    counts = np.bincount(winners[lowest, np.arange(len(lowest))], minlength=len(points))
+    return Refined(
+        CandidateSet(levels[0].candidates.parameters, points),
+        np.concatenate(cells),
+        np.concatenate(shares),
+        counts / counts.sum(),
     )
-    rows, once = np.unique(rows, return_index=True)
-    evaluations = [level.history.evaluation for level in levels]
-    evaluation = Evaluation(
-        np.concatenate([e.deviation for e in evaluations])[once],
-        np.concatenate([e.contributions for e in evaluations])[once],
-        np.concatenate([e.diverged for e in evaluations])[once],
-    )
-    return Level(whole, History(rows, evaluation, np.full(len(rows), np.nan))), cells
 
 
-def _inside(points: Points, finer: CandidateSet, stated: CandidateSet) -> Bool[np.ndarray, " N"]:
-    """Return which points have finer ones on every side; a bound of the stated set has none."""
-    (low, high), (least, most) = finer.bounds, stated.bounds
-    slack = _SAME * finer.cell
-    above = (points > low + slack) | (low == least)
-    below = (points < high - slack) | (high == most)
-    return np.asarray((above & below).all(axis=1))
+@dataclass(frozen=True)
+class _Part:
+    """Rows of a set that a finer one does not replace."""
+
+    level: Level
+    rows: Int[np.ndarray, " k"]
+
+    @property
+    def points(self) -> Points:
+        """The candidates in these rows, `k x d`."""
+        return np.asarray(self.level.candidates.points[self.rows])
+
+    def minima(self, blocks: Blocks, seed: int) -> BootstrapMinima:
+        """Return the minimum over these rows in each bootstrap."""
+        outcome, place = self.level.outcome, np.full(len(self.level.candidates), -1)
+        place[self.rows] = np.arange(len(self.rows))
+        return bootstrap_minima(
+            outcome.surrogate,
+            self.points,
+            place[outcome.history.rows],
+            outcome.history.evaluation.contributions,
+            blocks.weight,
+            groups=blocks.session,
+            seed=seed,
+        )
 
 
-def is_fine_enough(candidates: CandidateSet, known: CandidateSet, bootstrap: Probabilities) -> bool:
+def _in_box(candidates: CandidateSet, finer: CandidateSet) -> Bool[np.ndarray, " N"]:
+    """Return which candidates lie in the box of a finer set, its sides included."""
+    (low, high), slack = finer.bounds, _SAME * candidates.cell
+    inside = (candidates.points >= low - slack) & (candidates.points <= high + slack)
+    return np.asarray(inside.all(axis=1))
+
+
+def is_fine_enough(candidates: CandidateSet, found: Refined) -> bool:
     """Return whether the spacing is at most a tenth of the 95 % interval of P_boot.
 
     That holds for every parameter; where the interval is nearly a point, a spacing of 1e-6 of the
@@ -87,11 +138,10 @@ def is_fine_enough(candidates: CandidateSet, known: CandidateSet, bootstrap: Pro
 
     Args:
         candidates: the set that was searched last.
-        known: all sets that were searched, joined: a zoomed box may be narrower than the interval.
-        bootstrap: P_boot of each of `known`.
+        found: all sets that were searched: a zoomed box may be narrower than the interval.
     """
-    low, high = credible_interval(known.points, bootstrap, 0.95)
-    least = _FINEST * np.ptp(known.bounds, axis=0)
+    low, high = credible_interval(found.candidates.points, found.bootstrap, 0.95)
+    least = _FINEST * np.ptp(found.candidates.bounds, axis=0)
     return bool((candidates.cell <= np.maximum(_FINE * (high - low), least)).all())
 
 
@@ -117,8 +167,7 @@ def zoomed(
     )
     fresh = _same_kind(candidates, parameters, seed)
     points = candidates.points[history.rows]
-    slack = _SAME * candidates.cell
-    inside = ((points >= low - slack) & (points <= high + slack)).all(axis=1)
+    inside = _in_box(candidates, fresh)[history.rows]
     old = history.evaluation
     known = Evaluation(old.deviation[inside], old.contributions[inside], old.diverged[inside])
     count = int(inside.sum())

@@ -8,6 +8,11 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.search import SUSPICIOUS
 from bo_sysid.report.text import overview_text, table
 
+_NOTHING_TO_CORRECT = (
+    "Signs, units, order, zeros and clocks: nothing to correct. An error that makes less than "
+    f"{100 * SUSPICIOUS:.0f} % of a joint's forces, as of a zero by degrees, is not seen here: "
+    "`diagnose` looks for it."
+)
 _TITLES = {
     "wrong": "To be corrected before anything is fitted:",
     "look": "To be looked at:",
@@ -53,7 +58,7 @@ def checked_text(found: Checked, *, whole: bool = False) -> str:
             )
         parts += ["", where, "recordings:", indented]
     elif not any(f.level == "wrong" or f.kind == "outlier" for f in found.flags) and _tested(found):
-        parts += ["", "Signs, units, order, zeros and clocks: nothing to correct."]
+        parts += ["", _NOTHING_TO_CORRECT]
     return "\n".join(parts)
 
 

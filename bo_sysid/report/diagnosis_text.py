@@ -13,7 +13,7 @@ VERDICTS = {
     "unknown-physics": "The model lacks physics that no known effect explains.",
     "sensing": "The model is right; what was measured is not what it says.",
     "numerics": "The physics is right; the time step is too coarse.",
-    "nothing-missing": "Nothing is missing from the model.",
+    "nothing-missing": "These recordings show nothing that is missing from the model.",
 }
 _AFTER_FIT = (
     "The model needs what was fitted, parameters of the study or a finer time step; no more is "

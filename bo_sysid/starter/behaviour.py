@@ -82,7 +82,10 @@ def _late(wiring: Wiring) -> str:
     """Return when the controls act, in words."""
     delay = f"{1e3 * abs(wiring.delay):.1f} ms (± {1.96e3 * wiring.sigma:.1f})"
     if wiring.delay > 0:
-        return f"{delay} later than stamped"
+        return (
+            f"{delay} later than stamped. Where the machine is late and not the clock of the log, "
+            "remove this: `diagnose` then finds its delay, and writes it into the model"
+        )
     return (
         f"{delay} earlier than stamped; what is measured and changes between samples looks so, for "
         "that {hold: linear} in its place"

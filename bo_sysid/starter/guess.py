@@ -18,7 +18,7 @@ from bo_sysid.starter.columns import describe, spoilt
 from bo_sysid.starter.controls import left_over, matched_controls
 from bo_sysid.starter.matching import Guess, match, rates_of
 from bo_sysid.starter.naming import Column, named_after
-from bo_sysid.starter.pose import pose_guesses
+from bo_sysid.starter.pose import pose_guesses, pose_rule
 from bo_sysid.starter.reading import clock_rule, column_rule, fits_joint
 
 _BODY = 0.85  # what the name of a joint's body counts, of its own
@@ -95,7 +95,7 @@ def guess_rules(model: Model, table: RawTable) -> Rules:
     ruled = {n: column_rule(table, compiled, g) for n, g in guesses.items()}
     rules = {n: rule for n, (rule, _) in ruled.items()}
     guesses = {n: guess for n, (_, guess) in ruled.items()}
-    rules |= {n: {"from": g.column} for n, g in pose.items()}
+    rules |= {n: pose_rule(table, g) for n, g in pose.items()}
     guesses |= pose
     guesses |= {} if stepped is None else {"time": stepped}
     known = (model.qpos_channels, model.qvel_channels, model.act_channels, model.sensor_channels)

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,9 +11,10 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.joints import FREE
 from bo_sysid.recording import RawTable
 from bo_sysid.starter.matching import Guess
-from bo_sysid.starter.naming import WORDS, words
+from bo_sysid.starter.naming import WORDS, named_unit, words
 
 _LETTER = re.compile(r"(?P<stem>.*?)[\s_.\-]?(?P<letter>[wxyz])", re.IGNORECASE)
+_LENGTH = re.compile(r"(?P<plain>.*)[\s_.\-](?P<unit>mm|cm|m)", re.IGNORECASE)
 _UNIT = 0.02  # by which the length of a quaternion may differ from 1
 _CONFIDENCE = 0.7
 _REASON = "the names, and a quaternion's length of 1; it must be in the model's world frame"
@@ -21,7 +23,8 @@ _REASON = "the names, and a quaternion's length of 1; it must be in the model's 
 def pose_guesses(model: mujoco.MjModel, table: RawTable) -> list[Guess]:
     """Return the columns of the pose of the only free joint of a model, none where that is open.
 
-    Columns that are called after one stem and end in x, y, z or in w, x, y, z (qw, quat_x, …).
+    Columns that are called after one stem and end in x, y, z or in w, x, y, z (qw, quat_x, …), a
+    unit behind it left aside (mocap_x_mm).
     """
     free = np.flatnonzero(model.jnt_type == FREE)
     stems = _stems(table)
@@ -33,11 +36,17 @@ def pose_guesses(model: mujoco.MjModel, table: RawTable) -> list[Guess]:
     place = _placed(places, turned)
     if place is None:
         return []
-    columns = [place[k] for k in "xyz"] + [turned[k] for k in "wxyz"]
+    units = {place[k]: _plain(place[k])[1] for k in "xyz"} | {turned[k]: "" for k in "wxyz"}
     return [
-        Guess(f"qpos.{joint}.{i}", column, table.units.get(column, ""), _REASON, _CONFIDENCE)
-        for i, column in enumerate(columns)
+        Guess(f"qpos.{joint}.{i}", column, unit, _REASON, _CONFIDENCE)
+        for i, (column, unit) in enumerate(units.items())
     ]
+
+
+def pose_rule(table: RawTable, guess: Guess) -> dict[str, Any]:
+    """Return the rule of a guess; a unit that the file states is read as it is."""
+    unit = "" if table.units.get(guess.column) else guess.unit
+    return {"from": guess.column, **({"unit": unit} if unit not in ("", "m") else {})}
 
 
 def _placed(
@@ -65,9 +74,18 @@ def _stems(table: RawTable) -> dict[str, dict[str, str]]:
     """Return by stem the columns by the letter that they end in."""
     found: dict[str, dict[str, str]] = {}
     for name in table.columns:
-        if match := _LETTER.fullmatch(name):
+        if match := _LETTER.fullmatch(_plain(name)[0]):
             found.setdefault(match["stem"].lower(), {})[match["letter"].lower()] = name
     return found
+
+
+def _plain(name: str) -> tuple[str, str]:
+    """Return a name without the unit that it carries, and that unit; empty if none."""
+    plain, unit = named_unit(name)
+    length = _LENGTH.fullmatch(plain)
+    if not unit and length:
+        plain, unit = length["plain"], length["unit"].lower()
+    return plain.rstrip(" _.-"), unit
 
 
 def _unit(table: RawTable, columns: dict[str, str]) -> bool:

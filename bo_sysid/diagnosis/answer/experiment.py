@@ -5,7 +5,7 @@ simulation, starts and all, as it would be to a recording. What it cannot fit is
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -30,10 +30,10 @@ from bo_sysid.diagnosis.windows.problem import Problem, Simulated
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import Machine, Site
 from bo_sysid.errors import StudyError, UserError
-from bo_sysid.excite.limits import Limits
+from bo_sysid.excite.limits import Limits, knows_effort
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
-from bo_sysid.simulation import Controller, Trajectory
+from bo_sysid.simulation import Controller
 from bo_sysid.study.outer import Limit
 
 EXPERIMENT = "next_experiment.csv"
@@ -44,7 +44,7 @@ _RIVALS, _OPEN = 2, 0.05  # how many rivals are looked at; probability from whic
 _SEPARATES = 0.5  # [sigma] per sample below which a motion separates nothing
 _SLOW, _MIDDLE, _FAST = 0.15, 0.8, 3.0  # [Hz]
 _SMALLER, _TRIES = 0.7, 8  # factor by which a motion is made smaller until it keeps the limits
-_BEYOND = 0.15  # of a recorded range by which a motion may leave it where no limit is stated
+_BEYOND = 0.15  # share by which a motion may exceed what was recorded where no limit is stated
 _EFFORT = Effort(iterations=5, gain=1.0, final=True)
 
 _VARY = {
@@ -92,7 +92,7 @@ def next_experiment(
     Args:
         located: the decision.
         outcome: what it amounts to.
-        stated: the study's limits; recorded ranges bind where there are none.
+        stated: the study's limits; what was recorded binds where there are none.
     """
     if outcome.unexplained.flagged:
         return _about_unknown(outcome.unexplained)
@@ -102,11 +102,12 @@ def next_experiment(
     problem = located.prepared.problem
     machine = problem.machine
     separates = tuple(named(f, machine) for f in (best, *rivals))
-    bounds = _Bounds.of(located.evidence.given, stated)
+    bounds = _Bounds.of(located.evidence.given, stated, problem, best)
     separation, name, controls = _most_separating(problem, best, rivals, bounds)
     if controls is None or separation < _SEPARATES:
         tried = bounds is not None and next(_motions(problem), None) is not None
-        words = _in_words(best, rivals, machine, tried)
+        within = "the limits" if stated else "what was recorded, as the study states no limits,"
+        words = _in_words(best, rivals, machine, within if tried else "")
         return Experiment(words, separates, separation, None)
     one, other = _what_it_adds(best, other=rivals[0]), _what_it_adds(rivals[0], other=best)
     return Experiment(
@@ -120,26 +121,64 @@ def next_experiment(
 
 @dataclass(frozen=True)
 class _Bounds:
-    """What a motion must keep: the study's limits, and that no parts of the machine touch.
+    """What a motion must keep: limits, and that no parts of the machine touch.
 
     Attributes:
-        stated: the study's limits.
-        limits: the same of every degree of freedom, within those of the model.
+        limits: of every degree of freedom: the study's, within those of the model; about what was
+            recorded where none is stated.
         whole: the compiled model with all that can touch. Recordings in which nothing does are
             explained without.
     """
 
-    stated: Mapping[str, Limit]
     limits: Limits
     whole: mujoco.MjModel
 
     @classmethod
-    def of(cls, given: Model, stated: Mapping[str, Limit]) -> "_Bounds | None":
-        """Return the bounds of the given model; None where limits are not known of its joints."""
+    def of(
+        cls, given: Model, stated: Mapping[str, Limit], problem: Problem, best: Fit
+    ) -> "_Bounds | None":
+        """Return the bounds of the given model; None where limits are not known of its joints.
+
+        Args:
+            given: model of the study.
+            stated: the study's limits.
+            problem: the recordings.
+            best: the answer, which says what speeds and efforts they show.
+        """
         try:
-            return cls(stated, Limits.of(given, stated), given.compile())
+            limits, whole = Limits.of(given, stated), given.compile()
         except StudyError:  # they are known of hinges and slides only
             return None
+        unstated = [n for n in limits.joints if n not in stated or stated[n].position is None]
+        return cls(_within_recorded(limits, unstated, whole, problem, best), whole)
+
+
+def _within_recorded(
+    limits: Limits, unstated: Sequence[str], whole: mujoco.MjModel, problem: Problem, best: Fit
+) -> Limits:
+    """Return limits with what the recordings show, and a little more, where none is stated.
+
+    Args:
+        limits: the study's, within the ranges of the model's joints.
+        unstated: joints whose positions the study does not limit.
+        whole: the compiled model that the limits are of.
+        problem: the recordings.
+        best: the answer, which says what speeds and efforts they show.
+    """
+    shown, more = problem.simulate(best.hypothesis, best.start), 1.0 + _BEYOND
+    position, fastest = limits.position.copy(), np.abs(shown.trajectory.qvel).max(axis=(0, 1))
+    for j in problem.machine.joints.values():
+        dof = int(whole.joint(j.name).dofadr[0])
+        fastest[dof] = max(fastest[dof], j.speed)
+        if j.name in unstated:
+            recorded = j.middle + (0.5 + _BEYOND) * j.span * np.array([-1.0, 1.0])
+            position[dof] = np.clip(recorded, *position[dof])
+    velocity = np.where(np.isfinite(limits.velocity), limits.velocity, more * fastest)
+    effort = limits.effort
+    if knows_effort(whole):
+        force = np.abs(limits.torque([whole], shown.trajectory, shown.ctrl)).max(axis=(0, 1))
+        effort = np.where(np.isfinite(effort) | (force == 0), effort, more * force)
+    return replace(limits, position=position, velocity=velocity, effort=effort)
 
 
 def _most_separating(
@@ -181,7 +220,8 @@ def _about_unknown(unexplained: Unexplained) -> Experiment:
     return Experiment(text, (), 0.0, None)
 
 
-def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, tried: bool) -> str:
+def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, within: str) -> str:
+    """Return what is not told apart, by motions within some bounds if any were tried, and how."""
     members = (*best.members, *(c for r in rivals for c in r.members))
     ways_of_each = (c.effect.separation.split("; ") for c in members if c.effect.separation)
     ways = dict.fromkeys(chain.from_iterable(ways_of_each))
@@ -191,12 +231,12 @@ def _in_words(best: Fit, rivals: Sequence[Fit], machine: Machine, tried: bool) -
     sentence = (
         f"{one[:1].upper()}{one[1:]} and {other} are not told apart by what was recorded here."
     )
-    if tried:
+    if within:
         sentence = (
-            f"None of the motions that were tried within the limits tells {one} from {other} by "
-            "what was recorded here."
+            f"None of the motions that were tried within {within} tells {one} from {other} by "
+            "the channels that were recorded here."
         )
-    rule = "As a rule such effects are told apart by" if tried else "What tells them apart:"
+    rule = "As a rule such effects are told apart by" if within else "What tells them apart:"
     return f"{sentence} {rule} {'; '.join(ways)}." if ways else sentence
 
 
@@ -241,7 +281,7 @@ def _kept(
             float(bounds.limits.violation([m], simulated.trajectory, simulated.ctrl, 1.0)[0])
             for m in (bounds.whole, *((simulated.model,) if simulated.coordinates.same else ()))
         )  # motors may be stronger than the given model has them
-        if over == 0.0 and _within_reach(problem, bounds.stated, simulated.trajectory):
+        if over == 0.0:
             return controls, _shown(one, simulated, controls)
         controls = middle + _SMALLER * (controls - middle)
     return None
@@ -284,17 +324,6 @@ def _shown(one: Problem, simulated: Simulated, controls: Float[np.ndarray, "T nu
         channels[name] = np.concatenate([still.channels[name].values[:1], shown[:, k]])
     time = np.arange(len(controls)) * one.machine.sampling
     return Recording.from_frame(pd.DataFrame({"time": time, **channels}), name="proposed")
-
-
-def _within_reach(problem: Problem, stated: Mapping[str, Limit], trajectory: Trajectory) -> bool:
-    """Whether joints without a stated limit stay near what was recorded of them."""
-    for j in problem.machine.joints.values():
-        if stated.get(j.name) is not None and stated[j.name].position is not None:
-            continue
-        q = trajectory.qpos[..., int(problem.machine.model.joint(j.name).qposadr[0])]
-        if np.abs(q - j.middle).max() > (0.5 + _BEYOND) * j.span:
-            return False
-    return True
 
 
 def _separation(problem: Problem, rival: Fit, recording: Recording) -> float:

@@ -27,11 +27,8 @@ def of_study(study: Study, evidence: Evidence) -> tuple[str, ...]:
 
 
 def not_compared(evidence: Evidence) -> tuple[str, ...]:
-    """Return at which joints nothing or less is looked for, and which sensors are not compared."""
+    """Return at which joints less is looked for, and which sensors are not compared."""
     notes = []
-    silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
-    if silent:
-        notes.append(f"Nothing is looked for at {listed(silent)}, whose position was not recorded.")
     model, recordings = evidence.machine.model, evidence.recordings
     notes += [
         f"{n}." for n in dict.fromkeys(n for r in recordings for n in balance_notes(model, r))
@@ -41,6 +38,17 @@ def not_compared(evidence: Evidence) -> tuple[str, ...]:
     if sensors:
         notes.append(f"Positions of joints are compared, not {listed(sensors)}.")
     return tuple(notes)
+
+
+def unsought_sentence(evidence: Evidence) -> str:
+    """Return at which joints nothing is looked for, in words; empty where there are none."""
+    silent = [j for j in evidence.model.unrecorded if j not in evidence.machine.joints]
+    if not silent:
+        return ""
+    return (
+        f"Nothing is looked for at {listed(silent)}, whose position was not recorded: what acts "
+        "there may be named elsewhere, unless the study's parameters have it."
+    )
 
 
 def effects_without_site(study: Study, evidence: Evidence) -> tuple[str, ...]:

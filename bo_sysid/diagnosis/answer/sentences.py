@@ -19,6 +19,11 @@ from bo_sysid.intervals import amount
 _RIVALS = 3
 _LISTED = 8  # parameters
 _LACKS = "that the model lacks"  # in a sentence about what is not there at all
+_FAVOURED = (
+    "the recordings are for the former, but by differences so small that slight errors of the "
+    "model make them as well"
+)
+_FAR_LESS = 0.05  # times the probability of the answer
 _MANY = 3  # members of a group from which on one sentence says them all
 
 
@@ -85,6 +90,23 @@ def stood_in_sentence(parameters: Sequence[Candidate], fit: Fit) -> str:
     return f"{', '.join(out)} {verb} not fitted: the friction that was found stands there instead."
 
 
+def shift_sentence(shifts: Mapping[str, float]) -> str:
+    """Return that commands are taken later than stamped, in words; empty where none are.
+
+    Args:
+        shifts: of the study's clocks of commands in [s], by channel or kind of channel.
+    """
+    late = {n: s for n, s in shifts.items() if s > 0}
+    if not late:
+        return ""
+    each = ", ".join(f"{n} by {1e3 * s:.3g} ms" for n, s in late.items())
+    return (
+        f"The study takes commands later than stamped ({each}). If that is the machine and not the "
+        "clock of the log, the repaired model lacks this delay, beyond any named here: remove "
+        "`shift` under recordings.clocks, and it is looked for as a delay of the actuators."
+    )
+
+
 def disputed_sentence(disputed: Sequence[Candidate]) -> str:
     """Return what recordings disagree on, in words; empty where they do not."""
     if not disputed:
@@ -102,17 +124,25 @@ def _at_site(c: Candidate) -> str:
 
 def rivals(decision: Decision, machine: Machine) -> list[str]:
     """Return a sentence about what may be in the place of what is answered, if anything may."""
-    best, rivals_of = decision.best, dict[str, list[str]]()
+    best, rivals_of = decision.best, dict[tuple[str, bool], list[str]]()
     by_keys = {frozenset(c.key for c in f.members): f for f in decision.equivalents}
     sets = irreducible(frozenset(c.key for c in best.members), list(by_keys))
     for f in [by_keys[s] for s in sets][:_RIVALS]:
         theirs, ours = _beyond(f, best, machine), _beyond(best, f, machine, sized=False)
         if theirs and ours:
-            rivals_of.setdefault(ours, []).append(theirs)
+            rivals_of.setdefault((ours, _is_favoured(decision, f)), []).append(theirs)
     return [
-        f"Instead of {ours} it may be {', or '.join(theirs)}: these recordings do not tell."
-        for ours, theirs in rivals_of.items()
+        f"Instead of {ours} it may be {', or '.join(theirs)}: "
+        f"{_FAVOURED if favoured else 'these recordings do not tell'}."
+        for (ours, favoured), theirs in rivals_of.items()
     ]
+
+
+def _is_favoured(decision: Decision, other: Fit) -> bool:
+    """Whether the answer is far more probable than a set of nearly the same predictions."""
+    known = zip(decision.fits, decision.probability, strict=True)
+    probability = {f.key: float(p) for f, p in known}
+    return probability.get(other.key, 0.0) < _FAR_LESS * probability.get(decision.best.key, 0.0)
 
 
 def _beyond(fit: Fit, other: Fit, machine: Machine, *, sized: bool = True) -> str:
