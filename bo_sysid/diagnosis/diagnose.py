@@ -35,6 +35,7 @@ from bo_sysid.diagnosis.answer.sentences import (
     stood_in_sentence,
 )
 from bo_sysid.diagnosis.answer.tables import bent_pose, sets
+from bo_sysid.diagnosis.answer.uncrossed import uncrossed_plays, uncrossed_sentence
 from bo_sysid.diagnosis.search.locate import Located, locate
 from bo_sysid.diagnosis.unexplained.missing_force import missing_force
 from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
@@ -163,6 +164,8 @@ class Diagnosis:
             sentences.append(left_sentence(best, self.evidence.most, nearest))
         fits, evidence = self.located.decision.fits, self.evidence
         sentences += hints(best, evidence.machine, fits, evidence.still)
+        if uncrossed := uncrossed_plays(self.located.prepared.problem, best):
+            sentences.append(uncrossed_sentence(uncrossed))
         after = self.answer.next_experiment
         if not self.contact and not self.answer.unexplained.flagged:
             prepared = self.located.prepared
@@ -270,7 +273,9 @@ def _from_training(study: Study, evidence: Evidence, stages: "_Stages") -> _Froz
     experiment = next_experiment(located, outcome, study.limits)
     contact = in_contact(located.prepared.problem)
     fits = located.decision.fits
-    unsure = contact or doubtful(outcome.fit, evidence.machine, fits, evidence.still)
+    uncrossed = uncrossed_plays(located.prepared.problem, outcome.fit)
+    doubt = doubtful(outcome.fit, evidence.machine, fits, evidence.still)
+    unsure = contact or doubt or bool(uncrossed)
     answer = make_answer(
         located.decision, outcome, evidence.machine, experiment,
         doubtful=unsure, fitted=_fitted(evidence, outcome.fit.hypothesis),
