@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
+_OFF_CENTRE = 0.05  # of half an interval, by which its value lies beside the middle
 _UNSPOKEN = ("relative", "fraction", "fraction of the load torque", "coefficient", "–")
 """Units of pure numbers, which sentences say otherwise."""
 
@@ -31,18 +32,27 @@ class Quantity:
 
 
 def amount(quantity: Quantity) -> str:
-    """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1."""
-    half = 0.5 * (quantity.interval[1] - quantity.interval[0])
+    """Return "0.151 ± 0.002 N m": the uncertainty with one digit, two where it begins with 1.
+
+    An interval that ends at a bound is said by its ends: "0.001 (0 to 0.004) s".
+    """
+    low, high = quantity.interval
+    half = 0.5 * (high - low)
     spoken_unit = "" if quantity.unit in _UNSPOKEN else f" {quantity.unit}"
     if half <= 0 or not np.isfinite(half):
         return f"{quantity.value:.4g}{spoken_unit}"
     exponent = int(np.floor(np.log10(half)))
     digits = -exponent + (1 if half / 10.0**exponent < 2 else 0)
+    factor, sign = 1.0, ""
     if quantity.unit == "relative":
-        value, half = (_rounded(100 * v, digits - 2) for v in (quantity.value, half))
-        return f"{value:+.{max(digits - 2, 0)}f} ± {half:.{max(digits - 2, 0)}f} %"
-    value, half = (_rounded(v, digits) for v in (quantity.value, half))
-    return f"{value:.{max(digits, 0)}f} ± {half:.{max(digits, 0)}f}{spoken_unit}"
+        factor, sign, spoken_unit, digits = 100.0, "+", " %", digits - 2
+
+    def said(value: float, sign: str = "") -> str:
+        return f"{_rounded(factor * value, digits) + 0.0:{sign}.{max(digits, 0)}f}"
+
+    if abs(quantity.value - 0.5 * (low + high)) > _OFF_CENTRE * half:
+        return f"{said(quantity.value, sign)} ({said(low)} to {said(high)}){spoken_unit}"
+    return f"{said(quantity.value, sign)} ± {said(half)}{spoken_unit}"
 
 
 def _rounded(value: float, digits: int) -> float:

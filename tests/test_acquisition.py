@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from botorch.acquisition import AcquisitionFunction
+from botorch.exceptions import UnsupportedError
 from botorch.optim import optimize_acqf_discrete
 from botorch.sampling.stochastic_samplers import StochasticSampler
 from botorch.utils.testing import MockModel, MockPosterior
@@ -112,6 +113,22 @@ class TestArgminEntropyOnAMock:
         acquisition = ArgminEntropyContribution(None, candidates, certain)
         assert acquisition(candidates.unsqueeze(-2)).tolist() == [0.0] * 4
 
+    def test_the_maximum_of_negated_draws_is_the_minimum(self, dtype):
+        candidates, _ = self.acquisition(dtype)
+        draws = -torch.tensor(self.DRAWS, dtype=dtype).unsqueeze(-1)
+        model = MockModel(MockPosterior(samples=draws, base_shape=torch.Size([4, 1])))
+        acquisition = ArgminEntropyContribution(
+            model, candidates, sampler=StochasticSampler(torch.Size([8])), maximize=True
+        )
+        torch.testing.assert_close(acquisition(candidates.unsqueeze(-2)), self.expected(dtype))
+
+    def test_a_model_of_several_outputs_is_refused(self, dtype):
+        candidates, _ = self.acquisition(dtype)
+        two = MockModel(MockPosterior(samples=torch.zeros(8, 4, 2, dtype=dtype)))
+        assert two.num_outputs == 2
+        with pytest.raises(UnsupportedError, match="needs a posterior_transform"):
+            ArgminEntropyContribution(two, candidates)
+
     def test_point_that_is_no_candidate(self, dtype):
         candidates, acquisition = self.acquisition(dtype)
         with pytest.raises(ValueError, match="is not a candidate"):
@@ -123,6 +140,16 @@ class TestArgminEntropyOnAMock:
             ArgminEntropyContribution(None, candidates, torch.ones(3, dtype=dtype))
         with pytest.raises(ValueError, match="model or probabilities"):
             ArgminEntropyContribution(None, candidates)
+
+
+def test_rows_are_found_after_a_cast() -> None:
+    """Candidates that single precision rounds."""
+    candidates = torch.tensor(np.random.default_rng(0).uniform(size=(20, 3)))
+    values = torch.arange(20, dtype=torch.float64)
+    moved = RowAcquisition(candidates, values).to(torch.float32)
+    assert moved(candidates.float().unsqueeze(-2)).tolist() == values.tolist()
+    back = moved.to(torch.float64)
+    assert back(candidates.float().double().unsqueeze(-2)).tolist() == values.tolist()
 
 
 @pytest.mark.parametrize("name", acquisition_names())

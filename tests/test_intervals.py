@@ -22,3 +22,18 @@ def test_the_uncertainty_has_one_digit_and_two_where_it_begins_with_one(
     value: float, half: float, unit: str, said: str
 ) -> None:
     assert amount(Quantity(value, unit, (value - half, value + half))) == said
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "unit", "said"),
+    [
+        (0.001, (0.0, 0.004), "s", "0.001 (0.000 to 0.004) s"),
+        (0.0, (0.0, 0.039), "N m", "0.000 (0.000 to 0.039) N m"),
+        (-0.02, (-0.05, 0.0), "relative", "-2 (-5 to 0) %"),
+        (0.1, (0.098, 0.1021), "N m", "0.100 ± 0.002 N m"),
+    ],
+)
+def test_an_interval_that_ends_at_a_bound_is_said_by_its_ends(
+    value: float, interval: tuple[float, float], unit: str, said: str
+) -> None:
+    assert amount(Quantity(value, unit, interval)) == said

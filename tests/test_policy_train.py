@@ -11,7 +11,7 @@ from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.tasks import Start, VectorTask, find_task
-from bo_sysid.policy.settings import TrpoSettings
+from bo_sysid.policy.settings import TrpoSettings, TrustRegion
 from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.policy.train import CHECKPOINT, LOG, POLICY, train
 from bo_sysid.policy.trainer import Trainer
@@ -200,6 +200,9 @@ def test_wrong_settings_name_the_rule(cart):
         TrpoSettings(discount=1.5)
     with pytest.raises(StudyError, match="hidden"):
         TrpoSettings(hidden=())
+    for region in (TrustRegion(cg_steps=0), TrustRegion(backtracks=0), TrustRegion(shrink=2.0)):
+        with pytest.raises(StudyError, match=r"(cg_steps|backtracks|shrink) is [02]"):
+            TrpoSettings(region=region)
 
 
 def test_a_reward_that_is_not_finite_is_named(cart):

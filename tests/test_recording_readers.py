@@ -207,6 +207,15 @@ def test_time_stamps_of_a_date_become_seconds(ending, zone, tmp_path):
         read_recording(path, {"time": {"unit": "ms"}})
 
 
+def test_times_of_day_are_durations_and_go_on_past_midnight(tmp_path):
+    seconds = 86_399.0 + 0.02 * np.arange(200)
+    stamps = pd.to_datetime(seconds, unit="s").round("ms").strftime("%H:%M:%S.%f")
+    lines = (f"{t},{k}" for k, t in enumerate(stamps))
+    (tmp_path / "log.csv").write_text("time,qpos.a\n" + "\n".join(lines))
+    recording = read_recording(tmp_path / "log.csv")
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, seconds, atol=1e-6)
+
+
 @pytest.mark.parametrize("resolution", ["ns", "us", "ms"])
 def test_durations_become_seconds(resolution, tmp_path):
     seconds = 3.0 + np.arange(20) * 0.25

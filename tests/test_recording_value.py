@@ -145,6 +145,17 @@ def test_frames_there_and_back():
         Recording.from_frame(frame.rename(columns={"time": "timee"}))
 
 
+def test_a_frame_of_several_clocks_goes_there_and_back():
+    slow, late = Channel(TIME[::2] + 0.05, VALUES[::2]), Channel(TIME[1:], VALUES[1:], hold="zero")
+    made = Recording("r", {"qpos.a": Channel(TIME, VALUES), "qvel.a": slow, "ctrl.m": late})
+    back = Recording.from_frame(made.to_frame())
+    for name in ("qpos.a", "qvel.a"):
+        np.testing.assert_array_equal(back.channels[name].time, made.channels[name].time)
+        np.testing.assert_array_equal(back.channels[name].values, made.channels[name].values)
+    with pytest.raises(RecordingError, match=r"arm: qpos.a: no row has a number"):
+        Recording.from_frame(pd.DataFrame({"time": TIME, "qpos.a": np.nan}), name="arm")
+
+
 def test_a_frame_of_several_clocks_invents_no_measurement():
     slow = Channel(TIME[::2] + 0.05, VALUES[::2], hold="zero")
     frame = Recording("r", {"qpos.a": Channel(TIME, VALUES), "ctrl.m": slow}).to_frame()

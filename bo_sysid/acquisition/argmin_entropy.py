@@ -11,6 +11,8 @@ References:
 from collections.abc import Callable
 
 import torch
+from botorch.acquisition.objective import PosteriorTransform
+from botorch.exceptions import UnsupportedError
 from botorch.models.model import Model
 from botorch.sampling.base import MCSampler
 from botorch.sampling.get_sampler import get_sampler
@@ -39,6 +41,8 @@ class ArgminEntropyContribution(RowAcquisition):
         probabilities: Tensor | None = None,
         sampler: MCSampler | None = None,
         values_given_pending: Callable[[Rows], Tensor] | None = None,
+        posterior_transform: PosteriorTransform | None = None,
+        maximize: bool = False,
     ) -> None:
         """Compute the values.
 
@@ -50,11 +54,25 @@ class ArgminEntropyContribution(RowAcquisition):
             sampler: draws them; by default 1 024 of BoTorch's `get_sampler`, with a fixed seed.
             values_given_pending: returns the `N` values while rows of B are pending; by default
                 they do not change.
+            posterior_transform: makes one output of a model of several.
+            maximize: seek the arg-max of the model, as of a problem that is negated.
+
+        Raises:
+            UnsupportedError: the model has several outputs, and no transform makes one of them.
         """
         if probabilities is None:
             if model is None:
                 raise ValueError("either a model or probabilities are needed")
-            probabilities = _count_minima(model, candidates, sampler)
+            if model.num_outputs > 1 and posterior_transform is None:
+                raise UnsupportedError(
+                    "P of the arg-min is that of one output: a model of "
+                    f"{model.num_outputs} needs a posterior_transform"
+                )
+            with torch.no_grad():
+                posterior = model.posterior(candidates, posterior_transform=posterior_transform)
+                sampler = sampler or get_sampler(posterior, torch.Size([_SAMPLES]), seed=0)
+                draws = sampler(posterior).squeeze(-1)
+            probabilities = _share_of_minima(-draws if maximize else draws).to(candidates)
         elif probabilities.shape != candidates.shape[:1]:
             raise ValueError(
                 f"probabilities {tuple(probabilities.shape)} do not belong to candidates "
@@ -64,13 +82,9 @@ class ArgminEntropyContribution(RowAcquisition):
         super().__init__(candidates, values, model, values_given_pending)
 
 
-def _count_minima(model: Model, candidates: Tensor, sampler: MCSampler | None) -> Tensor:
-    """Return how often each candidate is the minimum of a joint sample, ties split."""
-    with torch.no_grad():
-        posterior = model.posterior(candidates)
-        sampler = sampler or get_sampler(posterior, torch.Size([_SAMPLES]), seed=0)
-        draws = sampler(posterior).squeeze(-1)
-    lowest = (draws == draws.min(dim=-1, keepdim=True).values).to(candidates)
+def _share_of_minima(draws: Tensor) -> Tensor:
+    """Return how often each candidate is the minimum of `samples x N` joint draws, ties split."""
+    lowest = (draws == draws.min(dim=-1, keepdim=True).values).to(draws)
     shares: Tensor = lowest / lowest.sum(dim=-1, keepdim=True)
     return shares.mean(dim=0)
 

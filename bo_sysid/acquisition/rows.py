@@ -48,7 +48,7 @@ class RowAcquisition(AcquisitionFunction):
         self.register_buffer("candidates", candidates)
         self.register_buffer("values", values.to(candidates))
         self.register_buffer("_present", self.values)
-        self._index = RowIndex.of(candidates.detach().cpu().double().numpy())
+        self._index, self._indexed = self._indexed_rows(), self.candidates.dtype
         self._values_given_pending = values_given_pending
         self.set_X_pending(None)
 
@@ -69,6 +69,8 @@ class RowAcquisition(AcquisitionFunction):
         Raises:
             ValueError: a point is not a row of B.
         """
+        if self.candidates.dtype != self._indexed:  # the module was cast, and its rows with it
+            self._index, self._indexed = self._indexed_rows(), self.candidates.dtype
         points = X.detach().cpu().double().numpy().reshape(-1, X.shape[-1])
         found = self._index.find(points)
         if (found < 0).any():
@@ -77,6 +79,9 @@ class RowAcquisition(AcquisitionFunction):
                 "up by exact equality and must not pass through a transform"
             )
         return torch.as_tensor(found, device=X.device).reshape(X.shape[:-1])
+
+    def _indexed_rows(self) -> RowIndex:
+        return RowIndex.of(self.candidates.detach().cpu().double().numpy())
 
     @t_batch_mode_transform(expected_q=1, assert_output_shape=False)  # type: ignore[untyped-decorator]
     def forward(self, X: Tensor) -> Tensor:

@@ -111,7 +111,7 @@ def iterate(
             evaluations += len(found.rows)
     row = _chosen(scene, found, step.number)
     policy = _learned(scene, step, found, row)
-    step.done(3, "judged")
+    step.done(3, "policy learned")
     verdict = _judged(scene, step, found, row, policy)
     figures = _figures(scene, step, found, row, policy, verdict, repair)
     figures["evaluations"] = evaluations

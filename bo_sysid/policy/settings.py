@@ -81,6 +81,9 @@ class TrpoSettings:
             ("decay", self.decay, 0.0, 1.0),
             ("kl", self.region.kl, 1e-9, np.inf),
             ("damping", self.region.damping, 0.0, np.inf),
+            ("cg_steps", self.region.cg_steps, 1, np.inf),
+            ("backtracks", self.region.backtracks, 1, np.inf),
+            ("shrink", self.region.shrink, 1e-3, 0.999),
         ):
             if not low <= value <= high:
                 raise StudyError(f"policy: {name} is {value}; it must be from {low:g} to {high:g}")

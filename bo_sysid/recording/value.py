@@ -183,7 +183,8 @@ class Recording:
     def from_frame(cls, frame: pd.DataFrame, *, name: str = UNNAMED) -> "Recording":
         """Make a recording from a DataFrame with channels as columns and a column ``time``.
 
-        That holds numbers in [s], dates or durations.
+        That holds numbers in [s], dates or durations. A channel has no sample where it is NaN, as
+        `to_frame` writes those of several clocks.
         """
         if "time" not in frame.columns:
             raise RecordingError(
@@ -197,7 +198,11 @@ class Recording:
                 continue
             hold: Hold = "zero" if kind_of(key) in HELD_KINDS else "none"
             where = f"{name}: {key}"
-            channels[key] = Channel(time, numbers(frame[column], where), "", where, hold)
+            values = numbers(frame[column], where)
+            seen = ~np.isnan(values)
+            if not seen.any():
+                raise RecordingError(f"{where}: no row has a number")
+            channels[key] = Channel(time[seen], values[seen], "", where, hold)
         return cls(name, channels)
 
     def to_frame(self) -> pd.DataFrame:

@@ -17,6 +17,8 @@ from bo_sysid.recording.table import RawTable
 from bo_sysid.recording.units import is_unit
 
 _COMMA_NUMBER = r"[-+]?(\d+|\d*,\d+|\d+,)([eE][-+]?\d+)?"
+_TIME_OF_DAY = r"\d{1,2}:\d\d:\d\d(\.\d+)?"
+_HALF_A_DAY = np.timedelta64(12, "h")
 _SEPARATOR = re.compile(r'"?sep=.?"?')  # a first line that Excel writes and reads
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")  # the first bytes of what Excel calls Unicode text
 _MOST = 2**31 - 1  # bytes that are parsed at once
@@ -28,7 +30,8 @@ _INDEX = "index"  # name of a first column that has none
 def read_csv(path: Path) -> RawTable:
     """Read a text file with one header line; the separator is found in that line.
 
-    Between other separators than commas, numbers may have decimal commas.
+    Between other separators than commas, numbers may have decimal commas. Times of day such as
+    12:00:00.02 are durations.
     Blank lines and lines that start with ``#`` may stand before the header; the header itself may
     start with ``#``, as `numpy.savetxt` writes it. Before all may stand Excel's ``sep=;``, and
     below the header a line of units.
@@ -73,7 +76,23 @@ def read_csv(path: Path) -> RawTable:
         notes.append("Units were read from the line below the header.")
     if commas:
         notes.append(f"Decimal commas read as points in columns {', '.join(map(repr, commas))}.")
-    return RawTable(str(path), {**columns, **commas}, units=units, notes=tuple(notes))
+    daily = _times_of_day(columns)
+    columns |= commas | daily
+    return RawTable(str(path), columns, units=units, notes=tuple(notes))
+
+
+def _times_of_day(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the columns of times such as 23:59:59.98 as durations, on past midnight."""
+    found = {}
+    for name, values in columns.items():
+        if values.dtype != object or pd.isna(values).any():
+            continue
+        cells = pd.Series(values).astype(str).str.strip().str.replace(",", ".")
+        if cells.str.fullmatch(_TIME_OF_DAY).all():
+            passed = pd.to_timedelta(cells).to_numpy()
+            days = np.cumsum(np.diff(passed, prepend=passed[:1]) < -_HALF_A_DAY)
+            found[name] = passed + days * 2 * _HALF_A_DAY
+    return found
 
 
 def _decimal_commas(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
