@@ -42,7 +42,14 @@ class Sizes:
         window = _TOUCHING if can_touch(machine.model) else _WINDOW
         horizon = round(window / machine.sampling)
         problem = cut_problem(
-            model, machine, [recording], channels, (), horizon=horizon, stride=3, engine=Engine(1)
+            model,
+            machine,
+            [recording],
+            channels,
+            (),
+            horizon=horizon,
+            keep_every=3,
+            engine=Engine(1),
         )
         self._prepared = prepare(problem)
         self._problem = replace(self._prepared.problem, correction=None)

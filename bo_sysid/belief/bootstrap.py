@@ -13,8 +13,8 @@ already and is counted again with the blocks: the variance of the resampled mean
 
     τ²/S + σ²/(S n) · (1 + S/(S − 1) · (n − 1)/n).
 
-It errs on the safe side where sessions agree; that quantiles over few sessions are narrower than
-Student's t errs on the other. Sessions drawn whole would have the second error alone.
+Where sessions agree, intervals are therefore too wide. With few sessions, percentile intervals are
+too narrow compared with Student's t; drawing sessions whole would leave only that second error.
 
 References:
     Künsch (1989), The jackknife and the bootstrap for general stationary observations.

@@ -10,7 +10,7 @@ from bo_sysid.checks.flags import Flag
 from bo_sysid.checks.traces import LATEST
 
 LATE = 2.5e-3  # [s] a delay below is not worth a word
-_UNTOLD = 0.5  # of a sampling interval and a step of the model: a delay below is no other clock
+_UNTOLD = 0.5  # share of (sampling interval + time step), below which a delay is not reported
 _SURE = 4.0  # standard deviations that a delay must differ from nothing, or from another
 _APART = 5e-3  # [s] from which on one control's delay is told apart from the others'
 _FLOOR = 3e-4  # [s] what the model's step leaves undecided about a delay

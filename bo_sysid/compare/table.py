@@ -101,7 +101,7 @@ class Counted:
         return self.simulator.predictions(points, windows, starts)
 
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
-        """Return the simulator's."""
+        """Delegate to the simulator that is counted."""
         return self.simulator.moved(start, tangent)
 
 

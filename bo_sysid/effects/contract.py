@@ -166,9 +166,9 @@ class Extent:
         refine: factors by which shapes are varied once the effect is in the leading set.
         secants: magnitudes so large that they change the motion, as a friction that holds a joint;
             the response to them is simulated, not linearised.
-        variants: other shapes of friction that are tried then, where the set leaves something
-            unexplained, NaN for one that stays as it is. The last is by how much it bends before
-            it slips, 0 for not at all; `refine` is of that, too, where it is positive.
+        variants: alternative shapes of friction, tried if the leading set leaves something
+            unexplained. NaN keeps a shape. The last entry is the presliding displacement, 0 for
+            none; where it is positive, `refine` varies it as well.
         place: where on its body a fit of the place begins, other than the usual one of the probe;
             () where the place is held.
         step: how far that fit looks around at first.
@@ -281,7 +281,7 @@ class Effect:
 
     @property
     def acting(self) -> int:
-        """How many components there are whatever its place, all 0 where nothing is there."""
+        """Number of components other than the place; the effect is absent where all are 0."""
         return len(self.components) - max(self.shapes, self.placed)
 
     @property

@@ -12,7 +12,8 @@ class Progress:
         step: units done.
         of: units in all.
         message: what is being done or was found, one short sentence.
-        passing: whether it is reported within a unit, which is worth no line of its own.
+        passing: whether the message is from within a unit of work; where lines are printed, it is
+            shown only after a long silence.
         share: of the whole work that is done by then, roughly, in 0 to 1, where units differ;
             None where they take equally long.
     """

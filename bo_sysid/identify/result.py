@@ -17,7 +17,7 @@ _KNOWN = 1e-9  # share of the range: what spreads less has one value, but for ro
 _EXPLAINED = 3.0  # standard deviations of the noise, beyond which recordings are not explained
 _LIKELY = 0.5  # P of the best candidate that was tried, from which it is no stopgap
 _CLEARLY = 1.2  # times the nominal model's error, from which the identified one is worse
-_UNLIKE = 100.0  # times another, that a channel's scale is larger beside its noise
+_UNLIKE = 100.0  # ratio of two channels' spreads over noise, above which one hides the other
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
 

@@ -19,7 +19,8 @@ class Beginning(NamedTuple):
 
     Attributes:
         iteration: whose checkpoint is taken over; None for none.
-        go_on: with as many steps again, on the new model; else it is only as long as ever.
+        go_on: train `policy.steps` more on the new model; otherwise these are the total, those of
+            the checkpoint included.
     """
 
     iteration: int | None = None

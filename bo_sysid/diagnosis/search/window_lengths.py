@@ -47,10 +47,10 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
     """
     whole = sum(r.duration for r in evidence.recordings) / evidence.machine.sampling
     count = max(int(whole / horizon), 1)
-    stride = max(round(count / _WINDOWS), 1)
+    keep_every = max(round(count / _WINDOWS), 1)
     if everything:
         most = _MOST_IN_CONTACT if evidence.machine.impacts else _MOST
-        stride = -(-count // (most * _WINDOWS))
+        keep_every = -(-count // (most * _WINDOWS))
     return cut_problem(
         evidence.model,
         evidence.machine,
@@ -58,7 +58,7 @@ def windows_of(evidence: Evidence, horizon: int, step: float, everything: bool =
         evidence.sigma,
         evidence.nuisances,
         horizon=horizon,
-        stride=stride,
+        keep_every=keep_every,
         timestep=step,
         engine=evidence.engine,
         laws=evidence.laws,

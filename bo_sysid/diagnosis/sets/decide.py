@@ -21,10 +21,10 @@ from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.projection import project
 
 _BAND = 4.6  # difference of log posterior within which sets are equivalent: 1 in 100
-_SAME = 0.05  # [sigma] difference of predictions within which sets are equivalent; a share where
-# what they leave is far above the sensors' noise
-# of what is left unexplained: predictions closer than that may be told apart by chance
-_CHANCE = 0.5
+# [sigma] rms difference below which two sets predict the same; where they leave far more than the
+# sensors' noise, a share of what they leave
+_SAME = 0.05
+_CHANCE = 0.5  # share of what is left unexplained, below which a difference may be chance
 _TRIFLE = 0.1  # share of what a richer effect holds, that is its own: below, it says nothing more
 _NEARLY = 0.5  # of the size that a member must have, for a set that may stand for the best
 _AFTER = 1e-9  # difference of log posterior that orders equals
@@ -146,8 +146,8 @@ def _answer(compared: _Compared, leader: Fit, ranked: Sequence[Fit]) -> tuple[Fi
     nearly = [f for f in richer if compared.nearly_admissible(f)]
     if nearly:
         return nearly[0], nearly[:1]
-    # Where it is less than half of that the plain one is answered, and a richer one that says
-    # something else is as probable.
+    # Where a member of the richer set falls short of half that size, the plain set is answered,
+    # and the richer one is listed as equally probable if it says something else.
     return leader, [f for f in richer if _refinement_matters(f)][:1]
 
 

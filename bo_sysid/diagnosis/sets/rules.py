@@ -149,7 +149,8 @@ def _without(other: Fit, fit: Fit, member: Candidate, all_else: bool) -> bool:
 def weak(fit: Fit, nominal: Fit, fits: Iterable[Fit]) -> list[int]:
     """Return the members that are smaller than what stays unexplained, or a part of the nominal's.
 
-    For that part the larger of the size and of what leaving out costs counts.
+    The threshold set by the nominal's rest is compared with the larger of a member's unique size
+    and what leaving it out costs.
     A group is one hypothesis: each of its n members needs 1/√n of both thresholds, and a size of
     `MARGIN` all the same. Where at least two of them, and half, reach that, the others stay as long
     as the recordings show that they are there: what all joints have is not small by chance.

@@ -17,8 +17,8 @@ class LeftOut:
 
     Attributes:
         G: `B x k x k` inner products of the columns in each block.
-        b: `B x k x s` those of the columns with what is to be predicted; behind the first the same
-            for what has nothing to predict: it, with the signs of its windows drawn at random.
+        b: `B x k x s` inner products of the columns with the target, first; then with the target
+            after random sign flips of its windows, which leave nothing to predict.
     """
 
     G: Float[np.ndarray, "B k k"]

@@ -61,7 +61,7 @@ def missing_force(evidence: Evidence, repaired: Hypothesis, timestep: float) -> 
         evidence.sigma,
         (),
         horizon=horizon,
-        stride=max(int(np.ceil(whole / horizon / _PIECES)), 1),
+        keep_every=max(int(np.ceil(whole / horizon / _PIECES)), 1),
         timestep=timestep,
         engine=evidence.engine,
         laws=evidence.laws,

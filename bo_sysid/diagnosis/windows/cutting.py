@@ -26,7 +26,7 @@ def cut_problem(
     nuisances: Sequence[Candidate],
     *,
     horizon: int,
-    stride: int = 1,
+    keep_every: int = 1,
     timestep: float | None = None,
     engine: Engine,
     laws: Sequence[Controller | ForceLaw] = (),
@@ -42,7 +42,7 @@ def cut_problem(
         sigma: noise of each observed channel; others are not observed.
         nuisances: the study's parameters.
         horizon: instants in a window, of observed channels and positions.
-        stride: every how many-th of the disjoint windows to keep.
+        keep_every: keep each so-many-th of the disjoint windows.
         timestep: of the simulation in [s]; by default the model's.
         engine: simulates.
         laws: controllers and force laws that belong to the nominal model.
@@ -57,7 +57,7 @@ def cut_problem(
         signals=(*machine.inputs, ELAPSED),
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
-    windows = windows.rows(np.arange(0, len(windows), stride)).among(sigma)
+    windows = windows.rows(np.arange(0, len(windows), keep_every)).among(sigma)
     scale = np.array([sigma[n] for n in windows.channels])
     recorded = {n.removeprefix("qpos.") for n in windows.channels}
     weight = np.isfinite(windows.observed) / scale

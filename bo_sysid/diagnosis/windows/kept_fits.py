@@ -1,7 +1,7 @@
 """Results of long fits, which a diagnosis that was killed finds again.
 
-A fit is known by a hash of all that it is made from, so that one that goes on comes to the same
-answer, whatever it was doing when it was killed.
+A fit is stored under a hash of all its inputs, so that a diagnosis that is resumed comes to the
+same answer, whatever it was doing when it was killed.
 """
 
 import hashlib

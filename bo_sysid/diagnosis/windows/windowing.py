@@ -156,7 +156,7 @@ def in_contact(problem: Problem) -> bool:
 
 
 def meets_impacts(problem: Problem) -> bool:
-    """Whether that is so and contacts come and go: the instants at which they do decide much."""
+    """Whether the machine is in contact, and contacts are made and broken in the recordings."""
     return problem.machine.impacts and in_contact(problem)
 
 
