@@ -774,6 +774,41 @@ def test_a_drive_that_is_late_alone_gives_no_clock(tmp_path: Path) -> None:
     assert started.rules.columns["ctrl.x_motor"]["from"] == "TqX"
 
 
+FOUR_BAR = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <default><joint axis="0 1 0" damping=".02"/><geom type="capsule" size=".01" contype="0"
+    conaffinity="0" mass=".2"/></default>
+  <worldbody>
+    <body name="crank">
+      <joint name="crank"/><geom fromto="0 0 0 0 0 .1"/>
+      <body name="coupler" pos="0 0 .1"><joint name="pin"/><geom fromto="0 0 0 .3 0 0"/></body>
+    </body>
+    <body name="rocker" pos=".3 0 -.1"><joint name="rocker"/><geom fromto="0 0 0 0 0 .2"/></body>
+  </worldbody>
+  <equality><connect body1="coupler" body2="rocker" anchor=".3 0 0"/></equality>
+  <actuator><motor name="drive" joint="crank"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_linkage_is_read_from_the_angle_of_its_motor(tmp_path: Path) -> None:
+    """Three joints, one motor: the columns are too few for all, and enough for what is driven."""
+    model = mujoco.MjModel.from_xml_string(FOUR_BAR)
+    data, rows = mujoco.MjData(model), []
+    for k in range(800):
+        data.ctrl[0] = 0.25 * np.sin(0.03 * k) + 0.15 * np.sin(0.071 * k)
+        rows.append((data.time, data.qpos[0], data.ctrl[0]))
+        mujoco.mj_step(model, data, 2)
+    (tmp_path / "four.xml").write_text(FOUR_BAR)
+    columns = ["Time [s]", "Motor angle [rad]", "Torque [Nm]"]
+    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "log.csv", index=False)
+    started = init(tmp_path / "four.xml", [tmp_path / "log.csv"], tmp_path / "study.yaml")
+    found = {n: rule["from"] for n, rule in started.rules.columns.items() if "." in n}
+    assert found == {"qpos.crank": "Motor angle [rad]", "ctrl.drive": "Torque [Nm]"}
+    assert set(Study.load(started.path).model.unrecorded) == {"pin", "rocker"}
+
+
 def test_the_pose_of_a_floating_base_is_found_by_its_letters(tmp_path: Path) -> None:
     (tmp_path / "rover.xml").write_text(
         '<mujoco><worldbody><body name="rover"><freejoint name="root"/><geom size=".1"/>'

@@ -19,7 +19,7 @@ from bo_sysid.starter.controls import left_over, matched_controls
 from bo_sysid.starter.matching import Guess, match, rates_of
 from bo_sysid.starter.naming import Column, named_after
 from bo_sysid.starter.pose import pose_guesses, pose_rule
-from bo_sysid.starter.reading import clock_rule, column_rule, fits_joint
+from bo_sysid.starter.reading import clock_rule, column_rule, driven, fits_joint
 
 _BODY = 0.85  # what the name of a joint's body counts, of its own
 
@@ -128,14 +128,9 @@ def _matched(
         RecordingError: cells that are no numbers hide the positions.
     """
     compiled = model.compile()
-    positions = match(
-        "qpos",
-        joints,
-        [c for c in columns if c.kind == "position" or named_after(joints, c)],
-        [_body(compiled, j) for j in joints],
-        trust=_BODY,
-        fits=partial(fits_joint, compiled),
-    )
+    positions = _positions(compiled, columns, joints)
+    if not positions and (moving := _driven_alone(model, compiled, joints)):
+        positions = _positions(compiled, columns, moving)
     if joints and not positions and (bad := spoilt(table)):
         raise RecordingError(
             f"{table.source}: no column looks like the position of a joint of {model.source} "
@@ -147,6 +142,33 @@ def _matched(
     commands = matched_controls(model, compiled, columns)
     commands += left_over(model, table, columns, (*positions, *velocities, *commands))
     return [*positions, *velocities, *commands]
+
+
+def _positions(
+    compiled: mujoco.MjModel, columns: Sequence[Column], joints: Sequence[str]
+) -> list[Guess]:
+    """Match joints with columns of positions."""
+    return match(
+        "qpos",
+        joints,
+        [c for c in columns if c.kind == "position" or named_after(joints, c)],
+        [_body(compiled, j) for j in joints],
+        trust=_BODY,
+        fits=partial(fits_joint, compiled),
+    )
+
+
+def _driven_alone(model: Model, compiled: mujoco.MjModel, joints: Sequence[str]) -> list[str]:
+    """Return the joints that actuators drive, where all others follow from them; else none.
+
+    A log of a five-bar has the angles of its motors.
+    """
+    moved = {driven(compiled, f"ctrl.{a}") for a in model.controlled}
+    others = [j for j in joints if j not in moved]
+    loops = Loops.of(compiled, others)
+    if not others or not all(j in loops.joints or tied_by(compiled, j) for j in others):
+        return []
+    return [j for j in joints if j in moved]
 
 
 def _silent_balls(model: Model, table: RawTable) -> list[str]:
