@@ -17,7 +17,7 @@ from bo_sysid.effects import Machine
 from bo_sysid.intervals import Quantity, amount
 from bo_sysid.mjcf.joints import BALL
 
-_LEFT = 1.0  # excess from which more than noise is left, whatever it is
+_LEFT = 0.2  # excess from which more than noise is left, whatever it is
 # another set casts doubt where it leaves less than this share of what the answer leaves
 _MUCH_LESS = 0.9
 _SOFT = "joint_compliance"
