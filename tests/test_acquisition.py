@@ -221,8 +221,16 @@ def test_argmin_entropy_is_the_term_of_the_beliefs_entropy(context):
     assert values.sum() == pytest.approx(context.belief.entropy)
 
 
-def test_greedy_is_the_belief(context):
-    assert values_of("greedy", context).tolist() == context.belief.probabilities.tolist()
+def test_greedy_picks_the_most_probable_candidate_that_is_left(context):
+    P = np.zeros(len(context.candidates))
+    P[[3, 9, 20]] = 0.5, 0.2, 0.3  # the first was evaluated
+    belief = ArgminBelief(P, "exact", 0.0)
+    known = SelectionContext(
+        context.surrogate, belief, context.candidates, context.evaluated, seed=4
+    )
+    acquisition = build_acquisition("greedy", known)
+    assert pick(acquisition, context.candidates, context.evaluated) == 20
+    assert pick(acquisition, context.candidates, np.array([3, 20])) == 9
 
 
 def test_minimum_mean_is_the_surrogates_mean(context):

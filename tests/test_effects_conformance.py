@@ -38,7 +38,7 @@ class TestWords:
         words = {**more, "site": "the elbow", "value": "0.1 N m", "interval": ""}
         said = effect.sentence.format_map(words)
         assert "0.1 N m" in said
-        assert said[0].isupper() or said.startswith("the elbow")
+        assert effect.sentence[0].isupper() or effect.sentence.startswith("{site}")
         assert said.endswith(".")
         assert effect.kind == "world" or "the elbow" in said
         for text in (effect.evidence, effect.separation, effect.noun, effect.form):

@@ -87,7 +87,7 @@ def remarks(errors: pd.DataFrame) -> tuple[str, ...]:
             found += [f"{name} was recorded in no window that is compared" for name in unrecorded]
         elif max(lost.values()) < 1:
             found.append("there is no window in which neither diverges")
-        if part == "holdout" and _worse(table):
+        if part == "holdout" and is_worse(table):
             found.append(
                 "the identified model is better than the nominal one in no channel; more "
                 "evaluations or candidates may find what fits, and diagnose what the model lacks"
@@ -96,8 +96,12 @@ def remarks(errors: pd.DataFrame) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _worse(table: pd.DataFrame) -> bool:
-    """Whether the identified model predicts no channel better, and one clearly worse."""
+def is_worse(table: pd.DataFrame) -> bool:
+    """Return whether the identified model predicts no channel better, and one clearly worse.
+
+    Args:
+        table: rows of `compared`.
+    """
     known = table[["nominal", "identified"]].dropna()
     ratio = known["identified"] / known["nominal"]
     return bool((ratio >= 1).all() and (ratio > _CLEARLY).any())

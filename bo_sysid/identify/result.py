@@ -9,6 +9,7 @@ import pandas as pd
 from scipy.special import entr
 
 from bo_sysid.arrays import Point, Probabilities
+from bo_sysid.identify.errors import is_worse
 from bo_sysid.parameters import CandidateSet
 from bo_sysid.runs import finite
 
@@ -16,7 +17,6 @@ _LITTLE = 0.5  # share of the range from which an interval says little
 _KNOWN = 1e-9  # share of the range: what spreads less has one value, but for rounding
 _EXPLAINED = 3.0  # standard deviations of the noise, beyond which recordings are not explained
 _LIKELY = 0.5  # P of the best candidate that was tried, from which it is no stopgap
-_CLEARLY = 1.2  # times the nominal model's error, from which the identified one is worse
 _UNLIKE = 100.0  # ratio of two channels' spreads over noise, above which one hides the other
 _TIED = 0.8  # correlation from which two parameters stand for each other
 
@@ -130,10 +130,10 @@ class Identification:
         if self.errors.empty:
             return ()
         trained = self.errors[self.errors["recordings"] == "train"]
+        if not is_worse(trained):
+            return ()
         known = trained[["channel", "unit", "nominal", "identified"]].dropna()
         ratio = known["identified"] / known["nominal"]
-        if known.empty or not ((ratio >= 1).all() and (ratio > _CLEARLY).any()):
-            return ()
         worst = known.to_dict(orient="records")[int(ratio.to_numpy().argmax())]
         return (
             "The model as it is fits the training recordings better than every candidate that was "
