@@ -93,10 +93,10 @@ def test_a_log_that_is_named_twice_is_not_held_out_from_itself(tmp_path: Path) -
 
 
 def test_a_clock_of_text_is_named_with_what_could_be_read(tmp_path: Path) -> None:
-    rows = [f"12:00:00.{10 * k:03d}000,{np.sin(k)},{np.cos(k)}" for k in range(50)]
+    rows = [f"12h00m00.{10 * k:03d}s,{np.sin(k)},{np.cos(k)}" for k in range(50)]
     (tmp_path / "log.csv").write_text("\n".join(["time,wheel_pos,wheel_torque", *rows]))
     (table,) = read_tables(tmp_path / "log.csv")
-    with pytest.raises(RecordingError, match=r"column 'time' .* text, as '12:00:00.*2024-05-01 12"):
+    with pytest.raises(RecordingError, match=r"column 'time' .* text, as '12h00m00.*2024-05-01 12"):
         describe(table)
 
 

@@ -77,7 +77,7 @@ def _unread_clocks(table: RawTable) -> list[str]:
         if named(name, "").kind == "time" and text.all() and len(cells):
             found.append(
                 f"column {name!r} is called like one and holds text, as {cells.iloc[0]!r}: stamps "
-                "are numbers, or dates with a time of day such as 2024-05-01 12:00:00.25"
+                "are numbers, or times of day with or without a date: 2024-05-01 12:00:00.25"
             )
     return found
 
