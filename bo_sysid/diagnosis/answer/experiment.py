@@ -45,6 +45,7 @@ _SEPARATES = 0.5  # [sigma] per sample below which a motion separates nothing
 _SLOW, _MIDDLE, _FAST = 0.15, 0.8, 3.0  # [Hz]
 _SMALLER, _TRIES = 0.7, 8  # factor by which a motion is made smaller until it keeps the limits
 _BEYOND = 0.15  # share by which a motion may exceed what was recorded where no limit is stated
+_AT_REST = 1e-9  # [m] or [rad], and a second, of a joint that never moved
 _EFFORT = Effort(iterations=5, gain=1.0, final=True)
 
 _VARY = {
@@ -169,10 +170,11 @@ def _within_recorded(
     position, fastest = limits.position.copy(), np.abs(shown.trajectory.qvel).max(axis=(0, 1))
     for j in problem.machine.joints.values():
         dof = int(whole.joint(j.name).dofadr[0])
-        fastest[dof] = max(fastest[dof], j.speed)
+        fastest[dof] = max(fastest[dof], j.speed, _AT_REST)
         if j.name in unstated:
-            recorded = j.middle + (0.5 + _BEYOND) * j.span * np.array([-1.0, 1.0])
-            position[dof] = np.clip(recorded, *position[dof])
+            half = (0.5 + _BEYOND) * max(j.span, _AT_REST)
+            low, high = position[dof]
+            position[dof] = max(low, j.middle - half), min(high, j.middle + half)
     velocity = np.where(np.isfinite(limits.velocity), limits.velocity, more * fastest)
     effort = limits.effort
     if knows_effort(whole):
