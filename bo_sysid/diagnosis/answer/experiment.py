@@ -172,9 +172,9 @@ def _within_recorded(
         dof = int(whole.joint(j.name).dofadr[0])
         fastest[dof] = max(fastest[dof], j.speed, _AT_REST)
         if j.name in unstated:
-            half = (0.5 + _BEYOND) * max(j.span, _AT_REST)
-            low, high = position[dof]
-            position[dof] = max(low, j.middle - half), min(high, j.middle + half)
+            recorded = j.middle + (0.5 + _BEYOND) * j.span * np.array([-1.0, 1.0])
+            low, high = np.clip(recorded, *position[dof])
+            position[dof] = low, max(high, low + _AT_REST)
     velocity = np.where(np.isfinite(limits.velocity), limits.velocity, more * fastest)
     effort = limits.effort
     if knows_effort(whole):
