@@ -214,6 +214,10 @@ def test_parameters_that_stand_for_what_is_missing_are_not_called_nothing(
     forecast = {"nominal": nominal, "refitted": refitted}
     answer = {"verdict": "nothing-missing", "holdout": {"forecast": forecast}}
     assert verdict_text(answer).startswith(begins)
+    assert verdict_text(answer, {"parameters": ["friction"]}).startswith(begins)
+    if nominal > 2 * refitted:  # nothing but the step was fitted
+        alone = verdict_text(answer, {"parameters": []})
+        assert alone.startswith("The model needs a finer time step")
     plain = "These recordings show nothing that is missing from the model."
     assert verdict_text({**answer, "holdout": {}}) == plain
 

@@ -52,8 +52,9 @@ def find_attitudes(
 ) -> tuple[dict[str, Wire], tuple[Flag, ...]]:
     """Return what recorded orientations really are, where their rates tell, and what to say of it.
 
-    Orientation and angular velocity describe one motion: no model of forces is needed. Nothing is
-    said of a joint whose seven channels are not all recorded, on one clock, or that hardly turns.
+    Orientation and angular velocity describe one motion: no model of forces is needed. Without
+    rates a note says that nothing was tested; nothing is said of a joint whose seven channels are
+    not on one clock, or that hardly turns.
 
     Args:
         model: gives the ball joints and floating bodies.
@@ -67,6 +68,7 @@ def find_attitudes(
     for joint, turned, rates in _orientations(model):
         misses = _misses(recordings, turned, rates)
         if not misses:
+            flags += _untested(recordings, joint, turned, rates)
             continue
         least = min(misses.values())
         best = next(c for c in CONVENTIONS if misses[c] <= _ALIKE * least)
@@ -75,6 +77,20 @@ def find_attitudes(
         wires |= {n: w for n, w in _wires(turned, best).items() if not w.plain(n)}
         flags.append(_flag(joint, turned, rates, best, misses))
     return wires, tuple(flags)
+
+
+def _untested(
+    recordings: Sequence[Recording], joint: str, turned: Sequence[str], rates: Sequence[str]
+) -> list[Flag]:
+    """Return a note where an orientation was recorded without its rates."""
+    known = {n for r in recordings for n in r.channels}
+    if not known.issuperset(turned) or known.intersection(rates):
+        return []
+    sentence = (
+        f"Whether {turned[0]} to {turned[3]} are w, x, y, z, w first, and turn {joint} and not the "
+        f"world was not tested: that needs the angular velocity, {rates[0]} to {rates[2]}."
+    )
+    return [Flag("note", "order", tuple(turned), sentence)]
 
 
 def _orientations(

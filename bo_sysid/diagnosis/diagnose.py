@@ -319,7 +319,12 @@ def _write(run: Run, result: Diagnosis) -> None:
     found = sets(result.located.decision, result.answer, result.searched)
     run.write_frame("sets.parquet", found)
     run.write_json("pose.json", bent_pose(result.evidence.recordings))
-    summary = {"name": result.name, "sentences": result.sentences, "notes": result.notes}
+    summary = {
+        "name": result.name,
+        "sentences": result.sentences,
+        "notes": result.notes,
+        "parameters": result.parameters["name"].tolist(),
+    }
     run.write_json("summary.json", summary)
 
 

@@ -19,6 +19,7 @@ _AFTER_FIT = (
     "The model needs what was fitted, parameters of the study or a finer time step; no more is "
     "seen to be missing."
 )
+_FINER_STEP = "The model needs a finer time step; no more is seen to be missing."
 _UNCONFIRMED = (
     "Nothing was found to be missing, but the unseen recording is missed by far more than noise."
 )
@@ -36,7 +37,7 @@ _MEASURES = {
 }
 
 
-def verdict_text(diagnosis: Mapping[str, Any]) -> str:
+def verdict_text(diagnosis: Mapping[str, Any], summary: Mapping[str, Any] | None = None) -> str:
     """Return the verdict in a sentence.
 
     Parameters of the study may stand for what is missing: that the model lacks nothing is said of
@@ -45,6 +46,7 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
 
     Args:
         diagnosis: what `diagnosis.json` holds.
+        summary: what `summary.json` holds; None where it is missing.
     """
     verdict = str(diagnosis["verdict"])
     holdout = diagnosis.get("holdout") or {}
@@ -53,7 +55,7 @@ def verdict_text(diagnosis: Mapping[str, Any]) -> str:
     if verdict == "nothing-missing" and any(_is_missed(holdout, m) for m in _MISSED):
         return _UNCONFIRMED
     if verdict == "nothing-missing" and nominal > _HELPED * refitted:
-        return _AFTER_FIT
+        return _AFTER_FIT if (summary or {}).get("parameters", True) else _FINER_STEP
     found = diagnosis.get("findings") or ()
     instead = {str(e["effect"]) for f in found for several in f["equivalents"] for e in several}
     measured = {i for i, effect in CATALOGUE.items() if effect.family == "sensing"}
@@ -78,11 +80,12 @@ def diagnosis_text(
 
     Args:
         diagnosis: what `diagnosis.json` holds.
-        summary: what `summary.json` holds: name, sentences, notes; None where it is missing.
+        summary: what `summary.json` holds: name, sentences, notes, parameters; None where it is
+            missing.
         sessions: what `sessions.parquet` holds: magnitudes by recording; None where it is missing.
     """
     summary = summary or {}
-    parts = [verdict_text(diagnosis), ""]
+    parts = [verdict_text(diagnosis, summary), ""]
     parts += summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
     if diagnosis["findings"]:
         parts += ["", "Found:", table(findings_table(diagnosis["findings"]))]

@@ -39,7 +39,7 @@ def headline(found: Found) -> dict[str, Any]:
             sentences = summary.get("sentences") or [f["sentence"] for f in diagnosis["findings"]]
             return {
                 "name": summary.get("name", found.folder.name),
-                "verdict": verdict_text(diagnosis),
+                "verdict": verdict_text(diagnosis, summary),
                 "sentences": sentences,
             }
         if found.has("identification.json"):
