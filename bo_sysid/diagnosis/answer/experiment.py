@@ -107,7 +107,8 @@ def next_experiment(
     separation, name, controls = _most_separating(problem, best, rivals, bounds)
     if controls is None or separation < _SEPARATES:
         tried = bounds is not None and next(_motions(problem), None) is not None
-        within = "the limits" if stated else "what was recorded, as the study states no limits,"
+        recorded = "the recorded positions, speeds and efforts (the study states no limits)"
+        within = "the limits" if stated else recorded
         words = _in_words(best, rivals, machine, within if tried else "")
         return Experiment(words, separates, separation, None)
     one, other = _what_it_adds(best, other=rivals[0]), _what_it_adds(rivals[0], other=best)
