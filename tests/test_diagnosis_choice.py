@@ -554,6 +554,34 @@ def test_names_that_leave_much_are_hints(friction) -> None:
     assert hint == pytest.approx(sure * 0.7 / 0.98)
 
 
+@pytest.mark.parametrize(
+    ("deviance", "probability", "said"),
+    [
+        (0.0, 0.4, "these recordings do not tell."),
+        (1.0, 0.001, "the former is the simpler or more usual explanation."),
+        (14.0, 0.001, "the recordings are for the former, but by differences so small"),
+    ],
+)
+def test_what_speaks_for_an_answer_beside_its_equal_is_said(
+    friction, deviance: float, probability: float, said: str
+) -> None:
+    best, machine = friction.decision.best, friction.prepared.problem.machine
+    damped = replace(
+        best.hypothesis,
+        members=(candidate(machine, "viscous_damping", "elbow"),),
+        x=(np.array([0.1]),),
+    )
+    other = replace(best, hypothesis=damped, cv=best.cv + deviance / len(best.cv))
+    decision = replace(
+        friction.decision,
+        fits=(best, other),
+        probability=np.array([1 - probability, probability]),
+        equivalents=(other,),
+    )
+    (sentence,) = rivals(decision, machine)
+    assert said in sentence
+
+
 def test_however_many_sets_are_open_something_unheard_of_is_one_of_the_alternatives(
     friction,
 ) -> None:
