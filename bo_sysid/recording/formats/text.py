@@ -85,8 +85,9 @@ def _times_of_day(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Return the columns of times such as 23:59:59.98 as durations, on past midnight."""
     found = {}
     for name, values in columns.items():
-        if values.dtype != object or pd.isna(values).any():
-            continue
+        first = str(values[0]).strip().replace(",", ".") if values.dtype == object else ""
+        if not re.fullmatch(_TIME_OF_DAY, first) or pd.isna(values).any():
+            continue  # text of another kind is not looked through
         cells = pd.Series(values).astype(str).str.strip().str.replace(",", ".")
         if cells.str.fullmatch(_TIME_OF_DAY).all():
             passed = pd.to_timedelta(cells).to_numpy()
