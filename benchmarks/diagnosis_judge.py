@@ -13,9 +13,8 @@ from diagnosis_strange import STRANGE
 from bo_sysid.diagnosis.answer.answer import make_answer
 from bo_sysid.diagnosis.answer.explain import Outcome, explain
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.search.locate import Located, locate
-from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.forecast import (
     AHEAD,
     LONGER,

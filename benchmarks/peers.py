@@ -20,7 +20,8 @@ import peer_sindy
 import peer_sysid
 from common import Cases, benchmark
 
-from bo_sysid.diagnosis.diagnose import diagnose, gather
+from bo_sysid.diagnosis import diagnose
+from bo_sysid.diagnosis.gather import gather
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis

@@ -118,7 +118,7 @@ def diagnosed(name: str, machine: Machine) -> dict[str, Any]:
     told = found.as_json()
     holdout = told["holdout"]
     values = {(f["effect"], f["site"]): float(f["value"]) for f in told["findings"]}
-    nuisances = found.outcome.repaired
+    nuisances = found.frozen.outcome.repaired
     out = {
         "verdict": told["verdict"],
         "findings": [_shown(f) for f in told["findings"]],
@@ -130,7 +130,7 @@ def diagnosed(name: str, machine: Machine) -> dict[str, Any]:
             for (e, s), v in machine.values.items()
             if (e, s) in values
         },
-        "sigma": found.evidence.sigma,
+        "sigma": found.frozen.evidence.sigma,
         "parameters": {
             c.site.name: float(x[0])
             for c, x in zip(nuisances.nuisances, nuisances.nuisance_x, strict=True)
@@ -147,7 +147,9 @@ def diagnosed(name: str, machine: Machine) -> dict[str, Any]:
         "seconds": time.perf_counter() - began,
     }
     if name.startswith("emps"):
-        out["force"] = force_errors(values, float(found.evidence.machine.model.body_mass.sum()))
+        out["force"] = force_errors(
+            values, float(found.frozen.evidence.machine.model.body_mass.sum())
+        )
     return out
 
 

@@ -21,7 +21,7 @@ from bo_sysid.diagnosis.answer.notes import (
     parameters_out_of_bounds,
     unsought_sentence,
 )
-from bo_sysid.diagnosis.diagnose import gather
+from bo_sysid.diagnosis.gather import gather
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD
 from bo_sysid.errors import UserError
@@ -99,11 +99,12 @@ def test_a_short_recording_costs_the_others_no_proof(diagnosed) -> None:
     whole = record(FRICTION, seed=2, duration=4.0)
     brief = replace(whole.between(0.0, 0.25), name="brief")
     alone, both = (
-        judge(result.evidence, result.outcome, told) for told in ([whole], [whole, brief])
+        judge(result.frozen.evidence, result.frozen.outcome, told)
+        for told in ([whole], [whole, brief])
     )
     assert (alone.short, both.short) == ((), ("brief",))
     pd.testing.assert_frame_equal(both.table, alone.table)
-    none = judge(result.evidence, result.outcome, [brief])
+    none = judge(result.frozen.evidence, result.frozen.outcome, [brief])
     assert none.as_json() == {"forecast": {}, "fit": {}, "free_run": {}}
     assert none.sentences[0].startswith("The hold-out cannot be judged: ")
 
@@ -117,15 +118,15 @@ def test_a_hold_out_that_is_sampled_more_rarely_is_told(diagnosed) -> None:
             n: replace(c, time=c.time[::5], values=c.values[::5]) for n, c in whole.channels.items()
         },
     )
-    assert judge(result.evidence, result.outcome, [whole]).rates == ""
-    told = judge(result.evidence, result.outcome, [rare])
+    assert judge(result.frozen.evidence, result.frozen.outcome, [whole]).rates == ""
+    told = judge(result.frozen.evidence, result.frozen.outcome, [rare])
     assert "every 0.01 s, training every 0.002 s: windows have as many samples" in told.rates
 
 
 def test_half_a_second_is_enough_for_the_headline(diagnosed) -> None:
     result, _ = diagnosed
     half = record(FRICTION, seed=2, duration=4.0).between(0.0, 0.5)
-    told = judge(result.evidence, result.outcome, [half])
+    told = judge(result.frozen.evidence, result.frozen.outcome, [half])
     assert set(told.table[told.table.measure == "forecast"].horizon_s) == {AHEAD}
     before, after, floor = (
         told.error("forecast", AHEAD, m) for m in ("refitted", "repaired", "noise_floor")
@@ -211,7 +212,7 @@ def test_the_hash_is_that_of_the_answer(diagnosed) -> None:
     content = json.loads((folder / "diagnosis.json").read_text())
     answer = {k: v for k, v in content.items() if k not in ("holdout", "sha256")}
     text = json.dumps(plain(answer), sort_keys=True, separators=(",", ":"))
-    assert content["sha256"] == hashlib.sha256(text.encode()).hexdigest() == result.sha256
+    assert content["sha256"] == hashlib.sha256(text.encode()).hexdigest() == result.frozen.sha256
 
 
 def test_the_json_has_the_keys_of_the_contract(diagnosed) -> None:
@@ -257,7 +258,7 @@ def test_one_blas_thread_is_enough(tmp_path: Path, monkeypatch) -> None:
         seen.extend(p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas")
         raise UserError("seen")
 
-    monkeypatch.setattr(sys.modules["bo_sysid.diagnosis.diagnose"], "locate", watched)
+    monkeypatch.setattr("bo_sysid.diagnosis.frozen.locate", watched)
     with threadpool_limits(2), pytest.raises(UserError, match="seen"):
         diagnose(write_study(tmp_path))
     assert set(seen) == {1}

@@ -5,7 +5,7 @@ import pytest
 from diagnosis_helpers import arm, candidate, posed, record
 
 from bo_sysid.diagnosis.answer.experiment import _Bounds, _kept, _motions
-from bo_sysid.diagnosis.diagnose import _fitted
+from bo_sysid.diagnosis.frozen import _fitted
 from bo_sysid.diagnosis.sets.refit import refit
 from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis

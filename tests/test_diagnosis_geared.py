@@ -6,13 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.diagnose import make_evidence
 from bo_sysid.diagnosis.search.bare_joints import bare_joints, from_bare_joints
 from bo_sysid.diagnosis.search.final import final_fits
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.window_lengths import limit_by_residual, windows_of
-from bo_sysid.diagnosis.windows.evidence import Evidence
+from bo_sysid.diagnosis.windows.evidence import Evidence, make_evidence
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
 from bo_sysid.mjcf import Model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bo_sysid.diagnosis.diagnose import gather
+from bo_sysid.diagnosis.gather import gather
 from bo_sysid.effects.learned import ELAPSED
 from bo_sysid.errors import RecordingError, StudyError
 from bo_sysid.excite.excite import excite

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bo_sysid.diagnosis.diagnose import gather
+from bo_sysid.diagnosis.gather import gather
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.forecast import AHEAD, PAST, forecast, forecast_problem

@@ -1,0 +1,89 @@
+"""A diagnosis told from its first sentence to its last."""
+
+from collections.abc import Mapping
+
+from bo_sysid.diagnosis.answer.hints import hints, leaves_much, left_sentence
+from bo_sysid.diagnosis.answer.holdout import Holdout
+from bo_sysid.diagnosis.answer.notes import unsought_sentence
+from bo_sysid.diagnosis.answer.seen_once import seen_once
+from bo_sysid.diagnosis.answer.sentences import (
+    disputed_sentence,
+    doubts,
+    found_sentences,
+    noise_sentence,
+    parameters_sentence,
+    rivals,
+    shift_sentence,
+    stood_in_sentence,
+)
+from bo_sysid.diagnosis.answer.uncrossed import uncrossed_sentence
+from bo_sysid.diagnosis.frozen import Frozen
+
+_CONTACT = (
+    "The machine is in contact, or meets its stops, where names are hints and not yet findings."
+)
+
+
+def told(frozen: Frozen, holdout: Holdout, shifts: Mapping[str, float]) -> tuple[str, ...]:
+    """Return a diagnosis in words.
+
+    Args:
+        frozen: what the training recordings say.
+        holdout: how well that forecasts the others.
+        shifts: seconds by which the study takes commands later than stamped, by channel or kind.
+    """
+    after = frozen.answer.next_experiment
+    said = [
+        *_found(frozen),
+        *_beside(frozen, shifts),
+        *_reservations(frozen),
+        *holdout.sentences,
+        noise_sentence(frozen.evidence.input_noise),
+        after.sentence if after else "",
+    ]
+    return tuple(words for words in said if words)
+
+
+def _found(frozen: Frozen) -> list[str]:
+    """Return what is missing, or that nothing is."""
+    answer = frozen.answer
+    sentences = [
+        *found_sentences(answer.findings),
+        *answer.unexplained.sentences,
+        disputed_sentence(frozen.outcome.disputed),
+    ]
+    if any(sentences):
+        return sentences
+    once = "" if frozen.parameters.empty else ", once its parameters are fitted"
+    return [f"Nothing that these recordings could show is missing from the model{once}."]
+
+
+def _beside(frozen: Frozen, shifts: Mapping[str, float]) -> list[str]:
+    """Return what may be instead of what was found, what was fitted beside it, and assumed."""
+    decision, evidence = frozen.located.decision, frozen.evidence
+    assumed = [
+        parameters_sentence(frozen.parameters),
+        stood_in_sentence(evidence.nuisances, frozen.outcome.fit),
+        shift_sentence(shifts),
+        unsought_sentence(evidence),
+    ]
+    if frozen.outcome.fit.key != decision.best.key:  # a name was withdrawn: rivals were of it
+        return assumed
+    instead = rivals(decision, evidence.machine)
+    return [*instead, *assumed, *doubts(decision, frozen.searched)]
+
+
+def _reservations(frozen: Frozen) -> list[str]:
+    """Return why names are hints, and what was seen too rarely to name."""
+    located, evidence, best = frozen.located, frozen.evidence, frozen.outcome.fit
+    answer = frozen.answer
+    sentences = [_CONTACT if frozen.contact and answer.findings else ""]
+    if answer.findings and not frozen.contact and leaves_much(best):
+        sentences.append(left_sentence(best, evidence.most, located.search.nearest))
+    sentences += hints(best, evidence.machine, located.decision.fits, evidence.still)
+    if frozen.uncrossed:
+        sentences.append(uncrossed_sentence(frozen.uncrossed))
+    if not frozen.contact and not answer.unexplained.flagged:
+        prepared = located.prepared
+        sentences.append(seen_once(prepared.problem, prepared.linear.Q, best))
+    return sentences
