@@ -14,21 +14,9 @@ from bo_sysid.effects import (  # noqa: F401 - importing registers the effects
     sensing,
     springs,
 )
-from bo_sysid.effects.contract import (
-    Component,
-    Effect,
-    Extent,
-    Filter,
-    Force,
-    Hidden,
-    Motion,
-    Part,
-    Reading,
-    Site,
-    at_slide,
-    unit_at,
-)
+from bo_sysid.effects.contract import Component, Effect, Extent, Site
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Filter, Force, Hidden, Motion, Part, Reading
 from bo_sysid.effects.registry import (
     CATALOGUE,
     applicable,
@@ -40,6 +28,7 @@ from bo_sysid.effects.registry import (
     load_effects,
 )
 from bo_sysid.effects.surveying import survey
+from bo_sysid.effects.units import at_slide, unit_at
 
 __all__ = [
     "CATALOGUE",

@@ -14,19 +14,11 @@ from bo_sysid.effects.actuators import (
     used,
     with_own_bias,
 )
-from bo_sysid.effects.contract import (
-    Component,
-    Extent,
-    Force,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-    unit_at,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import ActuatorScale, ChannelScale, Machine
+from bo_sysid.effects.parts import Force, Motion, Part, Signal
 from bo_sysid.effects.registry import effect
+from bo_sysid.effects.units import unit_at
 from bo_sysid.mjcf.edits import RangeEdit
 
 _SAG = 0.005  # of a supply's voltage: less is no sag

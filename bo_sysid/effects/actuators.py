@@ -7,8 +7,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from bo_sysid.effects.contract import Filter, Motion, Signal, Site
+from bo_sysid.effects.contract import Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.effects.parts import Filter, Motion, Signal
 from bo_sysid.mjcf.commands import ALONG_JOINT, joint_force_limits, other_drives
 from bo_sysid.mjcf.edits import RangeEdit
 from bo_sysid.mjcf.plain import add_plain

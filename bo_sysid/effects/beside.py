@@ -16,9 +16,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from bo_sysid.arrays import Times
-from bo_sysid.effects.contract import Effect, Filter, Force, Part, Reading, Site
+from bo_sysid.effects.contract import Effect, Site
 from bo_sysid.effects.learned import features, learned_force
 from bo_sysid.effects.machine import ActuatorScale, BodyScale, ChannelScale, JointScale, Machine
+from bo_sysid.effects.parts import Filter, Force, Part, Reading
 from bo_sysid.effects.readings import readings
 from bo_sysid.effects.registry import CATALOGUE
 from bo_sysid.errors import ModelError, nearest

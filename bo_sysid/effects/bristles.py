@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import passive_motor
-from bo_sysid.effects.contract import Motion, Signal
 from bo_sysid.effects.machine import JointScale, Machine
+from bo_sysid.effects.parts import Motion, Signal
 
 PRESLIDING_FACTORS = (0.6, 1.6)
 """Factors by which the presliding displacement that explains most is varied."""

@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import actuator_at, filter_of, used
-from bo_sysid.effects.contract import Component, Extent, Filter, Magnitudes, Part, Site
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.filters import dead_band, delayed, lagged, limited
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Filter, Part
 from bo_sysid.effects.registry import effect
 
 _LAGS = (0.004, 0.03)

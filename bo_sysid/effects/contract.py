@@ -1,28 +1,27 @@
 """What an effect is: a kind of physics that a model can lack or have wrong.
 
 An effect is one function ``apply(spec, site, x, machine)`` that edits an `MjSpec` by the
-magnitudes `x` at a site. What MJCF cannot express it returns as parts: a force stepped with the
-simulation (`Force`), a filter over a whole recorded input (`Filter`), or another reading of a
-channel (`Reading`). A joint that it adds it names (`Hidden`). Magnitude 0 changes nothing.
-Everything else (its signature in the predictions, its fit, its report) follows from the simulator.
+magnitudes `x` at a site. What MJCF cannot express it returns as parts (`parts.py`): a force that
+is stepped with the simulation, a filter over a whole recorded input, another reading of a channel;
+a joint that it adds it names. Magnitude 0 changes nothing. Everything else (its signature in the
+predictions, its fit, its report) follows from the simulator.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, TypeAlias
 
 import mujoco
 import numpy as np
 from jaxtyping import Float
 
 from bo_sysid.effects.machine import Machine
-from bo_sysid.recording import Channel
+from bo_sysid.effects.parts import Motion, Part, Signal
 
 SiteKind = Literal["joint", "body", "geom", "actuator", "channel", "world"]
 Family = Literal["physics", "sensing", "numerics", "learned"]
 Magnitudes: TypeAlias = Float[np.ndarray, " k"]
-Signal: TypeAlias = Float[np.ndarray, "..."]
 
 
 @dataclass(frozen=True)
@@ -36,109 +35,6 @@ class Site:
         return self.name
 
 
-@runtime_checkable
-class Motion(Protocol):
-    """What a force law may look at, for many simulations at one instant.
-
-    Attributes:
-        time: time since the start of the window in [s].
-        qpos: position of each hinge or slide joint by name in [rad] or [m].
-        qvel: velocity of each hinge or slide joint by name in [rad/s] or [m/s].
-        ctrl: control of each actuator by name.
-        act: activation, by name, of each actuator whose force lags behind its control.
-        signals: recorded inputs by channel name (``goal.elbow``, ``aux.voltage``).
-        timestep: time until the next evaluation in [s].
-        memory: of the law's own, empty when a simulation starts.
-    """
-
-    @property
-    def time(self) -> Signal: ...  # noqa: D102
-    @property
-    def qpos(self) -> Mapping[str, Signal]: ...  # noqa: D102
-    @property
-    def qvel(self) -> Mapping[str, Signal]: ...  # noqa: D102
-    @property
-    def ctrl(self) -> Mapping[str, Signal]: ...  # noqa: D102
-    @property
-    def act(self) -> Mapping[str, Signal]: ...  # noqa: D102
-    @property
-    def signals(self) -> Mapping[str, Signal]: ...  # noqa: D102
-    @property
-    def timestep(self) -> float: ...  # noqa: D102
-    @property
-    def memory(self) -> dict[str, object]: ...  # noqa: D102
-
-
-@dataclass(frozen=True)
-class Force:
-    """A force on one joint as a function of the motion, in [N m] or [N].
-
-    Attributes:
-        joint: name of the joint.
-        law: the force for each of many simulations.
-        hold: time in [s] for which a value may be held; 0 where it follows every step.
-    """
-
-    joint: str
-    law: Callable[[Motion], Signal]
-    hold: float = 0.0
-
-
-@dataclass(frozen=True)
-class Filter:
-    """A change of one actuator's whole recorded control, made before windows are cut.
-
-    Attributes:
-        actuator: name of the actuator.
-        change: from the channel and the simulation's time step to the changed channel.
-    """
-
-    actuator: str
-    change: Callable[[Channel, float], Channel]
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What a channel shows of the quantity p(t) it measures: (1 + scale)·p(t - delay) + offset.
-
-    Attributes:
-        channel: name of the channel.
-        scale: relative.
-        offset: in the channel's unit.
-        delay: in [s].
-        source: the channel whose quantity it measures instead of its own, where swapped.
-        encoder: whether it is the joint's encoder that reads so, by which a servo goes as well.
-    """
-
-    channel: str
-    scale: float = 0.0
-    offset: float = 0.0
-    delay: float = 0.0
-    source: str | None = None
-    encoder: bool = False
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """A joint that an effect added: a coordinate beyond the recorded ones.
-
-    Attributes:
-        joint: its name in the edited model.
-        of: the joint whose axis it shares.
-        shown: how much of it the encoder of `of` shows: 0 on the motor's side, 1 on the link's.
-        under: from the torque that the motor's side hands to the link, in [N m] or [N], to where
-            the joint comes to rest under it, in [rad] or [m]; a simulation begins there.
-        most: how far from zero it can be, in [rad] or [m].
-    """
-
-    joint: str
-    of: str
-    shown: float = 0.0
-    under: Callable[[Signal], Signal] = np.zeros_like
-    most: float = np.inf
-
-
-Part: TypeAlias = Force | Filter | Reading | Hidden
 Apply: TypeAlias = Callable[
     [mujoco.MjSpec, Site, Magnitudes, Machine], "Part | tuple[Part, ...] | None"
 ]
@@ -331,34 +227,3 @@ class Effect:
     def value(self, x: Magnitudes) -> float:
         """Return the size of the change: the first component, or the norm of the vector."""
         return float(x[0] if self.vector == 1 else np.linalg.norm(x[: self.vector]))
-
-
-CHANNEL_UNIT = "channel's unit"
-_SLIDE = {
-    "N m": "N",
-    "N m s/rad": "N s/m",
-    "N m s²/rad²": "N s²/m²",
-    "N m/rad": "N/m",
-    "kg m²": "kg",
-    "rad": "m",
-    "rad/s": "m/s",
-    "rad/(N m)": "m/N",
-    "1/rad": "1/m",
-}
-
-
-def at_slide(unit: str) -> str:
-    """Return a hinge's unit as it reads at a slide: N m becomes N, rad becomes m."""
-    return _SLIDE.get(unit, unit)
-
-
-def unit_at(unit: str, site: Site, machine: Machine) -> str:
-    """Return a unit as it reads at a site: N m becomes N where no joint is turned but pushed."""
-    if unit == CHANNEL_UNIT:
-        return machine.scales[site.name].unit
-    if site.kind == "actuator" and site.name in machine.actuators:
-        pushed = machine.actuators[site.name].pushes
-    else:
-        joint = machine.joint_of(site.kind, site.name)
-        pushed = joint is not None and not joint.hinge
-    return at_slide(unit) if pushed else unit

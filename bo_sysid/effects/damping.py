@@ -5,17 +5,9 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import (
-    Component,
-    Extent,
-    Force,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Force, Motion, Part, Signal
 from bo_sysid.effects.registry import effect
 
 

@@ -14,17 +14,9 @@ from bo_sysid.effects.bristles import (
     max_presliding,
     presliding_grid,
 )
-from bo_sysid.effects.contract import (
-    Component,
-    Extent,
-    Force,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import ActuatorScale, JointScale, Machine
+from bo_sysid.effects.parts import Force, Motion, Part, Signal
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.touching import can_touch
 

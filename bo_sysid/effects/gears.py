@@ -4,18 +4,9 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import acting, as_edited
-from bo_sysid.effects.contract import (
-    Component,
-    Extent,
-    Force,
-    Hidden,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import ActuatorScale, Machine
+from bo_sysid.effects.parts import Force, Hidden, Motion, Part, Signal
 from bo_sysid.effects.registry import effect
 from bo_sysid.mjcf.compiling import compile_spec
 from bo_sysid.mjcf.plain import add_plain

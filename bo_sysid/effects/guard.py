@@ -11,18 +11,9 @@ from typing import Any, TypeAlias, TypeVar, cast, get_args
 import mujoco
 import numpy as np
 
-from bo_sysid.effects.contract import (
-    Apply,
-    Effect,
-    Filter,
-    Force,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-)
+from bo_sysid.effects.contract import Apply, Effect, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Filter, Force, Motion, Part, Signal
 from bo_sysid.errors import StudyError, UserError, nearest
 from bo_sysid.recording import Channel
 

@@ -8,17 +8,9 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import acting
-from bo_sysid.effects.contract import (
-    Component,
-    Extent,
-    Force,
-    Magnitudes,
-    Motion,
-    Part,
-    Signal,
-    Site,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import ActuatorScale, JointScale, Machine
+from bo_sysid.effects.parts import Force, Motion, Part, Signal
 from bo_sysid.effects.registry import effect
 
 Dependence = Literal["position", "speed", "control", "load", "time", "other_joint"]

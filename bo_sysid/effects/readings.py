@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from bo_sysid.effects.contract import Part, Reading
+from bo_sysid.effects.parts import Part, Reading
 
 
 def readings(parts: Sequence[Part]) -> dict[str, Reading]:

@@ -6,17 +6,11 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import with_own_bias
-from bo_sysid.effects.contract import (
-    CHANNEL_UNIT,
-    Component,
-    Extent,
-    Magnitudes,
-    Part,
-    Reading,
-    Site,
-)
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Part, Reading
 from bo_sysid.effects.registry import effect
+from bo_sysid.effects.units import CHANNEL_UNIT
 
 _OFFSET = 0.01  # [rad] at a hinge, share of the recorded range at a slide
 _SCALE = 0.02  # relative: a probe

@@ -6,9 +6,11 @@ import mujoco
 import numpy as np
 
 from bo_sysid.effects.actuators import passive_motor
-from bo_sysid.effects.contract import Component, Extent, Force, Magnitudes, Part, Site, unit_at
+from bo_sysid.effects.contract import Component, Extent, Magnitudes, Site
 from bo_sysid.effects.machine import Machine
+from bo_sysid.effects.parts import Force, Part
 from bo_sysid.effects.registry import effect
+from bo_sysid.effects.units import unit_at
 
 _PERIODS = (*range(2, 33), 36, 40, 48)  # of cogging in a turn of a hinge
 _STROKES = (1, 1.5, *range(2, 49))  # the same in the range of a slide; linear motors have up to 50

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from bo_sysid.effects.contract import Force, Part
+from bo_sysid.effects.parts import Force, Part
 from bo_sysid.mjcf.commands import controlled, lags
 from bo_sysid.mjcf.joints import SCALAR
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from bo_sysid.checks.proposal import flow
-from bo_sysid.effects.contract import at_slide
+from bo_sysid.effects.units import at_slide
 from bo_sysid.recording.table import FILL_IN
 from bo_sysid.starter.guess import Rules
 

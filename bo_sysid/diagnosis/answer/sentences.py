@@ -13,7 +13,7 @@ from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.groups import units_beyond, units_of
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.effects import Machine
-from bo_sysid.effects.contract import unit_at
+from bo_sysid.effects.units import unit_at
 from bo_sysid.intervals import amount
 
 _RIVALS = 3

@@ -24,7 +24,7 @@ from bo_sysid.diagnosis.windows.problem import Problem
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.diagnosis.windows.reference_motion import Along, smoothed
 from bo_sysid.effects import Part
-from bo_sysid.effects.contract import Reading
+from bo_sysid.effects.parts import Reading
 from bo_sysid.effects.readings import readings
 from bo_sysid.mjcf.commands import controlled, lags
 from bo_sysid.simulation import (
