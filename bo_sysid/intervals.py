@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import beta
 from scipy.stats import t as student
 
 _OFF_CENTRE = 0.05  # of half an interval, by which its value lies beside the middle
@@ -20,6 +21,11 @@ def half_width(error: ArrayLike, count: ArrayLike) -> np.ndarray:
     """
     freedom = np.maximum(np.asarray(count, float) - 1, 1)
     return np.asarray(student.ppf(0.975, freedom) * error)
+
+
+def upper_bound(count: int, of: int, level: float = 0.95) -> float:
+    """Return the exact one-sided upper bound of a rate; 1 where nothing was counted."""
+    return 1.0 if count >= of else float(beta.ppf(level, count + 1, of - count))
 
 
 @dataclass(frozen=True)

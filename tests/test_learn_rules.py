@@ -16,7 +16,7 @@ from bo_sysid.intervals import half_width
 from bo_sysid.learn import CHOICES, STOPS
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import ABOVE, Floor, floor_of, lacks_physics
-from bo_sysid.learn.hand_over import limit_violation_share
+from bo_sysid.learn.hand_over import beyond_limits
 from bo_sysid.learn.identified import Identified
 from bo_sysid.learn.iteration import Iteration
 from bo_sysid.learn.learn import doubts
@@ -424,6 +424,17 @@ def test_that_noise_hides_the_parameters_is_said(starts: str, hint: str) -> None
     )
 
 
+@pytest.mark.parametrize(
+    ("asked", "environments", "batch"), [(20_000, 80, 20_000), (20_011, 80, 20_080), (401, 80, 480)]
+)
+def test_a_batch_that_few_simulations_divide_is_a_little_larger(
+    asked: int, environments: int, batch: int
+) -> None:
+    """401 is a prime: one simulation alone would take eighty times as long."""
+    scene = Scene.of(Study.from_dict(pendulum(policy={"batch": asked, "steps": 40_000})))
+    assert (scene.environments, scene.settings.batch) == (environments, batch)
+
+
 def test_the_smallest_training_has_two_steps_of_episodes_of_one() -> None:
     step = 0.02
     policy = {"batch": 2, "steps": 2, "hidden": [8], "episode": step}
@@ -481,7 +492,11 @@ def test_only_the_limits_count_as_left(task: VectorTask, velocity: float, share:
     scene = Scene.of(study, LimitedTask(task, study, load_model(study)))
     push = Mock(spec=LearnedPolicy)
     push.act = lambda observations: np.ones((len(observations), 1))
-    assert limit_violation_share(scene, push, scene.candidates.points[0]) == share
+    found = beyond_limits(scene, push, scene.candidates.points[0])
+    assert found is not None
+    assert (found["episodes"], found["share"]) == (60, share)
+    assert found["at_most"] == pytest.approx(max(share, 1 - 0.05 ** (1 / 60)))
+    assert beyond_limits(replace(scene, task=task), push, scene.candidates.points[0]) is None
 
 
 def test_a_task_that_is_taken_to_a_model_with_other_joints_is_told() -> None:

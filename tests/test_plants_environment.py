@@ -124,6 +124,50 @@ def short_cheetah(n, **options):
     return environment
 
 
+def test_laws_see_the_time_since_the_episode_began():
+    """It settled for two seconds before."""
+    seen = []
+
+    def watching(motion):
+        seen.append(motion.time.copy())
+        return np.zeros(len(motion.time))
+
+    model = Model.from_dm_control("cheetah", "run").compile()
+    environment = BatchEnvironment(
+        find_task("cheetah", "run"), model, 2, laws=[ForceLaw("bthigh", watching)]
+    )
+    environment.reset()
+    settled = len(seen)
+    assert settled == 200
+    environment.step(np.zeros((2, 6)))
+    np.testing.assert_array_equal(seen[settled:], [[0.0, 0.0]])
+    environment.step(np.zeros((2, 6)))
+    np.testing.assert_allclose(seen[-1], model.opt.timestep)
+
+
+@pytest.mark.parametrize(
+    ("domain", "task", "geom"), [("reacher", "easy", "finger"), ("swimmer", "swimmer6", "target")]
+)
+def test_rewards_are_of_each_simulations_own_model(domain, task, geom):
+    """A size that decides the reward may be what is uncertain."""
+    models = []
+    for factor in (1.0, 3.0, 9.0):
+        models.append(Model.from_dm_control(domain, task).compile())
+        models[-1].geom(geom).size[0] *= factor
+    found = find_task(domain, task)
+
+    def rewards(some):
+        environment = BatchEnvironment(found, some, len(some), seed=3, common=8)
+        environment.reset()
+        actions = np.zeros((len(some), environment.action_size))
+        return np.array([environment.step(actions).reward for _ in range(3)]).T
+
+    together = rewards([m for m in models for _ in range(8)])
+    alone = [rewards([m] * 8) for m in models]
+    np.testing.assert_array_equal(together, np.concatenate(alone))
+    assert (alone[2].mean() - alone[0].mean()) > 0.05
+
+
 def test_a_law_with_a_memory_acts_on_each_simulation_as_on_one_alone():
     actions = np.random.default_rng(2).uniform(-1, 1, (100, 3, 6))
     alone, together = short_cheetah(1), short_cheetah(3, stagger=True)
@@ -194,6 +238,9 @@ def test_wrong_arguments_name_the_rule(cheetah):
         BatchEnvironment(find_task("cheetah", "run"), cheetah, 0)
     with pytest.raises(UserError, match="1 models for 2 simulations"):
         BatchEnvironment(find_task("cheetah", "run"), [cheetah], 2)
+    half = Model.from_dm_control("cheetah", "run").compile(timestep=0.005)
+    with pytest.raises(UserError, match=r"time steps 0\.01 and 0\.005 s cannot step together"):
+        BatchEnvironment(find_task("cheetah", "run"), [cheetah, half], 2)
     finer = Model.from_dm_control("reacher", "easy").compile(timestep=0.01)
     with pytest.raises(UserError, match="task CheetahRun does not fit the model"):
         BatchEnvironment(find_task("cheetah", "run"), finer, 2)

@@ -208,6 +208,21 @@ def test_a_plant_that_diverges_in_its_first_step_has_recorded_nothing(in_python)
 
 
 @pytest.mark.filterwarnings("ignore")
+def test_a_task_in_python_that_fails_late_keeps_what_was_recorded(pendulum):
+    """MuJoCo warns of a control that is no number without restarting the simulation."""
+    plant = Plant(pendulum, task=class_task(Hold, pendulum.compile()))
+    asked = []
+
+    def act(observation):
+        asked.append(observation)
+        return np.full((1, 1), 0.3 if len(asked) <= 30 else np.nan)
+
+    with pytest.raises(PlantError, match=r"simulation diverged at 0\.6 s") as caught:
+        plant.record(act)
+    assert caught.value.recording.channels["qpos.hinge"].time[-1] == pytest.approx(0.6)
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_a_plant_that_diverges_earns_nothing_by_being_put_back_upright():
     """MuJoCo restarts it at the reference, which for a cart-pole is the goal."""
 

@@ -11,8 +11,8 @@ from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import BatchEnvironment, episode_returns
 from bo_sysid.plants.tasks import Start, VectorTask, find_task
-from bo_sysid.policy.settings import TrpoSettings, TrustRegion
-from bo_sysid.policy.store import LearnedPolicy
+from bo_sysid.policy.settings import CriticFit, TrpoSettings, TrustRegion
+from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
 from bo_sysid.policy.train import CHECKPOINT, LOG, POLICY, train
 from bo_sysid.policy.trainer import Trainer
 
@@ -175,6 +175,10 @@ def test_the_exported_policy_acts_alike(cart, tmp_path):
     x = np.random.default_rng(0).normal(0, 3, (50, 2)).astype(np.float32)
     exported = torch.jit.load(str(tmp_path / "policy.pt"))(torch.from_numpy(x)).numpy()
     np.testing.assert_allclose(exported, policy.act(x), rtol=0, atol=1e-5)
+    x[:, 0] = np.nan  # a reading that is missing counts as the mean of that observation
+    exported = torch.jit.load(str(tmp_path / "policy.pt"))(torch.from_numpy(x)).numpy()
+    x[:, 0] = policy.normaliser.mean[0]
+    np.testing.assert_allclose(exported, policy.act(x), rtol=0, atol=1e-5)
 
 
 def test_a_damaged_or_foreign_file_is_named(cart, tmp_path):
@@ -187,6 +191,14 @@ def test_a_damaged_or_foreign_file_is_named(cart, tmp_path):
     train(fresh(cart), SMALL, steps=2_000, folder=tmp_path)
     with pytest.raises(RunError, match="not a policy of format 1"):
         LearnedPolicy.load(tmp_path / CHECKPOINT)
+    arrays, header = read_arrays(tmp_path / POLICY)
+    del header["sizes"]
+    write_arrays(bad, arrays, header)
+    with pytest.raises(RunError, match=r"bad\.npz: damaged: it has no sizes"):
+        LearnedPolicy.load(bad)
+    np.savez(bad, _header=np.array("[1]"), **arrays)
+    with pytest.raises(RunError, match="its header is no mapping"):
+        LearnedPolicy.load(bad)
     with pytest.raises(RunError, match="training with other seed"):
         train(fresh(cart), SMALL, steps=2_000, seed=3, folder=tmp_path)
     with pytest.raises(RunError, match="training with other about"):
@@ -200,9 +212,15 @@ def test_wrong_settings_name_the_rule(cart):
         TrpoSettings(discount=1.5)
     with pytest.raises(StudyError, match="hidden"):
         TrpoSettings(hidden=())
-    for region in (TrustRegion(cg_steps=0), TrustRegion(backtracks=0), TrustRegion(shrink=2.0)):
-        with pytest.raises(StudyError, match=r"(cg_steps|backtracks|shrink) is [02]"):
-            TrpoSettings(region=region)
+    for wrong in ({"hidden": (8, 0)}, {"clip": 0.0}, {"log_std": np.nan}):
+        with pytest.raises(StudyError, match=next(iter(wrong))):
+            TrpoSettings(**wrong)
+    for wrong in ({"cg_steps": 0}, {"backtracks": 0}, {"shrink": 2.0}, {"kl": np.nan}):
+        with pytest.raises(StudyError, match=f"{next(iter(wrong))} is (0|2|nan)"):
+            TrustRegion(**wrong)
+    for wrong in ({"minibatch": 0}, {"epochs": 0}, {"rate": -1.0}):
+        with pytest.raises(StudyError, match=next(iter(wrong))):
+            CriticFit(**wrong)
 
 
 def test_a_reward_that_is_not_finite_is_named(cart):
@@ -213,6 +231,74 @@ def test_a_reward_that_is_not_finite_is_named(cart):
     environment = BatchEnvironment(Broken(), cart, 20)
     with pytest.raises(UserError, match="the task gave a reward of nan in control step"):
         train(environment, SMALL, steps=10)
+
+
+@pytest.mark.parametrize(("ends", "steps"), [("truncated", 5.0), ("running", 0.05)])
+def test_what_the_last_step_led_to_must_be_finite(cart, ends, steps):
+    """A critic that has seen one NaN is NaN for good."""
+
+    class Broken(BatchEnvironment):
+        def step(self, actions):
+            step = super().step(actions)
+            if ends == "truncated":
+                return step._replace(final=np.full_like(step.final, np.nan))
+            return step._replace(observation=np.full_like(step.observation, np.nan))
+
+    environment = Broken(Regulate(), cart, 20)
+    settings = TrpoSettings(batch=round(20 * steps / 0.05), hidden=(16,))
+    trainer = Trainer(environment, settings)
+    before = trainer.critic.theta.copy()
+    with pytest.raises(UserError, match=r"an observation (that is not finite|of nan)"):
+        trainer.iterate()
+    np.testing.assert_array_equal(trainer.critic.theta, before)
+
+
+def test_a_task_may_return_live_views(cart):
+    """What ended an episode is then no view of the next one's start."""
+
+    class Live(Regulate):
+        def get_observation(self, sims):
+            return sims.qpos
+
+    class Copied(Regulate):
+        def get_observation(self, sims):
+            return sims.qpos.copy()
+
+    told = [
+        train(BatchEnvironment(task, cart, 20, stagger=True), SMALL, steps=4_000).log
+        for task in (Live(), Copied())
+    ]
+    pd.testing.assert_frame_equal(*told)
+
+
+def test_episodes_that_a_task_cuts_are_whole(cart):
+    class Cuts(BatchEnvironment):
+        """Cuts every episode after 10 steps, as a time limit of its own."""
+
+        def step(self, actions):
+            step = super().step(actions)
+            cut = self._steps >= 10
+            if cut.any():
+                self._restart(np.flatnonzero(cut))
+            return step._replace(truncated=step.truncated | cut, observation=self._observation)
+
+    class Paid(Regulate):
+        def get_reward(self, sims):
+            return np.ones(len(sims))
+
+    row = Trainer(Cuts(Paid(), cart, 20), SMALL).iterate()
+    # the first of each simulation may have been staggered, and is not counted
+    assert (row.episodes, row.episode_return) == (20 * (100 // 10 - 1), 10.0)
+
+
+def test_what_a_policy_is_learned_on_may_be_anything_that_a_file_can_hold(cart, tmp_path):
+    about = {"beta": np.array([0.1, 0.2]), "by number": {1: 2}, "pair": (1, 2)}
+    first = train(fresh(cart), SMALL, steps=2_000, folder=tmp_path, about=about)
+    again = train(fresh(cart), SMALL, steps=2_000, folder=tmp_path, about=about)
+    np.testing.assert_array_equal(first.policy.theta, again.policy.theta)
+    about["beta"] = np.array([0.1, 0.3])
+    with pytest.raises(RunError, match="training with other about"):
+        train(fresh(cart), SMALL, steps=2_000, folder=tmp_path, about=about)
 
 
 def test_every_iteration_of_a_suite_task_is_finite():

@@ -85,6 +85,22 @@ def test_an_interrupted_concealment_goes_on_with_the_same_cases(concealed, tmp_p
     assert after["cases"]["case-2"]["sha256"] != before["cases"]["case-2"]["sha256"]
 
 
+def test_a_concealment_that_other_code_began_is_not_gone_on_with(concealed, tmp_path):
+    """What is published says which version drew the cases: one, not two."""
+    folder = tmp_path / "run"
+    shutil.copytree(concealed, folder)
+    shutil.copytree(seals_of(concealed), seals_of(folder))
+    (folder / "commitments.json").unlink()
+    plan = seals_of(folder) / "plan.json"
+    content = json.loads(plan.read_text())
+    plan.write_text(json.dumps({**content, "versions": {"bo-sysid": "another"}}))
+    with (
+        Run.open(folder, suite_record(QUICK, SHORT), "conceal") as run,
+        pytest.raises(StudyError, match="was begun by other versions"),
+    ):
+        conceal(run, QUICK, overrides=SHORT)
+
+
 @pytest.mark.slow
 def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsys):
     folder = tmp_path / "run"
@@ -95,6 +111,8 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     assert not list(folder.glob("answers/*.json"))
     assert main(["reveal", str(folder), "--answers-only"]) == 0
     assert not (folder / "opened.json").exists()
+    stale = {"versions": {"bo-sysid": "another"}, "errors": {"case-1": 123.0}}
+    (folder / "oracle.json").write_text(json.dumps(stale))
     assert main(["reveal", str(folder)]) == 0
     assert "false alarms" in capsys.readouterr().out
     cases = pd.read_parquet(folder / "cases.parquet")
@@ -102,6 +120,8 @@ def test_three_cases_are_answered_revealed_and_scored(concealed, tmp_path, capsy
     assert cases.answered.all()
     assert cases.missing.sum() == 2
     assert (cases.oracle < 1.15 * cases.noise_floor).any()
+    assert not (cases.oracle == 123).any()
+    assert "answered by" in (folder / "proof.html").read_text()
     assert "<svg" in (folder / "proof.html").read_text()
     assert "with an answer: 3. All scores are in" in run_text(folder)
     victim = folder / "cases" / "case-1" / "train.parquet"

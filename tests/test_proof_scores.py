@@ -5,11 +5,12 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
+from bo_sysid.intervals import upper_bound
 from bo_sysid.proof.marks import class_size, mark, mark_effects, named, offers
 from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed
 from bo_sysid.proof.score import Scores, score
-from bo_sysid.proof.statistics import clopper_pearson, reliability, upper_bound
+from bo_sysid.proof.statistics import clopper_pearson, reliability
 
 
 def concealed(effect, site, *, kind="joint", size=5.0, value=0.1, known=True, depends_on=()):
@@ -296,7 +297,7 @@ def revealed():
         (truth(), None),
     ]
     return [
-        Revealed(f"case-{k}", t, a, "no answer" if a is None else None, 1.0)
+        Revealed(f"case-{k}", t, a, "no answer" if a is None else None, 1.0, {})
         for k, (t, a) in enumerate(cases)
     ]
 
@@ -372,7 +373,9 @@ def test_diagnoses_that_fail_do_not_lower_the_rates_of_errors():
     told = [answer(), answer(finding("armature", "elbow"))]
     for failed in (0, 8):
         cases = [*told, *[None] * failed]
-        scores = score([Revealed(f"case-{k}", truth(), a, None, 1.0) for k, a in enumerate(cases)])
+        scores = score(
+            [Revealed(f"case-{k}", truth(), a, None, 1.0, {}) for k, a in enumerate(cases)]
+        )
         rates = scores.summary.set_index("key")
         for key in ("false_alarms", "confident_wrong"):
             assert rates.loc[key, ["count", "of"]].tolist() == [1, 2]
@@ -390,13 +393,13 @@ def test_diagnoses_that_fail_do_not_lower_the_rates_of_errors():
 )
 def test_probabilities_of_names_that_unknown_physics_is_given_are_calibrated(told, cases, error):
     magnet = truth(concealed("magnet", "elbow", known=False), tier=4)
-    calibration = score([Revealed("a", magnet, told, None, 1.0)]).calibration
+    calibration = score([Revealed("a", magnet, told, None, 1.0, {})]).calibration
     assert calibration.cases == cases
     assert calibration.error == pytest.approx(error, nan_ok=True)
 
 
 def test_a_run_without_physics_missing_has_scores():
-    scores = score([Revealed("a", truth(), answer(), None, 1.0)])
+    scores = score([Revealed("a", truth(), answer(), None, 1.0, {})])
     assert scores.rate("false_alarms") == 0.0
     assert np.isnan(scores.rate("unknown_flagged"))
     assert "Proof" in page(scores, {})

@@ -49,7 +49,10 @@ class SelectionContext:
         return torch.tensor(self.candidates, dtype=torch.float64)
 
     def moments(self) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, "M N"]]:
-        """Return mean and standard deviation of the warped Δ of each member at the candidates."""
+        """Return mean and standard deviation of the warped Δ, `M x N` each.
+
+        A row for each member of the ensemble, a column for each candidate.
+        """
         surrogate = self.surrogate
         x = surrogate.unit(self.candidates)
         known, known_values = evaluated_rows(surrogate, self.candidates)
@@ -65,6 +68,10 @@ class SelectionContext:
 
         Their Δ is drawn from the joint posterior (a fantasy), the surrogate is conditioned on
         it and the belief computed again.
+
+        Args:
+            rows: `k` rows of B, none of them evaluated.
+            seed: of the fantasy: its number among several.
         """
         points = self.candidates[rows]
         rng = np.random.default_rng((self.seed, seed, len(self.evaluated)))

@@ -85,7 +85,11 @@ class RowAcquisition(AcquisitionFunction):
 
     @t_batch_mode_transform(expected_q=1, assert_output_shape=False)  # type: ignore[untyped-decorator]
     def forward(self, X: Tensor) -> Tensor:
-        """Return the values of rows of B: `b x 1 x d` → `b`."""
+        """Return the values of rows of B: `b x 1 x d` → `b`.
+
+        Raises:
+            ValueError: a point is no row of B.
+        """
         found: Tensor = self._present[self.rows(X).squeeze(-1)]
         return found
 
@@ -129,6 +133,15 @@ def pick_batch(
     acquisition: AcquisitionFunction, candidates: Points, excluded: Rows, q: int
 ) -> Int[np.ndarray, " q"]:
     """Return `q` different rows, each chosen with those before it pending; fewer if B has fewer.
+
+    Args:
+        acquisition: maps `b x 1 x d` to `b`.
+        candidates: `N x d`, the set B.
+        excluded: as in `pick`.
+        q: how many.
+
+    Returns:
+        The rows, the first choice first.
 
     Raises:
         ValueError: every candidate is excluded.

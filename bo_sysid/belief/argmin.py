@@ -72,7 +72,12 @@ def argmin_probability(
 def evaluated_rows(
     surrogate: Surrogate, candidates: Points
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Return the rows of `candidates` whose Δ is known, and their standardised values."""
+    """Return the rows of `candidates` whose Δ is known, and their standardised values.
+
+    Args:
+        surrogate: of Δ, given the evaluations.
+        candidates: `N x d`, in the units of the surrogate's points.
+    """
     rows = RowIndex.of(candidates).find(surrogate.points)
     rows, place = np.unique(rows, return_index=True)
     keep = rows >= 0

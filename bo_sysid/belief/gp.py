@@ -60,6 +60,17 @@ def scaled_squared_distances(
     return np.asarray(np.maximum(squared, 0.0, out=squared))
 
 
+def covariance(
+    kernel: Kernel,
+    lengthscales: Float[np.ndarray, " d"],
+    outputscale: float,
+    a: Float[np.ndarray, "m d"],
+    b: Float[np.ndarray, "k d"],
+) -> Float[np.ndarray, "m k"]:
+    """Return the prior covariance `s² R(a, b)`."""
+    return outputscale * correlation(kernel, scaled_squared_distances(a, b, lengthscales))
+
+
 @dataclass(frozen=True)
 class MarginalLikelihood:
     """The evidence of hyperparameters θ for fixed data.
@@ -165,8 +176,7 @@ class ConditionedGP:
         self, a: Float[np.ndarray, "m d"], b: Float[np.ndarray, "k d"]
     ) -> Float[np.ndarray, "m k"]:
         """Return the prior covariance `s² R(a, b)`."""
-        squared = scaled_squared_distances(a, b, self.lengthscales)
-        return self.outputscale * correlation(self.kernel, squared)
+        return covariance(self.kernel, self.lengthscales, self.outputscale, a, b)
 
     def whitened(self, x: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "n m"]:
         """Return `V = L⁻¹ k(points, x)`: posterior covariances are `k(x, x') − VᵀV'`."""

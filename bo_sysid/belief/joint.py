@@ -58,7 +58,15 @@ def posterior_moments(
     known: Int[np.ndarray, " k"],
     known_values: Float[np.ndarray, " k"],
 ) -> PosteriorMoments:
-    """Return the posterior moments at `x`; rows `known` have exactly `known_values`."""
+    """Return the posterior moments at `x`; rows `known` have exactly `known_values`.
+
+    Args:
+        member: the Gaussian process.
+        x: `N x d` candidates in the unit cube.
+        values: `n` standardised values at the member's points.
+        known: `k` rows of `x` whose value is known.
+        known_values: their `k` standardised values.
+    """
     residual = member.residual(values)
     mean, variance = np.empty(len(x)), np.empty(len(x))
     for start in range(0, len(x), CHUNK):

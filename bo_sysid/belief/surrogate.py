@@ -12,11 +12,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import solve_triangular
 
 from bo_sysid.arrays import Categories, Deviations, Points
 from bo_sysid.belief.encoding import encoded
-from bo_sysid.belief.gp import MEAN_VARIANCE, ConditionedGP, Kernel, MarginalLikelihood
+from bo_sysid.belief.gp import (
+    MEAN_VARIANCE,
+    ConditionedGP,
+    Kernel,
+    MarginalLikelihood,
+    covariance,
+)
 from bo_sysid.belief.hyperparameters import Prior, sample_hyperparameters
+from bo_sysid.belief.joint import posterior_moments
 from bo_sysid.belief.warp import Warp
 
 if TYPE_CHECKING:
@@ -81,15 +89,22 @@ class Surrogate:
         return self.standardise(self.values)
 
     def moments(self, points: Points) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-        """Return mean and variance of y at `points`, averaged over the ensemble."""
-        x = self.unit(points)
-        means, variances = [], []
-        for member in self.members:
-            V = member.whitened(x)
-            means.append(member.mean + member.residual(self.standardised) @ V)
-            variances.append(member.variance(V))
-        mean = self.weights @ np.array(means)
-        spread = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        """Return mean and variance of y at `points`, averaged over the ensemble.
+
+        Args:
+            points: `N x d`, in their own units.
+
+        Returns:
+            `N` means in the unit of y, and `N` variances in its square.
+        """
+        x, none = self.unit(points), np.zeros(0, np.intp)
+        found = [
+            posterior_moments(member, x, self.standardised, none, np.zeros(0))
+            for member in self.members
+        ]
+        means, variances = np.array([m.mean for m in found]), np.array([m.variance for m in found])
+        mean = self.weights @ means
+        spread = self.weights @ (variances + (means - mean) ** 2)
         return self.shift + self.scale * mean, self.scale**2 * spread
 
     def only(self, member: int) -> "Surrogate":
@@ -221,9 +236,10 @@ def condition(
 ) -> ConditionedGP:
     """Return the Gaussian process of one θ, its constant drawn from the constant's posterior."""
     lengthscales, outputscale = np.exp(theta[:-1]), float(np.exp(theta[-1]))
-    plain = ConditionedGP(evidence.kernel, lengthscales, outputscale, 0.0, x, np.eye(len(x)))
-    chol = np.linalg.cholesky(plain.covariance(x, x) + np.diag(evidence.noise))
-    whitened = np.linalg.solve(chol, np.stack([np.ones(len(x)), evidence.values], axis=1))
+    K = covariance(evidence.kernel, lengthscales, outputscale, x, x)
+    chol = np.linalg.cholesky(K + np.diag(evidence.noise))
+    ones_and_values = np.stack([np.ones(len(x)), evidence.values], axis=1)
+    whitened = solve_triangular(chol, ones_and_values, lower=True)
     precision = float(whitened[:, 0] @ whitened[:, 0]) + 1.0 / MEAN_VARIANCE
     centre = float(whitened[:, 0] @ whitened[:, 1]) / precision
     mean = centre + float(rng.standard_normal()) / np.sqrt(precision)

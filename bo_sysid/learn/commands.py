@@ -1,13 +1,12 @@
 """A policy as a TorchScript module that gives commands; the only module here that needs torch."""
 
-import tempfile
-import warnings
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
+from bo_sysid.policy.export import deterministic, write_torchscript
 from bo_sysid.policy.store import LearnedPolicy
 
 
@@ -47,10 +46,5 @@ def write_module(
         high: `a` highest commands.
         path: of the file.
     """
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        # torch.export, which is to replace it, gives no file for libtorch alone
-        warnings.simplefilter("ignore", DeprecationWarning)
-        policy.export(Path(folder) / "policy.pt")
-        actions = torch.jit.load(str(Path(folder) / "policy.pt"))  # type: ignore[no-untyped-call]
-        module = _Commands(actions, low, high).eval().requires_grad_(False)
-        torch.jit.save(torch.jit.script(module), str(path))
+    module = _Commands(deterministic(policy), low, high)
+    write_torchscript(module.eval().requires_grad_(False), path)

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from bo_sysid.arrays import Point
 from bo_sysid.errors import StudyError
+from bo_sysid.intervals import upper_bound
 from bo_sysid.learn.scene import Scene
 from bo_sysid.mjcf import Model
 from bo_sysid.plants.environment import control_range
@@ -23,7 +24,8 @@ from bo_sysid.policy.store import LearnedPolicy
 from bo_sysid.runs import Run, atomic
 from bo_sysid.study.sections import Column
 
-_EPISODES = 20
+_EPISODES = 60  # none of them beyond limits: fewer than 5 % are, with 95 % confidence
+_LIMITS_SEED = 2_000_003  # their starts are none of those of training
 
 
 def command_range(scene: Scene) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " a"]]:
@@ -81,21 +83,26 @@ def observed(scene: Scene) -> tuple[str, ...]:
     return machine.observed
 
 
-def limit_violation_share(scene: Scene, policy: LearnedPolicy, point: Point) -> float:
-    """Return the share of simulated episodes in which the policy leaves the study's limits.
-
-    It is from 0 to 1, and 0 where the study has no limits.
+def beyond_limits(
+    scene: Scene, policy: LearnedPolicy, point: Point
+) -> dict[str, float | int] | None:
+    """Return in how many simulated episodes the policy leaves the study's limits.
 
     Args:
         scene: task and limits.
         policy: what acts.
         point: `d` parameter values of the model that it acts on.
+
+    Returns:
+        "episodes", their "share" from 0 to 1, and what that is "at_most" with 95 % confidence; None
+        where the study has no limits.
     """
     if not isinstance(scene.task, LimitedTask):
-        return 0.0
+        return None
     task = copy(scene.task)
     scene = replace(scene, task=task)
-    environment = scene.environment(scene.compiled(point), _EPISODES, seed=scene.seed)
+    seed = scene.seed + _LIMITS_SEED
+    environment = scene.environment(scene.compiled(point), _EPISODES, seed=seed)
     observation = environment.reset()
     running, left = np.ones(_EPISODES, bool), np.zeros(_EPISODES, bool)
     while running.any():
@@ -103,14 +110,15 @@ def limit_violation_share(scene: Scene, policy: LearnedPolicy, point: Point) -> 
         left |= running & task.beyond
         running &= ~(step.terminated | step.truncated)
         observation = step.observation
-    return float(left.mean())
+    share, most = float(left.mean()), upper_bound(int(left.sum()), _EPISODES)
+    return {"episodes": _EPISODES, "share": share, "at_most": most}
 
 
 def write_for_machine(scene: Scene, policy: LearnedPolicy, run: Run, name: str) -> dict[str, Any]:
     """Write a policy as a module, ``<name>.pt``, and what it takes and gives, ``<name>.json``."""
     write_commands(scene, policy, run.path(f"{name}.pt"))
     low, high = command_range(scene)
-    seconds = scene.task.time_limit
+    seconds, beyond = scene.task.time_limit, policy.about.get("beyond_limits") or {}
     about = {
         "observations": policy.policy.network.sizes[0],
         "observed": list(observed(scene)),
@@ -119,7 +127,9 @@ def write_for_machine(scene: Scene, policy: LearnedPolicy, run: Run, name: str) 
         "high": high.tolist(),
         "control_timestep": scene.task.control_timestep,
         "seconds": seconds if np.isfinite(seconds) else None,
-        "simulated_share_beyond_limits": policy.about.get("share_beyond", 0.0),
+        "simulated_episodes": beyond.get("episodes"),
+        "simulated_share_beyond_limits": beyond.get("share"),
+        "simulated_share_at_most": beyond.get("at_most"),
     }
     run.write_json(f"{name}.json", about)
     return about
@@ -135,14 +145,19 @@ def how_to_run(about: Mapping[str, Any]) -> str:
 
 
 def cautions(about: Mapping[str, Any]) -> list[str]:
-    """Return a warning where a policy left the study's limits in simulation."""
-    share = float(about["simulated_share_beyond_limits"])
-    if not share:
+    """Return how often a policy left the study's limits in simulation, where there are limits."""
+    share, episodes = about["simulated_share_beyond_limits"], about["simulated_episodes"]
+    if share is None:
         return []
+    stop = "which clipping commands cannot prevent. Have the machine stop by itself."
+    if share:
+        return [
+            f"CAUTION: in {share:.0%} of {episodes} simulated episodes this policy leaves the "
+            f"limits of position or velocity, {stop}"
+        ]
     return [
-        f"CAUTION: in {share:.0%} of simulated episodes this policy leaves the limits of "
-        "position or velocity, which clipping commands cannot prevent. Have the machine stop by "
-        "itself."
+        f"In none of {episodes} simulated episodes does this policy leave the limits of position "
+        f"or velocity, {stop}"
     ]
 
 

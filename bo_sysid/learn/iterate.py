@@ -17,7 +17,7 @@ from bo_sysid.errors import RecordingError
 from bo_sysid.execution import OnProgress, Progress, threads
 from bo_sysid.learn.choose import CHOOSE
 from bo_sysid.learn.floor import lacks_physics
-from bo_sysid.learn.hand_over import command_range, limit_violation_share, machine_names
+from bo_sysid.learn.hand_over import beyond_limits, command_range, machine_names
 from bo_sysid.learn.identified import Identified, identified
 from bo_sysid.learn.iteration import Iteration, repaired_scene, stored_repair
 from bo_sysid.learn.repair import MOST, Repair, repaired
@@ -208,7 +208,7 @@ def _learned(scene: Scene, step: _Step, found: Identified, row: int) -> LearnedP
     steps = _steps(scene, step, found, row)
     policy = train_on(scene, environment, step.run, step.number, start, steps, watch)
     about = {**policy.about, "iteration": step.number, "beta": _named(scene, row)}
-    about["share_beyond"] = limit_violation_share(scene, policy, point)
+    about["beyond_limits"] = beyond_limits(scene, policy, point)
     about["commands"] = dict(zip(("low", "high"), command_range(scene), strict=True))
     about["machine"] = machine_names(scene)
     policy = replace(policy, about=about)

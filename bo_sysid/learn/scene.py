@@ -190,16 +190,21 @@ class Scene:
 
     @property
     def environments(self) -> int:
-        """Number of simulations in a training: the most of which a batch is a multiple."""
+        """Number of simulations in a training: the most of which a batch is a multiple.
+
+        Where that would be few, as many as are fast: a batch is then a little larger than asked.
+        """
         batch = self.study.policy.batch
-        return max(n for n in range(1, min(_ENVIRONMENTS, batch // 2) + 1) if batch % n == 0)
+        most = min(_ENVIRONMENTS, batch // 2)
+        even = max(n for n in range(1, most + 1) if batch % n == 0)
+        return even if 2 * even > most else most
 
     @property
     def settings(self) -> TrpoSettings:
         """Settings of the training."""
-        policy = self.study.policy
+        policy, n = self.study.policy, self.environments
         return TrpoSettings(
-            batch=policy.batch,
+            batch=-(-policy.batch // n) * n,
             discount=policy.discount,
             decay=policy.decay,
             hidden=policy.hidden,

@@ -86,7 +86,8 @@ class BatchEnvironment:
         laws: forces stepped with the simulation, as a plant may have them: slower.
 
     Raises:
-        UserError: `n` or the number of models is wrong, or the model does not fit the task.
+        UserError: `n` or the number of models is wrong, their time steps differ, or the model does
+            not fit the task.
     """
 
     def __init__(
@@ -108,6 +109,8 @@ class BatchEnvironment:
         self._draw: ModelDraw | None = None
         self._models = self._first_models(model)
         first = self._models[0]
+        for m in self._models:
+            _require_time_step(first, m)
         self.substeps = physics_steps(task.control_timestep / task.repeat, first)
         self.episode_steps = episode_steps(task.time_limit, task.control_timestep)
         self.action_size = int(first.nu)
@@ -177,7 +180,7 @@ class BatchEnvironment:
             self.sims.advance(self.substeps)
             reward = reward + self.task.get_reward(self.sims)
         self._steps += 1
-        final = self.task.get_observation(self.sims)
+        final = self._observed()
         diverged = self.sims.diverged()
         terminated = self.task.is_terminated(self.sims) | diverged
         truncated = (self._steps >= self.episode_steps) & ~terminated
@@ -195,6 +198,7 @@ class BatchEnvironment:
             episode = int(self._episodes[i])
             if self._draw is not None:
                 self._models[i] = self._draw(self._generator(i, episode, purpose=1))
+                _require_time_step(self.sims.model, self._models[i])
             starts.append(self.task.draw_start(self._models[i], self._generator(i, episode)))
         if self._draw is not None:
             self.sims.set_models(self._models)
@@ -212,11 +216,15 @@ class BatchEnvironment:
         if settle and self.task.settle_time > 0.0:
             steps = round(self.task.settle_time / sims.model.opt.timestep)
             sims.advance(steps, rows, fields=False)
-            sims.field("time")[rows] = 0.0
+            sims.field("time")[rows] = 0.0  # the episode's own, which laws see as well
         sims.forward(rows)
         self._steps[rows] = 0
         self._episodes[rows] += 1
-        self._observation = self.task.get_observation(sims)
+        self._observation = self._observed()
+
+    def _observed(self) -> np.ndarray:
+        """Return the `n x o` observations; those of a task may be live views."""
+        return np.array(self.task.get_observation(self.sims))
 
     def skip(self, episodes: int) -> None:
         """Let the next episodes be those after the first `episodes` of every simulation."""
@@ -279,6 +287,17 @@ def episode_steps(time_limit: float, control_timestep: float) -> int:
     """
     steps = time_limit / control_timestep
     return round(steps) if np.isfinite(steps) else int(np.iinfo(np.int64).max)
+
+
+def _require_time_step(first: mujoco.MjModel, model: mujoco.MjModel) -> None:
+    """Refuse a model that does not step as the first one does.
+
+    Raises:
+        UserError: their time steps differ.
+    """
+    a, b = float(first.opt.timestep), float(model.opt.timestep)
+    if a != b:
+        raise UserError(f"environment: models of time steps {a:g} and {b:g} s cannot step together")
 
 
 def physics_steps(duration: float, model: mujoco.MjModel) -> int:

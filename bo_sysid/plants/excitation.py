@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from bo_sysid.errors import UserError
 from bo_sysid.plants.environment import control_range
@@ -98,9 +99,9 @@ def smooth_random(
         raise UserError(f"excitation: correlation time is {correlation} s; it must be positive")
     w = np.random.default_rng(seed).standard_normal((round(duration / timestep), len(low)))
     a = np.exp(-timestep / correlation)
-    x = w.copy()
-    for k in range(1, len(x)):
-        x[k] = a * x[k - 1] + np.sqrt(1 - a * a) * w[k]
+    # x[k] = a x[k - 1] + √(1 - a²) w[k] from x[0] = w[0]: standard normal at all times
+    rest, _ = lfilter([np.sqrt(1 - a * a)], [1, -a], w[1:], axis=0, zi=a * w[:1])
+    x = np.concatenate([w[:1], rest])
     return _within(np.tanh(x), low, high, amplitude)
 
 

@@ -194,9 +194,14 @@ class Plant:
             reward += given
             done += 1
         columns = {f: np.concatenate([r[f] for r in rows]) for f in rows[0]}
-        return self._finish_trajectory(
-            columns, stride, done, reward, diverged=diverged, warmstart=warmstart
-        )
+        # MuJoCo restarts a simulation that fails: its time stops or falls back to zero
+        forward = np.diff(columns["time"], prepend=-1.0) > 0
+        good = forward.size if forward.all() else int(np.argmin(forward))
+        if diverged and good == forward.size:
+            good -= len(rows[-1]["time"])  # no restart shows: nothing is sure of this step
+        if 1 < good < forward.size:  # of the control that failed nothing is recorded
+            columns["ctrl"][good - 1] = columns["ctrl"][good - 2]
+        return self._finish_trajectory(columns, good, stride, done, reward, warmstart=warmstart)
 
     def evaluate(self, act: Act, episodes: int = 10, *, seed: int = 0) -> Float[np.ndarray, " E"]:
         """Return the sums of rewards of whole episodes, `episodes`; these are no trajectories.
@@ -242,23 +247,18 @@ class Plant:
     def _finish_trajectory(
         self,
         rows: dict[str, np.ndarray],
+        good: int,
         stride: int,
         steps: int,
         reward: float,
         *,
-        diverged: bool,
         warmstart: bool,
     ) -> Recording:
-        """Count the trajectory and return its recording; raise if the simulation diverged."""
+        """Count the trajectory and return its recording of `good` rows; raise if others failed."""
         number = len(self._trajectories)
         name = f"{self.name}-{number}"
-        # MuJoCo restarts a simulation that diverges: its time stops or falls back to zero
-        forward = np.diff(rows["time"], prepend=-1.0) > 0
-        good = forward.size if forward.all() else int(np.argmin(forward))
-        if diverged and good == forward.size:
-            good = 1  # in the first step: a restart from zero does not show
         fault = ""
-        if good < forward.size:
+        if good < len(rows["time"]):
             fault = f"{name}: the plant's simulation diverged at {rows['time'][good - 1]:g} s"
         self._trajectories.append(Trajectory(name, steps, reward, fault))
         kept = {f: c[:good:stride] for f, c in rows.items()}

@@ -212,6 +212,9 @@ class PythonEnvironment:
         n: number of machines.
         seed: of the starts.
         stagger: spread the first episodes' ends evenly over an episode.
+
+    Raises:
+        UserError: `n` is below 1, or the task does not fit the model.
     """
 
     def __init__(

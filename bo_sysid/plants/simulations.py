@@ -24,8 +24,8 @@ class Simulations:
     step goes on from them. It falls out of the processor's cache near 256 simulations.
 
     Attributes:
-        model: the model that gives layout and names, and that every simulation runs on unless
-            `set_models` says otherwise.
+        model: the model that gives layout, names and time step, and that every simulation runs on
+            unless `set_models` says otherwise; for numbers of a model see `constant`.
         qpos: live `n x nq` positions.
         qvel: live `n x nv` velocities.
         ctrl: live `n x nu` controls.
@@ -41,6 +41,8 @@ class Simulations:
         self.ctrl = self._batch.bind("ctrl")
         self.goal = np.zeros((n, goal_size))
         self._views: dict[tuple[str, str, str], np.ndarray] = {}
+        self._models: Sequence[mujoco.MjModel] = [model] * n
+        self._constants: dict[tuple[str, str, str], np.ndarray] = {}
         self._laws: tuple[ForceLaw, ...] = ()
         self._lockstep: LockStep | None = None
         self._lockstep_counts = np.zeros(n, np.int64)
@@ -67,9 +69,24 @@ class Simulations:
             self._views[key] = getattr(getattr(self._batch, kind)(name), field)
         return self._views[key]
 
-    def set_models(self, models: Sequence[mujoco.MjModel] | mujoco.MjModel | None) -> None:
-        """Run simulation i on `models[i]`; the models must share one layout."""
+    def constant(self, kind: str, name: str, field: str) -> np.ndarray:
+        """Return `n x k` numbers of the models, such as ("geom", "finger", "size").
+
+        Each simulation has those of its own model, which may be a candidate of its own.
+        """
+        key = (kind, name, field)
+        if key not in self._constants:
+            of_model = {
+                id(m): np.atleast_1d(getattr(getattr(m, kind)(name), field)).copy()
+                for m in {id(m): m for m in self._models}.values()
+            }
+            self._constants[key] = np.stack([of_model[id(m)] for m in self._models])
+        return self._constants[key]
+
+    def set_models(self, models: Sequence[mujoco.MjModel]) -> None:
+        """Run simulation i on `models[i]`; the models must share one layout and time step."""
         self._batch.set_models(models)
+        self._models, self._constants = list(models), {}
 
     def set_laws(self, laws: Sequence[ForceLaw]) -> None:
         """Step force laws with every simulation, one physics step at a time: slower."""
@@ -126,7 +143,8 @@ class Simulations:
             return
         stepped = np.arange(len(self)) if rows is None else rows
         for _ in range(steps):
-            self._lockstep.apply_to(stepped, self._lockstep_counts[stepped])
+            time = self.field("time")[stepped]
+            self._lockstep.apply_to(stepped, time, forget=self._lockstep_counts[stepped] == 0)
             self._lockstep_counts[stepped] += 1
             self._batch.step(ids=rows, nstep=1, stage=int(stage))
 

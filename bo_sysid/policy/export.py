@@ -1,5 +1,6 @@
 """Learned policies for other programs."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,11 +31,19 @@ class _Deterministic(torch.nn.Module):
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         z = ((observations - self.mean) / self.std).clamp(-self.clip, self.clip)
+        z = z.nan_to_num()  # a reading that is missing counts as its mean
         actions: torch.Tensor = self.layers(z)
         return actions.clamp(-1.0, 1.0)
 
 
-def write_torchscript(learned: "LearnedPolicy", path: Path) -> None:
-    """Write the deterministic policy as a TorchScript module."""
-    module = _Deterministic(learned).eval().requires_grad_(False)
-    torch.jit.save(torch.jit.script(module), str(path))
+def deterministic(learned: "LearnedPolicy") -> torch.nn.Module:
+    """Return the mean action as a module from `n x o` observations to `n x a` in [-1, 1]."""
+    return _Deterministic(learned).eval().requires_grad_(False)
+
+
+def write_torchscript(module: torch.nn.Module, path: Path) -> None:
+    """Write a module for libtorch."""
+    with warnings.catch_warnings():
+        # torch.export, which is to replace it, gives no file for libtorch alone
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.jit.save(torch.jit.script(module), str(path))

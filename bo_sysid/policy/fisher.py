@@ -44,8 +44,8 @@ class Fisher:
         self._chunks = [self._activations(x) for x in torch.split(observations, CHUNK)]
 
     def _activations(self, x: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-        """Return each layer's inputs, and the slopes tanh' = 1 - tanh^2 that led to them."""
-        inputs, slopes = [x], [x]  # the first slope is never used
+        """Return each layer's inputs, and the slopes tanh' = 1 - tanh^2 that led to all but x."""
+        inputs, slopes = [x], list[torch.Tensor]()
         for weight, bias in self._layers[:-1]:
             inputs.append(torch.tanh(torch.addmm(bias, inputs[-1], weight.T)))
             slopes.append(1 - inputs[-1] ** 2)
@@ -73,7 +73,7 @@ class Fisher:
         change, bias = tangents[0]
         d = torch.addmm(bias, inputs[0], change.T)
         for k in range(1, len(inputs)):
-            d *= slopes[k]
+            d *= slopes[k - 1]
             change, bias = tangents[k]
             d = torch.addmm(bias, d, self._layers[k][0].T).addmm_(inputs[k], change.T)
         back = d.mul_(self._weight)
@@ -83,4 +83,4 @@ class Fisher:
             bias.add_(back.sum(dim=0))
             if k > 0:
                 back = back @ self._layers[k][0]
-                back *= slopes[k]
+                back *= slopes[k - 1]

@@ -79,8 +79,9 @@ def collect(
         actions[t] += policy.network(theta, seen[t])
         step = environment.step(actions[t])
         rewards[t], terminated[t], truncated[t] = step.reward, step.terminated, step.truncated
-        if step.final is not step.observation:
-            finals.append(step.final[step.terminated | step.truncated])
+        ended = step.terminated | step.truncated
+        if ended.any():
+            finals.append(step.final[ended])
         observation = step.observation
     ends = normaliser(np.concatenate(finals)) if finals else np.empty((0, o), np.float32)
     rollout = Rollout(

@@ -18,6 +18,9 @@ class TrustRegion:
         cg_steps: most steps of conjugate gradients.
         shrink: factor of the step when the line search backtracks.
         backtracks: most trials of the line search.
+
+    Raises:
+        StudyError: a number is out of its range.
     """
 
     kl: float = 0.02
@@ -26,6 +29,11 @@ class TrustRegion:
     cg_steps: int = 15
     shrink: float = 0.8
     backtracks: int = 10
+
+    def __post_init__(self) -> None:
+        _require_within(kl=(self.kl, 1e-9, np.inf), damping=(self.damping, 0.0, np.inf))
+        _require_within(cg_steps=(self.cg_steps, 1, np.inf), shrink=(self.shrink, 1e-3, 0.999))
+        _require_within(backtracks=(self.backtracks, 1, np.inf))
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,9 @@ class CriticFit:
         rate: learning rate of Adam.
         epsilon: of Adam's denominator.
         decays: of Adam's first and second moments.
+
+    Raises:
+        StudyError: a number is out of its range.
     """
 
     epochs: int = 10
@@ -45,6 +56,12 @@ class CriticFit:
     rate: float = 1e-3
     epsilon: float = 1e-5
     decays: tuple[float, float] = (0.9, 0.999)
+
+    def __post_init__(self) -> None:
+        _require_within(epochs=(self.epochs, 1, np.inf), minibatch=(self.minibatch, 1, np.inf))
+        _require_within(rate=(self.rate, 0.0, np.inf), epsilon=(self.epsilon, 0.0, np.inf))
+        for decay in self.decays:
+            _require_within(decays=(decay, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -76,18 +93,20 @@ class TrpoSettings:
     critic: CriticFit = field(default_factory=CriticFit)
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ("discount", self.discount, 0.0, 1.0),
-            ("decay", self.decay, 0.0, 1.0),
-            ("kl", self.region.kl, 1e-9, np.inf),
-            ("damping", self.region.damping, 0.0, np.inf),
-            ("cg_steps", self.region.cg_steps, 1, np.inf),
-            ("backtracks", self.region.backtracks, 1, np.inf),
-            ("shrink", self.region.shrink, 1e-3, 0.999),
-        ):
-            if not low <= value <= high:
-                raise StudyError(f"policy: {name} is {value}; it must be from {low:g} to {high:g}")
+        _require_within(discount=(self.discount, 0.0, 1.0), decay=(self.decay, 0.0, 1.0))
+        _require_within(log_std=(self.log_std, -20.0, 5.0), clip=(self.clip, 1e-3, np.inf))
         if self.batch < 2 or min(self.hidden, default=0) < 1:
             raise StudyError(
                 f"policy: batch {self.batch} must be at least 2, hidden {self.hidden} not empty"
             )
+
+
+def _require_within(**settings: tuple[float, float, float]) -> None:
+    """Refuse a setting (value, low, high) that is not from low to high.
+
+    Raises:
+        StudyError: there is one.
+    """
+    for name, (value, low, high) in settings.items():
+        if not low <= value <= high:
+            raise StudyError(f"policy: {name} is {value}; it must be from {low:g} to {high:g}")

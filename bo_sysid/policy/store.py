@@ -98,10 +98,13 @@ class LearnedPolicy:
             RunError: the file is missing, damaged, or of another format.
         """
         arrays, header = read_arrays(Path(path))
-        if header.get("format") != FORMAT or not {"theta", "mean", "std"} <= set(arrays):
+        if header.get("format") != FORMAT:
             raise RunError(
                 f"{path}: not a policy of format {FORMAT} (it says {header.get('format')})"
             )
+        needed = {"theta", "mean", "std"} - set(arrays) | {"sizes", "clip", "about"} - set(header)
+        if needed:
+            raise RunError(f"{path}: damaged: it has no {', '.join(sorted(needed))}")
         policy = GaussianPolicy(Network(tuple(header["sizes"])))
         if arrays["theta"].shape != (policy.size,):
             raise RunError(
@@ -116,10 +119,10 @@ class LearnedPolicy:
         It maps `n x o` float32 observations, not normalised, to `n x a` actions in [-1, 1], and
         runs wherever libtorch does, without this package.
         """
-        from bo_sysid.policy.export import write_torchscript
+        from bo_sysid.policy.export import deterministic, write_torchscript
 
         with atomic(Path(path)) as place:
-            write_torchscript(self, place)
+            write_torchscript(deterministic(self), place)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
@@ -145,4 +148,6 @@ def read_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         header = json.loads(str(arrays.pop("_header")))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise RunError(f"{path}: damaged, or not a file of this package ({error})") from None
+    if not isinstance(header, dict):
+        raise RunError(f"{path}: damaged, or not a file of this package (its header is no mapping)")
     return arrays, header

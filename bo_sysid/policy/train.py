@@ -1,6 +1,7 @@
 """The training loop: iterations, their log, and checkpoints that survive a kill."""
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,10 @@ from bo_sysid.plants.environment import Environment
 from bo_sysid.policy.settings import TrpoSettings
 from bo_sysid.policy.store import LearnedPolicy, read_arrays, write_arrays
 from bo_sysid.policy.trainer import Trainer, TrainingIteration
-from bo_sysid.runs import atomic
+from bo_sysid.runs import atomic, plain
 
 CHECKPOINT, LOG, POLICY = "checkpoint.npz", "iterations.parquet", "policy.npz"
+_FORMAT = 2  # of checkpoints
 
 Watch = Callable[[TrainingIteration], None]
 
@@ -84,9 +86,10 @@ def train(
 
 
 def _identity(trainer: Trainer, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what must be equal for a training to be resumed from a checkpoint."""
+    """Return what must be equal for a training to be resumed, as its checkpoint has it in JSON."""
     environment = trainer.environment
-    return {
+    identity = {
+        "format": _FORMAT,
         "settings": dataclasses.asdict(trainer.settings),
         "seed": trainer.seed,
         "environments": environment.n,
@@ -94,6 +97,7 @@ def _identity(trainer: Trainer, about: Mapping[str, Any]) -> dict[str, Any]:
         "actions": environment.action_size,
         "about": dict(about),
     }
+    return dict(json.loads(json.dumps(plain(identity))))
 
 
 def _checkpoint(
@@ -113,7 +117,7 @@ def _resume(trainer: Trainer, folder: Path, about: Mapping[str, Any]) -> list[Tr
     if not path.is_file():
         return []
     arrays, header = read_arrays(path)
-    own = _as_json(_identity(trainer, about))
+    own = _identity(trainer, about)
     different = [key for key in own if header.get(key) != own[key]]
     if different:
         raise RunError(
@@ -123,13 +127,6 @@ def _resume(trainer: Trainer, folder: Path, about: Mapping[str, Any]) -> list[Tr
     columns = {name: arrays.pop(f"log.{name}").tolist() for name in TrainingIteration._fields}
     trainer.set_state(arrays)
     return [TrainingIteration(*row) for row in zip(*columns.values(), strict=True)]
-
-
-def _as_json(value: Any) -> Any:
-    """Return tuples as lists, as JSON has them."""
-    if isinstance(value, dict):
-        return {k: _as_json(v) for k, v in value.items()}
-    return [_as_json(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 def _frame(log: list[TrainingIteration]) -> pd.DataFrame:

@@ -97,6 +97,7 @@ class Trainer:
         )
         self._sums = np.zeros(environment.n)
         self._lengths = np.zeros(environment.n, np.int64)
+        self._first = np.ones(environment.n, bool)  # episodes, which may begin in their middle
         self.iterations = 0
         self._observation = environment.reset()
 
@@ -191,7 +192,11 @@ class Trainer:
         return values, advantage
 
     def _episodes(self, rollout: Rollout) -> list[float]:
-        """Return the returns of whole episodes that ended; staggered first ones are not whole."""
+        """Return the returns of whole episodes that ended.
+
+        The first of each simulation is not whole where it reached the time limit too early: it was
+        staggered. Later ones may be shorter, where the task cuts them.
+        """
         returns = []
         for reward, terminated, truncated in zip(
             rollout.rewards, rollout.terminated, rollout.truncated, strict=True
@@ -199,10 +204,10 @@ class Trainer:
             self._sums += reward
             self._lengths += 1
             for i in np.flatnonzero(terminated | truncated):
-                if terminated[i] or self._lengths[i] == self.environment.episode_steps:
+                whole = self._lengths[i] == self.environment.episode_steps
+                if terminated[i] or whole or not self._first[i]:
                     returns.append(float(self._sums[i]))
-                self._sums[i] = 0.0
-                self._lengths[i] = 0
+                self._sums[i], self._lengths[i], self._first[i] = 0.0, 0, False
         return returns
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -218,6 +223,7 @@ class Trainer:
             "theta": self.theta.copy(),
             "sums": self._sums.copy(),
             "lengths": self._lengths.copy(),
+            "first": self._first.copy(),
             "iterations": np.array(self.iterations),
         }
 
@@ -235,6 +241,7 @@ class Trainer:
         self.theta = np.array(state["theta"])
         self._sums[:] = state["sums"]
         self._lengths[:] = state["lengths"]
+        self._first[:] = state["first"]
         self.iterations = int(state["iterations"])
 
 
@@ -250,6 +257,14 @@ def _require_finite(rollout: Rollout) -> None:
             raise UserError(
                 f"policy: the task gave a {what} of {values[tuple(bad[0])]} in control step "
                 f"{bad[0][0]} of the batch, in simulation {bad[0][1]}; all must be finite"
+            )
+    # what a step that ended an episode for good led to has no value: it may be anything
+    lasting = rollout.finals[~rollout.terminated[rollout.ended]]
+    for values, at in ((lasting, "at a time limit"), (rollout.last, "after the last step")):
+        if not np.isfinite(values).all():
+            raise UserError(
+                f"policy: the task gave an observation that is not finite {at} of the batch; "
+                "all must be finite"
             )
 
 

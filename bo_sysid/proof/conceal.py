@@ -182,9 +182,15 @@ def _draw_plan(job: DrawJob) -> list[str]:
         there = read_json(job.seals, _PLAN)
         if there["suite_sha256"] != digest(record):
             raise RunError(f"{job.seals}: holds the seals of another suite; use another folder")
+        if there.get("versions") != versions():
+            raise RunError(f"{job.seals}: was begun by other versions; use another folder")
         return [d["name"] for d in there["cases"]]
     draws = plan(load_suite(job.suite, job.overrides))
-    content = {"suite_sha256": digest(record), "cases": [d.plain() for d in draws]}
+    content = {
+        "suite_sha256": digest(record),
+        "versions": versions(),
+        "cases": [d.plain() for d in draws],
+    }
     write_json(path, content)
     return [d.name for d in draws]
 

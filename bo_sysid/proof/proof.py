@@ -1,6 +1,6 @@
 """From a suite to scores: conceal, answer, reveal, each resumable."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from bo_sysid.proof.page import page
 from bo_sysid.proof.reveal import Revealed, require_published, require_seals, reveal
 from bo_sysid.proof.score import Scores, score
 from bo_sysid.proof.seal import file_digest
-from bo_sysid.runs import Run, digest
+from bo_sysid.runs import Run, digest, versions
 
 CASE_TABLE, EFFECT_TABLE, PAGE = "cases.parquet", "effects.parquet", "proof.html"
 _ORACLE = "oracle.json"
@@ -75,8 +75,10 @@ def prove(
 def _oracle(
     run: Run, revealed: tuple[Revealed, ...], engine: JobEngine | None, progress: OnProgress
 ) -> dict[str, float]:
-    """Return the oracle's error by case, computed once; NaN where there is none."""
-    kept: dict[str, float | None] = run.read_json(_ORACLE) if run.has(_ORACLE) else {}
+    """Return the oracle's error by case, computed once by a version; NaN where there is none."""
+    own = versions()
+    there = run.read_json(_ORACLE) if run.has(_ORACLE) else {}
+    kept: dict[str, float | None] = there["errors"] if there.get("versions") == own else {}
     folder = run.folder.resolve()
     jobs = {r.name: OracleJob(folder / CASES / r.name, r.truth) for r in revealed}
     done = set(kept)
@@ -84,7 +86,7 @@ def _oracle(
     for step, outcome in enumerate(outcomes, len(done) + 1):
         if not outcome.error:  # what died is computed again by the next call
             kept[outcome.key] = outcome.result
-            run.write_json(_ORACLE, kept)
+            run.write_json(_ORACLE, {"versions": own, "errors": kept})
         progress(Progress(step, len(jobs), f"oracle {outcome.key}"))
     return {name: float("nan") if e is None else float(e) for name, e in kept.items()}
 
@@ -115,5 +117,11 @@ def _facts(run: Run, revealed: tuple[Revealed, ...]) -> dict[str, Any]:
         "SHA-256 of the commitments": file_digest(run.path(COMMITMENTS)),
         "SHA-256 of the frozen answers": digest(answers_at_opening(openings)),
         "SHA-256 of the suite": committed["suite_sha256"],
-        "versions": ", ".join(f"{k} {v}" for k, v in committed["versions"].items()),
+        "cases drawn by": _told([committed["versions"]]),
+        "answered by": _told([r.versions for r in revealed]),
     }
+
+
+def _told(found: Sequence[Mapping[str, str]]) -> str:
+    """Return versions in words, each state of them once."""
+    return "; ".join(dict.fromkeys(", ".join(f"{k} {v}" for k, v in f.items()) for f in found))

@@ -38,6 +38,7 @@ class Revealed:
         answer: content of `diagnosis.json`; None where the diagnosis failed.
         error: why it failed.
         seconds: that the diagnosis took.
+        versions: of what made the answer.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Revealed:
     answer: Mapping[str, Any] | None
     error: str | None
     seconds: float
+    versions: Mapping[str, str]
 
 
 def reveal(
@@ -78,7 +80,8 @@ def reveal(
     for name, record in records.items():
         truth = _opened_seal(folder, held, name, committed["cases"][name])
         answer = None if record["error"] else read_json(folder, f"{ANSWERS}/{name}/diagnosis.json")
-        found.append(Revealed(name, truth, answer, record["error"], float(record["seconds"])))
+        error, seconds = record["error"], float(record["seconds"])
+        found.append(Revealed(name, truth, answer, error, seconds, record["versions"]))
     return tuple(found)
 
 
@@ -132,7 +135,7 @@ def _checked_record(folder: Path, name: str) -> Mapping[str, Any]:
     if not path.is_file():
         raise RunError(f"{path}: case {name} has no answer; nothing is opened before all have one")
     record: Mapping[str, Any] = read_json(folder, record_of(name))
-    known = {"case", "frozen", "commitments", "files", "seconds", "error"}
+    known = {"case", "frozen", "commitments", "files", "seconds", "error", "versions"}
     _require(known <= set(record) and record["case"] == name, path, "is damaged")
     same = record["commitments"] == file_digest(folder / COMMITMENTS)
     _require(same, path, "answers other commitments than those of this run")

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from bo_sysid.intervals import upper_bound
 from bo_sysid.proof.marks import DECADES, LEAST, NOTHING, UNKNOWN, mark, mark_effects
 from bo_sysid.proof.reveal import Revealed
-from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability, upper_bound
+from bo_sysid.proof.statistics import Reliability, clopper_pearson, reliability
 
 FORECAST_GOAL = 1.15
 """Repaired forecast error over the noise floor that counts as repaired."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
-from scipy.stats import beta, binomtest
+from scipy.stats import binomtest
 
 _DRAWS = 2000
 _PER_BIN = 15  # cases in a bin, at least, where there are so many
@@ -24,11 +24,6 @@ def clopper_pearson(right: int, of: int, level: float = 0.95) -> tuple[float, fl
         return 0.0, 1.0
     low, high = binomtest(right, of).proportion_ci(level, method="exact")
     return float(low), float(high)
-
-
-def upper_bound(right: int, of: int, level: float = 0.95) -> float:
-    """Return the exact one-sided upper bound of a rate; 1 where nothing was counted."""
-    return 1.0 if right >= of else float(beta.ppf(level, right + 1, of - right))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from bo_sysid.effects.parts import Force, Part
 from bo_sysid.mjcf.commands import controlled, lags
@@ -150,25 +150,27 @@ class LockStep:
         for law, memory in zip(self._laws, self._memories, strict=True):
             self._evaluate(law, _ALL, time, signals, memory)
 
-    def apply_to(self, rows: Int[np.ndarray, " r"], steps: Int[np.ndarray, " r"]) -> None:
+    def apply_to(
+        self, rows: Int[np.ndarray, " r"], time: Signal, *, forget: Bool[np.ndarray, " r"]
+    ) -> None:
         """Evaluate every law in some simulations, which need not have begun together.
 
         Nothing changes in the others. There are no recorded inputs.
 
         Args:
             rows: numbers of the simulations.
-            steps: of each since it began; at 0 the laws remember nothing of it.
+            time: `r`, of each since its window or episode began, in [s].
+            forget: those that begin, of which the laws remember nothing.
         """
         count = len(self._views["qfrc_applied"])
         self._views["qfrc_applied"][rows] = 0.0
-        for some, begun in ((steps == 0, False), (steps > 0, True)):
+        for some, begun in ((forget, False), (~forget, True)):
             if not some.any():
                 continue
             at = _ALL if np.count_nonzero(some) == count else rows[some]
-            time = steps[some] * self._timestep
             for law, memory in zip(self._laws, self._memories, strict=True):
                 own = {k: _taken(x, at, count) for k, x in memory.items()} if begun else {}
-                self._evaluate(law, at, time, {}, own)
+                self._evaluate(law, at, time[some], {}, own)
                 memory.update({k: _put(x, at, memory.get(k), count) for k, x in own.items()})
 
     def remembered(self) -> dict[str, np.ndarray]:

@@ -58,7 +58,7 @@ class VectorTask(ABC):
 
     @abstractmethod
     def get_observation(self, sims: Simulations) -> np.ndarray:
-        """Return the `n x o` observations at the present state."""
+        """Return the `n x o` observations at the present state; they may be a live view."""
 
     @abstractmethod
     def get_reward(self, sims: Simulations) -> np.ndarray:

@@ -35,8 +35,8 @@ class Reacher(VectorTask):
 
     def get_reward(self, sims: Simulations) -> np.ndarray:
         """1 while finger and target overlap, else 0."""
-        radii = self.size + float(sims.model.geom("finger").size[0])
-        return tolerance(np.linalg.norm(_to_target(sims), axis=1), 0.0, radii)
+        radii = self.size + sims.constant("geom", "finger", "size")[:, 0]
+        return tolerance(np.linalg.norm(_to_target(sims), axis=1) - radii, -np.inf)
 
 
 def _to_target(sims: Simulations) -> np.ndarray:

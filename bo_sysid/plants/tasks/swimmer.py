@@ -37,16 +37,16 @@ class Swimmer(VectorTask):
 
     def get_reward(self, sims: Simulations) -> np.ndarray:
         """1 with the nose inside the target, falling with the distance in target sizes."""
-        size = float(sims.model.geom("target").size[0])
-        distance = np.linalg.norm(_to_target(sims), axis=1)
-        return tolerance(distance, 0.0, size, 5 * size, "long_tail")
+        size = sims.constant("geom", "target", "size")[:, 0]
+        sizes_away = np.linalg.norm(_to_target(sims), axis=1) / size
+        return tolerance(sizes_away, 0.0, 1.0, 5.0, "long_tail")
 
 
 def _to_target(sims: Simulations) -> np.ndarray:
     """Return the vector from nose to target, first two coordinates in the head's frame."""
     nose = sims.named("geom", "nose", "xpos")
     head = sims.named("body", "head", "xmat").reshape(-1, 3, 3)
-    height = sims.model.geom("target").pos[2]
+    height = sims.constant("geom", "target", "pos")[:, 2]
     to_target = np.empty_like(nose)
     to_target[:, :2] = sims.goal - nose[:, :2]
     to_target[:, 2] = height - nose[:, 2]
