@@ -266,6 +266,9 @@ class TestOverrides:
         [
             ("search.budget=20", "search.budget", 20),
             ("search.candidates={sobol: 64}", "search.candidates", {"sobol": 64}),
+            ("policy.steps=1e5", "policy.steps", 1e5),
+            ("parameters.0.low=-.5E-3", "parameters.0.low", -5e-4),
+            ("name=1e", "name", "1e"),
             ("name=a=b", "name", "a=b"),
             ("diagnosis.exclude=[]", "diagnosis.exclude", []),
         ],
