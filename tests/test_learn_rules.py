@@ -188,7 +188,8 @@ def test_values_of_a_single_episode_are_written(grid: CandidateSet) -> None:
     settled = Identified(
         rows=np.zeros(1, int), deviation=np.ones(1), entropy=np.zeros(1), fresh=1,
         probabilities=np.ones(1), bootstrap=np.ones(1), mean=np.zeros(1),
-        reason=StopReason.CONVERGED, floor=Floor(1.0, 1.0, 0.0), guided=one.figures,
+        reason=StopReason.CONVERGED, floor=Floor(1.0, 1.0, 0.0), interval=np.zeros((2, 1)),
+        guided=one.figures,
     )  # fmt: skip
     assert plain(settled.figures())["search_values"]["value"]["error"] is None
 
@@ -401,12 +402,39 @@ def test_the_first_and_the_last_category_are_no_end_of_b() -> None:
     ]
 
 
-def ended(scene: Scene, chosen: dict[str, float], worst: float = 5.0) -> Iteration:
+def ended(
+    scene: Scene,
+    chosen: dict[str, float],
+    worst: float = 5.0,
+    *,
+    floor: float = 1.0,
+    reason: StopReason = StopReason.CONVERGED,
+    moved: str = "",
+) -> Iteration:
     """An iteration whose worst candidate left so many times the noise."""
     found = Mock(
-        floor=Floor(1.0, 1.0, 0.0), reason=StopReason.CONVERGED, deviation=np.array([1.0, worst])
+        floor=Floor(floor, 1.0, 0.0), reason=reason, deviation=np.array([1.0, worst]), moved=moved
     )
     return Mock(Iteration, scene=scene, found=found, figures={"chosen": chosen})
+
+
+@pytest.mark.parametrize(
+    ("floor", "reason", "said"),
+    [
+        (1.34, StopReason.BUDGET, "1.3 times what noise and the spacing of B leave is left, and"),
+        (1.34, StopReason.CONVERGED, "no candidate explains the recordings: 1.3 times"),
+        (1.1, StopReason.BUDGET, ""),
+    ],
+)
+def test_a_search_that_ended_early_says_that_it_looked_for_no_physics(
+    floor: float, reason: StopReason, said: str
+) -> None:
+    """34 % above the floor were left after 12 of 30 evaluations, without a word."""
+    scene = Scene.of(Study.from_dict(pendulum()))
+    middle = {"mass": 1.1, "damping": 0.1}
+    found = doubts(ended(scene, middle, floor=floor, reason=reason))
+    assert [s[: len(said)] for s in found] == ([said] if said else [])
+    assert doubts(ended(scene, middle, moved="Starts moved it.")) == ["Starts moved it."]
 
 
 @pytest.mark.parametrize(("starts", "hint"), [("measured", "or starts: fitted, "), ("fitted", "")])
@@ -482,7 +510,7 @@ class Ending(PendulumSwingup):
 
 
 @pytest.mark.parametrize(("task", "velocity", "share"), [
-    (Ending(), 1e3, 0.0), (PendulumSwingup(), 1e3, 0.0), (PendulumSwingup(), 0.01, 1.0),
+    (Ending(), 1e3, 0.0), (PendulumSwingup(), 1e3, 0.0), (PendulumSwingup(), 1e-3, 1.0),
     (Ending(), 1e-6, 1.0),
 ])  # fmt: skip
 def test_only_the_limits_count_as_left(task: VectorTask, velocity: float, share: float) -> None:

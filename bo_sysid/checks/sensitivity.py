@@ -111,6 +111,41 @@ def sensitivities(
 
     It is 0 in windows in which a simulation diverges, which says nothing of parameters.
     """
+    return _linearised(simulator, point, windows, noise)[0]
+
+
+def with_fitted_starts(
+    simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
+) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
+    """Return the parameters that fit best where the start of each window is fitted as well.
+
+    One Gauss-Newton step from a point, in parameters and starts at once, within the bounds.
+
+    Args:
+        simulator: predicts.
+        point: `d` parameter values to step from, within their bounds.
+        windows: W windows.
+        noise: standard deviation of each observed channel, in its unit.
+
+    Returns:
+        `d` values, and `d` standard deviations of theirs, by what the step leaves of the residual
+        where that is more than noise.
+    """
+    S, r = _linearised(simulator, point, windows, noise)
+    flat, left = S.reshape(-1, S.shape[-1]), r.ravel()
+    inverse = np.linalg.inv(flat.T @ flat + 12 * np.eye(flat.shape[1]))  # a uniform prior's, see σ
+    step = inverse @ (flat.T @ left)
+    numbers = np.count_nonzero(left) - 2 * windows.start.qvel.shape[1] * len(windows)
+    variance = float(((left - flat @ step) ** 2).sum()) / max(numbers - len(step), 1)
+    low, high = np.array([(p.low, p.high) for p in simulator.parameters]).T
+    sigma = np.sqrt(np.diag(inverse) * max(variance, 1.0))
+    return np.clip(point + step * (high - low), low, high), sigma * (high - low)
+
+
+def _linearised(
+    simulator: Simulator, point: Point, windows: Windows, noise: Mapping[str, float]
+) -> tuple[Float[np.ndarray, "W m d"], Float[np.ndarray, "W m"]]:
+    """Return sensitivities and the whitened residual, both projected on what starts cannot do."""
     weight = np.array([1.0 / noise[n] if noise.get(n) else 0.0 for n in windows.channels])
     low = np.array([p.low for p in simulator.parameters])
     width = np.array([p.high for p in simulator.parameters]) - low
@@ -124,8 +159,11 @@ def sensitivities(
         [(a - b) / (2 * _STEP) for a, b in zip(beside[::2], beside[1::2], strict=True)], axis=-1
     )
     start, lost = _start_effect(simulator, inside, windows, weight, base)
-    effect[lost | np.any([p.diverged for p in made], axis=0)] = 0.0
-    return np.stack([_without(e, s) for e, s in zip(effect, start, strict=True)])
+    residual = np.nan_to_num(windows.residual(made[0].values) * weight).reshape(len(windows), -1)
+    columns = np.concatenate([effect, residual[..., None]], axis=-1)
+    columns[lost | np.any([p.diverged for p in made], axis=0)] = 0.0
+    found = np.stack([_without(e, s) for e, s in zip(columns, start, strict=True)])
+    return found[..., :-1], found[..., -1]
 
 
 def _start_effect(

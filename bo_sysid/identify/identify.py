@@ -10,7 +10,7 @@ import pandas as pd
 from bo_sysid.arrays import Point
 from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.stopping import StopReason, StopRule
-from bo_sysid.execution import OnProgress, Progress, silent, threads
+from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
 from bo_sysid.identify.discretisation import step_notes
 from bo_sysid.identify.errors import compared, instants_needed, remarks, traces
 from bo_sysid.identify.journal import Journal
@@ -27,6 +27,7 @@ from bo_sysid.study.inputs import TRAINED_SHARE, held_notes, load_holdout
 from bo_sysid.study.overview import described
 
 
+@limit_threads(1)  # linear algebra of small matrices, see `use_threads`
 def identify(
     study: Study,
     run: Run | None = None,
@@ -56,6 +57,9 @@ def identify(
     found = _searched(problem, journal, progress)
     best, refined = found.best, found.refined
     parameters = _parameters(problem, best, refined)
+    noise = _noise(problem.recordings, study.recordings.noise)
+    low, high = (parameters[c].to_numpy(float) for c in ("low95", "high95"))
+    fitted_starts = problem.with_fitted_starts(best, noise, low, high)
     if run is not None:
         _write_answer(run, problem, best, refined)
     holdout = load_holdout(study, strict=strict)  # read once, after the answer is written
@@ -79,7 +83,9 @@ def identify(
             *_notes(problem),
             *problem.unscaled(holdout),
         ),
-        noise=_noise(problem.recordings, study.recordings.noise),
+        noise={n: sigma for n, sigma in noise.items() if kind_of(n) == "qpos"},
+        fitted_starts=fitted_starts,
+        nominal_deviation=float(problem.deviation(problem.nominal[None]).deviation[0]),
         spread=problem.deviation.whitening.spread,
     )
     if run is not None:
@@ -89,12 +95,11 @@ def identify(
 
 
 def _noise(recordings: Sequence[Recording], stated: Mapping[str, float]) -> dict[str, float]:
-    """Return the standard deviation of each recorded position's noise, as stated or estimated."""
+    """Return the standard deviation of each recorded channel's noise, as stated or estimated."""
     found: dict[str, list[float]] = {}
     for recording in recordings:
         for name, sigma in sensor_noise(recording).items():
-            if kind_of(name) == "qpos":
-                found.setdefault(name, []).append(sigma)
+            found.setdefault(name, []).append(sigma)
     return {n: stated_for(n, stated, float(np.median(each))) for n, each in found.items()}
 
 

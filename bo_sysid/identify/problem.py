@@ -1,13 +1,14 @@
 """From a study to the deviation that the search minimises."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from bo_sysid.arrays import Point
+from bo_sysid.checks.sensitivity import with_fitted_starts
 from bo_sysid.deviation import Deviation, Whitening
 from bo_sysid.execution import threads as cores
 from bo_sysid.mjcf import Model, nominal
@@ -27,6 +28,26 @@ from bo_sysid.study.requirements import (
 )
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
+_STEPS, _ARRIVED = 4, 0.3  # to what fits with fitted starts; of a standard deviation, at the end
+
+
+@dataclass(frozen=True)
+class FittedStarts:
+    """What would fit best where the start of each window is fitted, and not measured.
+
+    Attributes:
+        values: `d` parameter values.
+        sigma: their `d` standard deviations.
+        horizon: recorded instants of a window.
+    """
+
+    values: Point
+    sigma: Point
+    horizon: int
+
+    def outside(self, low: Point, high: Point) -> Bool[np.ndarray, " d"]:
+        """Return which of the `d` values are not from low to high."""
+        return np.asarray((self.values < low) | (self.values > high))
 
 
 @dataclass(frozen=True)
@@ -108,6 +129,36 @@ class Problem:
             own.whitening,
             fitted_starts=own.fitted_starts,
         )
+
+    def with_fitted_starts(
+        self, point: Point, noise: Mapping[str, float], low: Point, high: Point
+    ) -> FittedStarts | None:
+        """Return what would fit best with fitted starts, in windows that are long enough for it.
+
+        None where starts are fitted anyway, where a parameter has no order, and where recordings
+        are too short.
+
+        Args:
+            point: `d` values, from which that is one step, and more where it leaves the intervals.
+            noise: standard deviation of each channel, in its unit.
+            low: `d` lower ends of the intervals.
+            high: `d` upper ends.
+        """
+        stamps = [s for r in self.recordings if len(s := _stamps(self.model, r)) > 1]
+        if self.deviation.fitted_starts or self.candidates.categories or not stamps:
+            return None
+        horizon, _ = _long_enough_for_starts(self.study, self.model, stamps)
+        if min(map(len, stamps)) <= 2 * horizon:
+            return None
+        windows = self.on(self.recordings, horizon).windows
+        simulator = self.deviation.simulator
+        for _ in range(_STEPS):
+            found = FittedStarts(*with_fitted_starts(simulator, point, windows, noise), horizon)
+            arrived = (np.abs(found.values - point) <= _ARRIVED * found.sigma).all()
+            if arrived or not found.outside(low, high).any():
+                break
+            point = found.values
+        return found
 
     def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Return in words which channels of other recordings are not compared."""
@@ -197,8 +248,7 @@ def _framing(
     stamps = [s for r in recordings if len(s := _stamps(model, r)) > 1]
     if asked.starts == "fitted" or not rates or measured or not stamps:
         return asked.starts == "fitted", asked.horizon, ()
-    interval = float(np.median([np.median(np.diff(s)) for s in stamps]))
-    horizon = max(asked.horizon, round(_UNMEASURED / interval), 4 * len(rates))
+    horizon, interval = _long_enough_for_starts(study, model, stamps)
     why = "a joint moves unmeasured" if unmeasured else "no velocity was recorded"
     note = (
         f"{why}, so that "
@@ -206,6 +256,15 @@ def _framing(
         f"({horizon * interval:.3g} s); deviation: {{starts: fitted, horizon: N}} says otherwise"
     )
     return True, horizon, (note,)
+
+
+def _long_enough_for_starts(
+    study: Study, model: Model, stamps: Sequence[Float[np.ndarray, " T"]]
+) -> tuple[int, float]:
+    """Return the instants of a window that tells more than its start, and the [s] between two."""
+    interval = float(np.median([np.median(np.diff(s)) for s in stamps]))
+    least = max(round(_UNMEASURED / interval), 4 * len(model.qvel_channels))
+    return max(study.deviation.horizon, least), interval
 
 
 def _require_two(

@@ -57,6 +57,11 @@ class Floor:
         """The floor in units of the expected one."""
         return self.deviation / max(self.expected, np.finfo(float).tiny)
 
+    @property
+    def is_above(self) -> bool:
+        """Whether more is left than a model would leave that lacks nothing."""
+        return self.ratio > ABOVE + _SURE * self.unsure
+
 
 def lacks_physics(floor: Floor, reason: StopReason) -> bool:
     """Return whether no candidate will do: a converged belief over a floor that is too high.
@@ -65,7 +70,7 @@ def lacks_physics(floor: Floor, reason: StopReason) -> bool:
         floor: under Δ, on all recordings.
         reason: why the search ended; one that ran out of budget may still find better.
     """
-    return reason is not StopReason.BUDGET and floor.ratio > ABOVE + _SURE * floor.unsure
+    return reason is not StopReason.BUDGET and floor.is_above
 
 
 def floor_of(

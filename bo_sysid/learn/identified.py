@@ -5,16 +5,19 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int
 from scipy.special import entr
 
-from bo_sysid.arrays import Points, Probabilities
+from bo_sysid.arrays import Point, Points, Probabilities
+from bo_sysid.belief.bootstrap import credible_interval
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Deviation
 from bo_sysid.execution import threads
-from bo_sysid.identify.problem import make_problem
+from bo_sysid.identify import doubts
+from bo_sysid.identify.problem import Problem, make_problem
 from bo_sysid.identify.search import History, Rules, SearchOutcome, search
-from bo_sysid.learn.floor import Floor, floor_of
+from bo_sysid.learn.floor import Floor, floor_of, noise_by_channel
 from bo_sysid.learn.scene import Scene
 from bo_sysid.learn.stops import Verdict
 from bo_sysid.parameters import CandidateSet
@@ -41,6 +44,8 @@ class Identified:
         fresh: how many of the rows are new.
         reason: why the search ended.
         floor: under Δ.
+        interval: `2 x d`, between which P_boot has 95 % of each parameter.
+        moved: what the noise of measured starts does to the parameters, in words; "" if nothing.
         guided: figures behind the end of a search that was ended by values, else empty.
     """
 
@@ -53,6 +58,8 @@ class Identified:
     fresh: int
     reason: StopReason
     floor: Floor
+    interval: Float[np.ndarray, "2 d"]
+    moved: str = ""
     guided: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -69,6 +76,8 @@ class Identified:
             "entropy_bootstrap": float(entr(self.bootstrap).sum()),
             "search_stopped": self.reason.value,
             "search_values": finite(dict(self.guided)),
+            "interval": self.interval.tolist(),
+            "moved": self.moved,
             "floor": {
                 "deviation": self.floor.deviation,
                 "noise": self.floor.noise,
@@ -110,6 +119,8 @@ class Identified:
             figures["new"],
             StopReason(figures["search_stopped"]),
             Floor(**figures["floor"]),
+            np.array(figures["interval"]),
+            figures["moved"],
             figures["search_values"],
         )
 
@@ -142,18 +153,44 @@ def identified(
     rows, found = outcome.history.rows, outcome.history.evaluation
     best = int(found.deviation.argmin())
     blocks = deviation.blocks
+    bootstrap = outcome.bootstrap(points, blocks.weight, blocks.session, scene.seed)
+    interval = _interval(scene.candidates, bootstrap)
     return Identified(
         rows,
         found.deviation,
         outcome.history.entropy,
         outcome.belief.probabilities,
-        outcome.bootstrap(points, blocks.weight, blocks.session, scene.seed),
+        bootstrap,
         outcome.surrogate.moments(points)[0],
         len(rows) - len(known),
         outcome.reason,
         floor_of(problem, points[rows[best]], float(found.deviation[best]), scene.seed, noise),
+        interval,
+        _moved(problem, points[rows[best]], interval, noise or {}),
         guided,
     )
+
+
+def _interval(candidates: CandidateSet, bootstrap: Probabilities) -> Float[np.ndarray, "2 d"]:
+    """Return between which values P_boot has 95 % of each parameter; a candidate is its cell."""
+    half = candidates.cell / 2
+    low = credible_interval(candidates.points - half, bootstrap)[0]
+    high = credible_interval(candidates.points + half, bootstrap)[1]
+    return np.asarray(np.clip([low, high], *candidates.bounds))
+
+
+def _moved(
+    problem: Problem,
+    best: Point,
+    interval: Float[np.ndarray, "2 d"],
+    noise: Mapping[str, float],
+) -> str:
+    """Return what the noise of measured starts does to the parameters, in words."""
+    other = problem.with_fitted_starts(best, noise_by_channel(problem, noise), *interval)
+    table = pd.DataFrame({"low95": interval[0], "high95": interval[1]})
+    table["name"] = [p.name for p in problem.parameters]
+    table["unit"] = [p.unit for p in problem.parameters]
+    return doubts.moved(table, other)
 
 
 def long_enough(recordings: Sequence[Recording], horizon: int) -> tuple[Recording, ...]:

@@ -306,6 +306,10 @@ def _figures(
         "most_probable": _named(scene, found.best),
         "probability": float(found.probabilities[row]),
         **found.figures(),
+        "intervals": {
+            p.name: ends
+            for p, ends in zip(scene.parameters, found.interval.T.tolist(), strict=True)
+        },
         "diagnosis": None if repair is None else list(repair.sentences),
         "training_steps": policy.about["training_steps"],
         "model_return": finite(value._asdict()),

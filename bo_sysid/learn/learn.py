@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from bo_sysid.belief.stopping import StopReason
 from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.execution import OnProgress, limit_threads, silent
 from bo_sysid.learn.floor import lacks_physics
@@ -33,6 +34,11 @@ from bo_sysid.study import Study
 from bo_sysid.study.inputs import changed, fingerprints
 
 INPUTS = "inputs.json"
+_UNTRIED = (
+    "No policy of this run has acted on the machine: what it does there is foretold by the model "
+    "alone. Record it there; `learn: {stop: timeout}` asks for such recordings, and goes on from "
+    "them."
+)
 _INFORMATIVE = 2.0  # times the noise in Δ that the worst candidate leaves, where Δ is informative
 
 
@@ -164,15 +170,22 @@ def _write_results(
     run.write_frame("trajectories.parquet", result.trajectories)
     run.write_frame("iterations.parquet", result.iterations)
     run.write_frame("training.parquet", _log(done, run))
-    to_run = [] if waiting or study.plant else _to_run(run, about)
+    to_run = [] if waiting or study.plant else _to_run(run, about, len(source.trajectories))
     run.write_json("learning.json", {**_summary(result, done), "to_run": to_run})
     return result
 
 
-def _to_run(run: Run, about: Mapping[str, Any]) -> list[str]:
-    """Return how the last policy is run on a person's machine."""
+def _to_run(run: Run, about: Mapping[str, Any], given: int) -> list[str]:
+    """Return how the last policy is run on a person's machine.
+
+    Args:
+        run: holds the policy.
+        about: what the policy takes and gives.
+        given: how many trajectories of policies were recorded.
+    """
+    untried = [] if given else [_UNTRIED]
     file = f"The policy for the machine is {run.path('policy.pt')}."
-    return [f"{file} {how_to_run(about)}", *cautions(about)]
+    return [f"{file} {how_to_run(about)}", *cautions(about), *untried]
 
 
 def _table(done: list[Iteration]) -> pd.DataFrame:
@@ -252,7 +265,7 @@ def _recorded(study: Study) -> bool:
 
 def doubts(last: Iteration) -> list[str]:
     """Return why the last policy may not be the machine's: what B and the model do not hold."""
-    floor, sentences = last.found.floor, []
+    floor, sentences = last.found.floor, [last.found.moved] if last.found.moved else []
     for p in last.scene.parameters:
         name, value, ends = p.name, last.figures["chosen"][p.name], (p.low, p.high)
         if p.ordered and np.isclose(value, ends, rtol=1e-9, atol=0.0).any():
@@ -268,6 +281,12 @@ def doubts(last: Iteration) -> list[str]:
             "a longer horizon"
             + ("" if deviation.starts == "fitted" else ", or starts: fitted,")
             + " tells them better apart"
+        )
+    if last.found.reason is StopReason.BUDGET and floor.is_above:
+        sentences.append(
+            f"{floor.ratio:.1f} times what noise and the spacing of B leave is left, and the "
+            "search used up search.budget: with more it finds a better candidate, or that none "
+            "explains the recordings; what the model lacks is looked for then"
         )
     if lacks_physics(floor, last.found.reason):
         diagnoses = last.scene.study.learn.diagnose != "never"

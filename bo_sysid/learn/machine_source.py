@@ -10,6 +10,7 @@ import pandas as pd
 
 from bo_sysid.errors import RecordingError, RunError, StudyError
 from bo_sysid.learn.hand_over import hand_over
+from bo_sysid.learn.identified import is_long
 from bo_sysid.learn.returned import (
     require_commands_within,
     require_new,
@@ -106,7 +107,14 @@ class MachineSource:
         """Refuse what cannot be a recording of the policy before."""
         handed = f"policies/policy-{number - 1:02d}.json"
         about = self._run.read_json(handed) if self._run.has(handed) else None
+        horizon = self._scene.study.deviation.horizon
         for recording in read:
+            if not is_long(recording, horizon):
+                raise RecordingError(
+                    f"{file}: {recording.duration:.3g} s are too short for a window of {horizon} "
+                    "instants (deviation.horizon), and so tell nothing; put the recording of a "
+                    "whole episode there"
+                )
             require_new(recording, (*self._first, *self._further), file)
             if about is not None:
                 require_commands_within(recording, about, file)

@@ -204,7 +204,7 @@ def _agreement(differences: list[_Difference], allowed: float) -> tuple[bool, st
         return False, "more than"
     if max(d.error for d, _ in differences) > allowed:
         return False, "too uncertain to be told from"
-    if max(abs(d.mean) for d, _ in differences) <= allowed:
+    if all(_within(*d, allowed, len(differences)) for d in differences):
         return True, "within"
     return True, "not significantly more than"
 

@@ -21,7 +21,6 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
     """Return `learning.json` in words and tables."""
     rows = read_frame(folder, "iterations.parquet")
     episodes = rows.get("episodes", pd.Series(np.inf, rows.index))
-    chosen = ", ".join(f"{name} {value:.4g}" for name, value in summary["chosen"].items())
     returns = {
         f"return on the {where} ± 95 %": [
             _with_interval({"mean": mean, "error": error, "samples": samples})
@@ -40,13 +39,25 @@ def learning_text(summary: Mapping[str, Any], folder: Path) -> str:
         "",
         table(rows[shown].assign(**returns)),
         "",
-        f"The last policy was learned on {chosen}.",
+        f"The last policy was learned on {_chosen(summary)}.",
         summary["waiting"] or summary["stopped"],
         *(summary.get("to_run") or ()),
     ]
     if summary["notes"]:
         parts += ["", *[f"- {note}" for note in summary["notes"]]]
     return "\n".join(parts)
+
+
+def _chosen(summary: Mapping[str, Any]) -> str:
+    """Return the chosen parameters, with what P_boot leaves of each: "mass 1.2 (1.1 to 1.4)"."""
+    rounds = summary.get("iterations") or [{}]
+    intervals = rounds[-1].get("intervals") or {}
+    each = []
+    for name, value in summary["chosen"].items():
+        low, high = intervals.get(name, (value, value))
+        each.append(f"{name} {value:.4g}" + (f" ({low:.4g} to {high:.4g})" if high > low else ""))
+    told = ", ".join(each)
+    return f"{told} (in brackets P_boot's 95 %)" if "(" in told else told
 
 
 def _spent(summary: Mapping[str, Any]) -> str:
@@ -79,8 +90,7 @@ def learning_summary(summary: Mapping[str, Any]) -> dict[str, Any]:
     if with_plant:
         plant = _with_interval(with_plant[-1]["plant_return"])
         verdict = f"The policy returns {plant} on the plant, after {spent}."
-    learned_on = ", ".join(f"{n} {v:.4g}" for n, v in summary["chosen"].items())
-    where = f"It was learned on {learned_on}"
+    where = f"It was learned on {_chosen(summary)}"
     where += f", where it returns {_with_interval(model)}." if model else "."
     diagnosed = [r for r in rounds if r.get("diagnosis")]
     found = [f"{_after(r['trajectories'])} the diagnosis repaired the model." for r in diagnosed]
