@@ -57,7 +57,9 @@ def worse(errors: pd.DataFrame, parameters: pd.DataFrame, best: float, nominal: 
 
 
 def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
-    """Return which values the noise of measured starts has moved out of their intervals.
+    """Return which values would fit best outside their intervals, and why.
+
+    Noise of measured starts moves values; of fitted ones candidates are too far apart.
 
     Args:
         parameters: columns name, unit, low95 and high95.
@@ -69,7 +71,7 @@ def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
     low, high = (parameters[c].to_numpy(float) for c in ("low95", "high95"))
     out = np.flatnonzero(other.outside(low - slack, high + slack))
     each = [
-        f"{name} about {other.values[k]:.3g} ± {slack[k]:.2g} {unit}".rstrip()
+        f"{name} about {other.values[k]:.3g} {unit}".rstrip()
         for k, name, unit in zip(
             out, parameters["name"].iloc[out], parameters["unit"].iloc[out], strict=True
         )
@@ -77,6 +79,12 @@ def moved(parameters: pd.DataFrame, other: FittedStarts | None) -> str:
     if not each:
         return ""
     intervals = "the interval" if len(each) == 1 else "their intervals"
+    if not other.measured:
+        return (
+            f"Between the candidates {' and '.join(each)} would fit best, outside {intervals}: "
+            "candidates are too far apart, and `search: {refine: true}` zooms in (or the model "
+            "lacks something)."
+        )
     return (
         f"With the start of every window fitted, and not measured, {' and '.join(each)} would fit "
         f"best, outside {intervals}: noise of the measured starts moves values (as does what the "

@@ -33,17 +33,19 @@ _STEPS, _ARRIVED = 4, 0.3  # to what fits with fitted starts; of a standard devi
 
 @dataclass(frozen=True)
 class FittedStarts:
-    """What would fit best where the start of each window is fitted, and not measured.
+    """What would fit best of all values, where the start of each window is fitted.
 
     Attributes:
         values: `d` parameter values.
         sigma: their `d` standard deviations.
         horizon: recorded instants of a window.
+        measured: whether the search measured starts.
     """
 
     values: Point
     sigma: Point
     horizon: int
+    measured: bool = True
 
     def outside(self, low: Point, high: Point) -> Bool[np.ndarray, " d"]:
         """Return which of the `d` values are not from low to high."""
@@ -135,8 +137,7 @@ class Problem:
     ) -> FittedStarts | None:
         """Return what would fit best with fitted starts, in windows that are long enough for it.
 
-        None where starts are fitted anyway, where a parameter has no order, and where recordings
-        are too short.
+        None where a parameter has no order, and where recordings are too short.
 
         Args:
             point: `d` values, from which that is one step, and more where it leaves the intervals.
@@ -145,9 +146,11 @@ class Problem:
             high: `d` upper ends.
         """
         stamps = [s for r in self.recordings if len(s := _stamps(self.model, r)) > 1]
-        if self.deviation.fitted_starts or self.candidates.categories or not stamps:
+        if self.candidates.categories or not stamps:
             return None
-        horizon, _ = _long_enough_for_starts(self.study, self.model, stamps)
+        horizon = self.horizon
+        if not self.deviation.fitted_starts:
+            horizon, _ = _long_enough_for_starts(self.study, self.model, stamps)
         if min(map(len, stamps)) <= 2 * horizon:
             return None
         windows = self.on(self.recordings, horizon).windows
@@ -158,7 +161,7 @@ class Problem:
             if arrived or not found.outside(low, high).any():
                 break
             point = found.values
-        return found
+        return replace(found, measured=not self.deviation.fitted_starts)
 
     def unscaled(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Return in words which channels of other recordings are not compared."""

@@ -186,6 +186,8 @@ def _moved(
     noise: Mapping[str, float],
 ) -> str:
     """Return what the noise of measured starts does to the parameters, in words."""
+    if problem.deviation.fitted_starts:
+        return ""
     other = problem.with_fitted_starts(best, noise_by_channel(problem, noise), *interval)
     table = pd.DataFrame({"low95": interval[0], "high95": interval[1]})
     table["name"] = [p.name for p in problem.parameters]
