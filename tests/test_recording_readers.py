@@ -156,6 +156,20 @@ def test_a_missing_file_names_the_nearest(tmp_path):
     (tmp_path / "swing-1.csv").touch()
     with pytest.raises(RecordingError, match=r"no such file; did you mean 'swing-1.csv'"):
         read_recording(tmp_path / "swng-1.csv")
+    with pytest.raises(RecordingError, match=r"no such file; did you mean 'swing-1.csv'"):
+        read_recording(tmp_path / "swing-1.cvs")
+
+
+def test_a_pattern_without_a_match_says_what_there_is(tmp_path):
+    logs = tmp_path / "logs"
+    with pytest.raises(RecordingError, match=rf"no such file; there is no folder {logs}$"):
+        read_recording(logs / "*.csv")
+    logs.mkdir()
+    with pytest.raises(RecordingError, match=rf"no such file; the folder {logs} is empty$"):
+        read_recording(logs / "*.csv")
+    (logs / "monday.parquet").touch()
+    with pytest.raises(RecordingError, match=r"no such file; valid: 'monday.parquet'$"):
+        read_recording(logs / "*.csv")
 
 
 def test_a_folder_is_no_file(tmp_path):

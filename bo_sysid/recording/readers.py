@@ -24,10 +24,9 @@ def read_table(path: str | Path) -> RawTable:
             its ending says.
     """
     path = Path(path)
-    ending = _ending(path)
     if not path.exists():
-        siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-        raise RecordingError(f"{path}: no such file; {nearest(path.name, siblings)}")
+        raise RecordingError(f"{path}: no such file; {_near(path)}")
+    ending = _ending(path)
     if path.is_dir():
         raise RecordingError(f"{path}: a folder; {_folders()}")
     if path.stat().st_size == 0:
@@ -60,12 +59,9 @@ def read_recordings(
     strict: bool = False,
 ) -> tuple[Recording, ...]:
     """Read a log that may hold several recordings; see `read_recording`."""
-    path = Path(path)
+    path, tables = Path(path), read_tables(path)
     name = path.name if path.is_dir() else path.name[: -len(_ending(path))]
-    return tuple(
-        to_recording(table, columns, clocks, name=name, strict=strict)
-        for table in read_tables(path)
-    )
+    return tuple(to_recording(table, columns, clocks, name=name, strict=strict) for table in tables)
 
 
 def read_recording(
@@ -96,6 +92,14 @@ def read_recording(
     if len(found) != 1:
         raise RecordingError(f"{path}: {len(found)} recordings; read_recordings returns them all")
     return found[0]
+
+
+def _near(path: Path) -> str:
+    """Return what there is instead of a file that is missing."""
+    if not path.parent.is_dir():
+        return f"there is no folder {path.parent}"
+    found = [p.name for p in path.parent.iterdir()]
+    return nearest(path.name, found) or f"the folder {path.parent} is empty"
 
 
 def _folders() -> str:
