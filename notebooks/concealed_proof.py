@@ -9,8 +9,13 @@
 # # The concealed proof: what was hidden, what was found
 #
 # `bo-sysid conceal` draws machines that lack physics and seals what it is; `bo-sysid reveal`
-# diagnoses them, opens the seals and scores. This notebook reads the two tables of a revealed run.
-# Where there is none yet, three small cases are concealed and answered first (a minute or two).
+# diagnoses them, opens the seals and scores. This notebook reads the two tables of a revealed run:
+# `RUN` says which. Where the project has none yet, three small cases are concealed and answered
+# first (a minute or two).
+
+# %%
+RUN = None  # the project's runs/proof-conceal; or a folder of your own: "../runs/proof"
+CASES = 3  # where there is none
 
 # %%
 import tempfile
@@ -25,10 +30,22 @@ from bo_sysid.proof.proof import prove
 from bo_sysid.proof.statistics import clopper_pearson, reliability
 from bo_sysid.runs import Run
 
-CASES = 3
-
-ROOT = next(p for p in (Path.cwd(), *Path.cwd().parents) if (p / "studies" / "concealed").is_dir())
-run_folder = ROOT / "runs" / "proof-conceal"
+# %%
+if RUN is None:
+    above = (Path.cwd(), *Path.cwd().parents)
+    ROOT = next((p for p in above if (p / "studies" / "concealed").is_dir()), None)
+    if ROOT is None:
+        raise FileNotFoundError(
+            f"{Path.cwd()} is in no copy of the project (no studies/concealed above it): start "
+            "Jupyter in one, or name a run of bo-sysid conceal in RUN"
+        )
+    run_folder = ROOT / "runs" / "proof-conceal"
+else:
+    run_folder = Path(RUN).resolve()
+    if not (run_folder / "cases.parquet").is_file():
+        raise FileNotFoundError(
+            f"RUN: {run_folder} is no revealed run of bo-sysid conceal; it has no cases.parquet"
+        )
 
 # %%
 if not (run_folder / "cases.parquet").is_file():

@@ -17,6 +17,13 @@
 # one that contributes most to the entropy of that distribution,
 # $\arg\max_\beta -P(\beta)\log P(\beta)$; `bo-sysid identify` takes max-value entropy unless the
 # study says otherwise.
+#
+# This notebook shows no run and reads no file: machine, recordings and search are made here, with
+# so many evaluations on so many values of each parameter.
+
+# %%
+BUDGET = 30
+STEPS = 31
 
 # %%
 import matplotlib.pyplot as plt
@@ -31,9 +38,6 @@ from bo_sysid.parameters import CandidateSet, Parameter
 from bo_sysid.plants.excitation import smooth_random
 from bo_sysid.plants.plant import Plant
 from bo_sysid.simulation import Engine, MujocoSimulator, cut
-
-BUDGET = 30
-STEPS = 31
 
 # %% [markdown]
 # ## The model and the machine

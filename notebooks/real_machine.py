@@ -10,10 +10,16 @@
 #
 # EMPS: a motor moves a load along a ball screw; the command of the drive and the load's position
 # were recorded. The model is a bare mass. The authors' files are read from `$BO_SYSID_DATA`, or
-# downloaded once and checked; without either the next cell says where to get them.
+# downloaded once and checked; without either the notebook says where to get them. `RUN` says which
+# run is shown, one that is made here or a finished one.
+
+# %%
+RUN = None  # made here; or that of bo-sysid diagnose studies/real/emps_bare.yaml: "../runs/emps"
+EFFECTS = "all"  # the whole catalogue takes some minutes
 
 # %%
 # %matplotlib inline
+import json
 import tempfile
 from pathlib import Path
 
@@ -26,9 +32,20 @@ from bo_sysid.recording.datasets import load_dataset
 from bo_sysid.report import diagnosis_figures, interactive
 from bo_sysid.runs import Run
 
-EFFECTS = "all"  # the whole catalogue takes some minutes
-
-ROOT = next(p for p in (Path.cwd(), *Path.cwd().parents) if (p / "studies" / "real").is_dir())
+# %%
+above = (Path.cwd(), *Path.cwd().parents)
+ROOT = next((p for p in above if (p / "studies" / "real").is_dir()), None)
+if ROOT is None:
+    raise FileNotFoundError(
+        f"{Path.cwd()} is in no copy of the project (no studies/real above it): start Jupyter in "
+        "one, where the study and its model are"
+    )
+if RUN is not None:
+    run_folder = Path(RUN).resolve()
+    if not (run_folder / "summary.json").is_file():
+        raise FileNotFoundError(
+            f"RUN: {run_folder} is no finished run of bo-sysid diagnose; it has no summary.json"
+        )
 data = load_dataset("emps")
 recording = data.train[0]
 frame = recording.to_frame()
@@ -63,14 +80,16 @@ checked.parameters
 # its force pulses, is read once.
 
 # %%
-run_folder = Path(tempfile.mkdtemp()) / "emps"
-with Run.open(run_folder, study.resolved(relative_to=run_folder), "diagnose") as run:
-    found = diagnose(study, run)
-for sentence in found.sentences:
+if RUN is None:
+    run_folder = Path(tempfile.mkdtemp()) / "emps"
+    with Run.open(run_folder, study.resolved(relative_to=run_folder), "diagnose") as run:
+        diagnose(study, run)
+for sentence in json.loads((run_folder / "summary.json").read_text())["sentences"]:
     print(sentence)
 
 # %%
-found.findings
+found = json.loads((run_folder / "diagnosis.json").read_text())["findings"]
+pd.DataFrame(found, columns=["effect", "site", "value", "unit", "interval", "probability"])
 
 # %% [markdown]
 # The published values are 203.5 N s/m of viscous damping, 20.39 N of dry friction and a constant
@@ -88,7 +107,7 @@ diagnosis_figures.forces(pd.read_parquet(run_folder / "forces.parquet"))
 # ## Does the repaired model predict what it has never seen?
 
 # %%
-found.errors
+pd.read_parquet(run_folder / "holdout.parquet")
 
 # %%
 traces = pd.read_parquet(run_folder / "traces.parquet")
@@ -102,5 +121,5 @@ interactive.held_out(traces, traces["channel"].iloc[0], "m")
 print((run_folder / "model_repaired.xml").read_text())
 
 # %%
-names = set(found.findings["effect"])
+names = {finding["effect"] for finding in found}
 assert {"viscous_damping", "dry_friction"} <= names

@@ -10,7 +10,12 @@
 #
 # `bo-sysid compare studies/selection/inner.yaml` runs every rule on every problem with paired
 # seeds: same plant, same recordings, same initial design. It leaves tables that this notebook
-# reads. Where there is no such run yet, a small one is made first.
+# reads: `RUN` says from which run. Where the project has none yet, a small one is made first.
+
+# %%
+RUN = None  # the project's runs/selection-inner; or a folder of your own: "../runs/selection"
+SEEDS = 6  # of the small run
+ARMS = ["argmin-entropy", "greedy", "minimum-mean", "thompson", "random"]
 
 # %%
 # %matplotlib inline
@@ -29,11 +34,23 @@ from bo_sysid.report.comparison import cost_bars, regret_curves
 from bo_sysid.runs import Run
 
 pio.renderers.default = "notebook"  # with its script, so that a rendered page needs no network
-SEEDS = 6
-ARMS = ["argmin-entropy", "greedy", "minimum-mean", "thompson", "random"]
 
-ROOT = next(p for p in (Path.cwd(), *Path.cwd().parents) if (p / "studies" / "selection").is_dir())
-run_folder = ROOT / "runs" / "selection-inner"
+# %%
+if RUN is None:
+    above = (Path.cwd(), *Path.cwd().parents)
+    ROOT = next((p for p in above if (p / "studies" / "selection").is_dir()), None)
+    if ROOT is None:
+        raise FileNotFoundError(
+            f"{Path.cwd()} is in no copy of the project (no studies/selection above it): start "
+            "Jupyter in one, or name a run of bo-sysid compare in RUN"
+        )
+    run_folder = ROOT / "runs" / "selection-inner"
+else:
+    run_folder = Path(RUN).resolve()
+    if not (run_folder / "paths.parquet").is_file():
+        raise FileNotFoundError(
+            f"RUN: {run_folder} is no finished run of bo-sysid compare; it has no paths.parquet"
+        )
 
 # %%
 if not (run_folder / "paths.parquet").is_file():
