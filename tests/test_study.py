@@ -10,6 +10,8 @@ import yaml
 
 from bo_sysid.diagnosis.gather import gather
 from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.effects.registry import CATALOGUE
+from bo_sysid.effects.units import at_slide
 from bo_sysid.errors import RecordingError, StudyError
 from bo_sysid.excite.excite import excite
 from bo_sysid.identify.problem import make_problem
@@ -697,11 +699,40 @@ def test_bounds_in_another_unit_than_the_models_are_refused(
     study = load(folder, parameters=[entry | {"apply": apply or "set"}])
     if (unit, apply) == ("deg", "set"):
         with pytest.raises(
-            StudyError, match=r"parameters.0.unit: deg, and .*in rad, and unit: rad"
+            StudyError, match=r"parameters.0.unit: deg, and .*write low and high, .* with rad"
         ):
             study.parameter_set(load_model(study))
     else:
         study.parameter_set(load_model(study))
+
+
+@pytest.mark.parametrize(
+    ("unit", "si"),
+    [
+        ("lb", "kg"),
+        ("Inch", "m"),
+        ("psi", "Pa"),
+        ("kg cm²", "m"),
+        ("N mm/deg", "m"),
+        ("V/rpm", "rad/s"),
+    ],
+)
+def test_units_and_products_of_them_that_are_not_si_are_refused(
+    folder: Path, unit: str, si: str
+) -> None:
+    entry = {"address": "geom[upper].mass", "low": 1, "high": 2, "unit": unit}
+    study = load(folder, parameters=[entry])
+    with pytest.raises(StudyError, match=f"bounds are in SI units: .* with {si}$"):
+        study.parameter_set(load_model(study))
+
+
+def test_units_of_effects_and_words_of_ones_own_are_no_other_units(folder: Path) -> None:
+    own = {c.unit for e in CATALOGUE.values() for c in e.components}
+    own |= {at_slide(unit) for unit in own}
+    for unit in (*own, "", "1", "m/s²", "N m/V", "kg*m^2", "banana", "ticks"):
+        entry = {"address": "geom[upper].mass", "low": 1, "high": 2, "unit": unit}
+        study = load(folder, parameters=[entry])
+        assert study.parameter_set(load_model(study))[0].unit == unit
 
 
 def test_recordings_that_are_called_alike_have_the_names_of_their_folders(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Whether a model can have its parameters and their bounds, before anything is simulated."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
@@ -11,6 +12,14 @@ if TYPE_CHECKING:
     from bo_sysid.study.study import Study
 
 Bound = Literal["low", "high"]
+_NOT_SI = dict.fromkeys(
+    ("lb", "lbs", "lbm", "pound", "pounds", "oz", "ounce", "gram", "grams"), "kg"
+)
+_NOT_SI |= dict.fromkeys(("inch", "inches", "ft", "foot", "feet", "yd", "km"), "m")
+_NOT_SI |= dict.fromkeys(("lbf", "ozf", "kgf", "gf"), "N")
+_NOT_SI |= dict.fromkeys(("psi", "bar", "mbar", "kpa", "mpa", "gpa", "atm"), "Pa")
+_NOT_SI |= dict.fromkeys(("hp", "kw"), "W") | {"mph": "m/s", "kph": "m/s", "h": "s", "hour": "s"}
+"""Words of units that columns are not recorded in, with the SI unit instead."""
 
 
 def require_si(study: "Study", number: int) -> None:
@@ -26,15 +35,20 @@ def require_si(study: "Study", number: int) -> None:
     from bo_sysid.recording import units
 
     entry = study.parameters[number]
-    if entry.apply == "scale" or not units.is_unit(entry.unit):
+    if entry.apply == "scale":
         return
-    known = units.unit(entry.unit, "parameters")
-    if known.si and known.factor != 1.0:
-        raise study.error(
-            ("parameters", number, "unit"),
-            f"{entry.unit}, and bounds are in SI units: write low and high in {known.si}, and "
-            f"unit: {known.si}",
-        )
+    words = [entry.unit] if units.is_unit(entry.unit) else re.findall(r"[A-Za-zµΩ°%]+", entry.unit)
+    for word in words:
+        si = _NOT_SI.get(word.lower(), "")
+        if not si and units.is_unit(word):
+            known = units.unit(word, "parameters")
+            si = known.si if known.factor != 1.0 else ""
+        if si:
+            what = entry.unit if word == entry.unit else f"{entry.unit} has {word}"
+            raise study.error(
+                ("parameters", number, "unit"),
+                f"{what}, and bounds are in SI units: write low and high, and the unit, with {si}",
+            )
 
 
 def require_one_step(
