@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from diagnosis_helpers import SIGMA, arm, candidate, record
@@ -11,6 +12,7 @@ from bo_sysid.diagnosis.search.final import refit_from_nearer
 from bo_sysid.diagnosis.search.locate import locate
 from bo_sysid.diagnosis.search.moves import explore, extend_first, without_weakest
 from bo_sysid.diagnosis.search.search import Search
+from bo_sysid.diagnosis.search.variants import turn_about
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, set_key
 from bo_sysid.diagnosis.sets.rules import LOOSE, MARGIN, explains_little
@@ -21,6 +23,8 @@ from bo_sysid.diagnosis.windows.linear import linearise
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import prepare
 from bo_sysid.effects import CATALOGUE
+from bo_sysid.mjcf import Model
+from bo_sysid.recording import Recording
 
 
 def evidence(effect: str, **plant: object) -> Evidence:
@@ -209,3 +213,48 @@ def test_a_leader_far_off_is_fitted_from_what_does_the_same_and_came_nearer(left
     assert known.rms > LOOSE
     refit_from_nearer(search, known)
     assert search.fits[emf.key].rms < 1.001 * min(left, 1.0) * drag.rms
+
+
+RAIL = """
+<mujoco>
+  <option timestep="0.004" gravity="0 0 0"/>
+  <worldbody>
+    <body>
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="push" joint="rail" ctrlrange="-5 5"/></actuator>
+</mujoco>
+"""
+
+
+def rubbing_one_way(difference: float) -> Evidence:
+    """A slider that rubs forwards and is helped backwards, which rests for half of the time."""
+    model, rng = Model.from_xml(RAIL), np.random.default_rng(0)
+    compiled = model.compile(timestep=0.001)
+    data, time = mujoco.MjData(compiled), np.arange(0, 8, 0.004)
+    ctrl = 1.5 * np.sin(2 * np.pi * 0.8 * time) * (np.sin(2 * np.pi * 0.2 * time) > -0.2)
+    place = np.empty(len(time))
+    for k, u in enumerate(ctrl):
+        place[k], data.ctrl[0] = data.qpos[0], u
+        for _ in range(4):
+            data.qfrc_applied[0] = -0.5 * difference * (abs(data.qvel[0]) > 0.01)
+            mujoco.mj_step(compiled, data)
+    place += SIGMA * rng.normal(size=len(time))
+    recordings = (Recording.from_arrays(time, qpos={"rail": place}, ctrl={"push": ctrl}),)
+    effects = [CATALOGUE[e] for e in ("constant_force", "dry_friction", "asymmetric_friction")]
+    return make_evidence(model, recordings, effects=effects, noise={"qpos": SIGMA}, threads=1)
+
+
+def test_a_force_that_friction_holds_leads_to_friction_that_differs_between_directions() -> None:
+    """The two do the same while a joint moves; what each does alone is far from that."""
+    made = rubbing_one_way(0.6)
+    search = Search.on(prepare(windows_of(made, 100, 0.004)), list(made.candidates), 3, None)
+    own = {c.key: c for c in search.candidates if not c.secant}
+    pair = [own["constant_force", "rail"], own["dry_friction", "rail"]]
+    held = search.fit(pair, [np.array([-0.3]), np.array([0.3])])
+    turn_about(search, held)
+    found = search.fits[set_key([own["asymmetric_friction", "rail"]])]
+    assert found.x[0] == pytest.approx(0.6, rel=0.05)
+    assert found.rms == pytest.approx(1.0, abs=0.05)

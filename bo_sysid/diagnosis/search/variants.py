@@ -4,8 +4,8 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.stand_ins import stand_in
-from bo_sysid.diagnosis.sets.fit import Fit, set_key
-from bo_sysid.diagnosis.sets.groups import subset, units_of
+from bo_sysid.diagnosis.sets.fit import Fit, set_key, size_of
+from bo_sysid.diagnosis.sets.groups import all_but, grouped_labels, subset, units_of
 from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.shapes import reshaped
@@ -13,6 +13,7 @@ from bo_sysid.diagnosis.sets.subsets import clashes
 from bo_sysid.diagnosis.windows.candidate import Candidate
 from bo_sysid.diagnosis.windows.linear import linearise
 
+_CONSTANT, _DIFFERENCE = "constant_force", "asymmetric_friction"
 _PROMISING = 1.5  # times the least that is left, up to which presliding is fitted
 
 
@@ -25,6 +26,7 @@ def reshape(search: Search, base: Fit) -> None:
     vary(search, base)
     enrich(search, base)
     stand_in(search, base)
+    turn_about(search, base)
     for f in _nearest_presliding(search):
         if clean(search.best):
             return
@@ -106,6 +108,28 @@ def enrich(search: Search, base: Fit) -> None:
             own = base.x[k] if d.key == c.key else np.concatenate([[0.0], base.x[k]])
             x = (*base.x[:k], own, *base.x[k + 1 :])
             search.refit(known, x, start=base.start, guess=base.hypothesis)
+
+
+def turn_about(search: Search, base: Fit) -> None:
+    """Fit a set with friction that differs between directions for a constant force beside friction.
+
+    While a joint moves the two do the same, and at rest friction holds the force as if there were
+    none. What each does alone is far from that, so that no exchange of one effect leads there.
+    """
+    found = {d.site.name: d for d in search.candidates if d.effect.id == _DIFFERENCE}
+    for k, c in enumerate(base.members):
+        held = [m for m in base.members if m.is_dry_friction and m.site.name == c.site.name]
+        if c.effect.id != _CONSTANT or not held or c.site.name not in found:
+            continue
+        # -x/2 in motion is the force, see `asymmetric_friction`
+        difference, x = found[c.site.name], -2.0 * base.x[k]
+        without = all_but(base, (k, base.members.index(held[0])))
+        for keep in (without, all_but(base, (k,))):
+            members, own = subset(base, keep)
+            members = (*members, difference)
+            size = size_of(members, grouped_labels(members, search.candidates))
+            if size <= search.most and not clashes(members):
+                search.fit(members, (*own, x), start=base.start, guess=base.hypothesis)
 
 
 def _richer(search: Search, c: Candidate) -> list[Candidate]:
