@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from bo_sysid.arrays import Points
 from bo_sysid.parameters import Parameter
@@ -43,6 +43,11 @@ class Oscillator:
             values = {"qpos": q, "qvel": v}
             columns = [values[kind_of(name)] for name in windows.channels]
             yield Prediction(np.stack(columns, axis=-1), np.zeros(len(windows), bool))
+
+    @property
+    def following(self) -> Int[np.ndarray, " k"]:
+        """None: there are no closed chains."""
+        return np.zeros(0, np.intp)
 
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
         """Return starts moved by changes of position and velocity."""

@@ -644,10 +644,12 @@ def test_magnitudes_are_of_the_machine_whose_parameters_were_fitted() -> None:
 )  # fmt: skip
 def test_what_cannot_be_weaker_is_looked_for_at_no_idle_drive(drive: str) -> None:
     arm = pendulum(f"<actuator>{drive}</actuator>")
+    found = {}
     for id in ("servo_kd", "servo_kp", "actuator_saturation", "back_emf"):
         at = Site("actuator", "d")
         if (extent := extent_at(CATALOGUE[id], at, arm.machine)) is not None:
-            arm.edited(id, "actuator", "d", list(extent.probe))
+            found[id] = arm.edited(id, "actuator", "d", list(extent.probe))
+    assert "actuator_saturation" not in found, "it has no torque that could be less"
 
 
 @pytest.mark.parametrize("other", ["", '<motor name="other" joint="j"/>'])

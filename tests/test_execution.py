@@ -93,6 +93,23 @@ def test_a_result_that_cannot_be_sent_is_an_error() -> None:
     assert "pickle" in str(second.error).lower()
 
 
+class UnreadableError(Exception):
+    """One that is sent, and cannot be made again from what was sent."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one)
+
+
+def unreadable(job: str) -> object:
+    return UnreadableError(job, job) if job == "b" else job
+
+
+def test_a_result_that_cannot_be_read_is_an_error_and_the_others_go_on() -> None:
+    done = {o.key: o for o in map_jobs(unreadable, {k: k for k in "abc"}, engine=LocalEngine(1))}
+    assert [done[k].result for k in "ac"] == ["a", "c"]
+    assert "missing 1 required positional argument" in str(done["b"].error)
+
+
 def test_a_job_that_cannot_be_sent_is_an_error_and_the_others_go_on() -> None:
     jobs = {"a": 2.0, "b": lambda: None, "c": 3.0}
     outcomes = {o.key: o for o in LocalEngine(1).run(square, jobs)}

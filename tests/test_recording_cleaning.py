@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bo_sysid.errors import RecordingError
-from bo_sysid.recording import RawTable
+from bo_sysid.recording import RawTable, sensor_noise
 from bo_sysid.recording.mapping import to_recording
 
 TIME = np.arange(50) * 0.01
@@ -201,3 +201,41 @@ def test_of_two_values_at_one_stamp_the_first_that_is_not_empty_is_kept_and_said
     control[1] = np.inf
     with pytest.raises(RecordingError, match="row 1 is inf"):
         read(stamps, {"ctrl.m": {"missing": "skip"}}, ctrl__m=control)
+
+
+@pytest.mark.parametrize("rows", [2, 5, 10])
+def test_a_sensor_that_is_slower_than_its_log_has_one_sample_for_each_value(rows):
+    """A camera of 50 Hz in a log of 500 Hz: noise of 1e-3 was taken for 3e-6."""
+    rng, time = np.random.default_rng(0), np.arange(4000) * 0.002
+    seen = np.sin(3 * time) + 1e-3 * rng.standard_normal(len(time))
+    held = seen[np.arange(len(time)) // rows * rows]
+    recording = read(time, qpos__a=held)
+    channel = recording.channels["qpos.a"]
+    np.testing.assert_array_equal(channel.time, time[::rows])
+    np.testing.assert_array_equal(channel.values, seen[::rows])
+    assert sensor_noise(recording)["qpos.a"] == pytest.approx(1e-3, rel=0.1)
+    assert any(f"each value stands in about {rows} rows" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize("rate", [0.05, 0.3])
+def test_what_an_encoder_shows_step_by_step_is_read_anew_in_every_row(rate):
+    time = np.arange(4000) * 0.002
+    for angle in (rate * time, np.sin(rate * time), np.where(time < 4, 0.0, np.sin(3 * time))):
+        recording = read(time, qpos__a=np.round(angle / 1e-3) * 1e-3)
+        assert len(recording.channels["qpos.a"].time) == len(time)
+
+
+def test_registers_hold_what_their_bits_can():
+    raw = np.arange(50.0)
+    with pytest.raises(RecordingError, match=r"signed: 8 is for the raw .* 255; 49.5 is none"):
+        read(columns={"qpos.b": {"from": "x", "signed": 8}}, x=with_value(3, 49.5, raw))
+    with pytest.raises(RecordingError, match="65536 is none"):
+        read(columns={"qpos.b": {"from": "x", "signed": 16}}, x=with_value(3, 65536, raw))
+
+
+def test_a_counter_that_paused_for_more_than_half_its_range_went_forwards():
+    time = np.append(np.arange(1000) * 0.01, 50.0 + np.arange(1000) * 0.01)  # a pause of 40 s
+    clock = {"time": {"from": "count", "unwrap": 65.536}}
+    log = RawTable("log.csv", {"count": time % 65.536, "qpos.a": np.sin(time)})
+    recording = to_recording(log, clock)
+    np.testing.assert_allclose(recording.channels["qpos.a"].time, time, atol=1e-9)

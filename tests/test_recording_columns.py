@@ -252,9 +252,9 @@ def test_a_column_called_time_of_a_kind_is_its_clock_and_may_be_shorter():
     np.testing.assert_array_equal(channel.values, WAVE[:20])
 
 
-def test_a_hold_can_be_stated_for_any_channel():
-    recording = read({"sensor.s": {"from": "s", "hold": "zero"}}, s=WAVE)
-    assert recording.channels["sensor.s"].hold == "zero"
+def test_a_hold_can_be_stated_for_an_input():
+    recording = read({"aux.s": {"from": "s", "hold": "zero"}}, s=WAVE)
+    assert recording.channels["aux.s"].hold == "zero"
 
 
 def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
@@ -265,6 +265,10 @@ def test_an_input_that_was_sampled_is_interpolated_and_a_note_says_so():
     assert "Interpolated between samples: aux.duty." in recording.notes
     with pytest.raises(RecordingError, match=r"sensor.s: hold is 'linear', which is for inputs"):
         read({"sensor.s": {"from": "s", "hold": "linear"}}, s=WAVE)
+    with pytest.raises(RecordingError, match=r"qpos.b: hold is 'zero', which is for inputs"):
+        read({"qpos.b": {"from": "s", "hold": "zero"}}, s=WAVE)
+    with pytest.raises(RecordingError, match=r"ctrl.m: hold is 'none', and inputs .* zero or lin"):
+        read({"ctrl.m": {"from": "s", "hold": "none"}}, s=WAVE)
 
 
 def test_empty_cells_of_a_sampled_input_are_interpolated_across():

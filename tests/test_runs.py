@@ -3,9 +3,11 @@
 import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -15,7 +17,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from bo_sysid.errors import RunError, StudyError
+from bo_sysid.errors import RunError, StudyError, UserError
 from bo_sysid.runs import (
     FORMAT,
     Run,
@@ -28,6 +30,7 @@ from bo_sysid.runs import (
     read_json,
     read_record,
 )
+from bo_sysid.runs.lock import locked
 
 STUDY = {"name": "arm", "search": {"budget": 60, "seed": 0}}
 
@@ -333,3 +336,34 @@ def test_numbers_of_other_packages_are_not_mixed(tmp_path: Path, monkeypatch) ->
     monkeypatch.setattr(metadata, "version", lambda name: "0.0.1" if name == "mujoco" else "9")
     with opened(tmp_path / "run") as run, pytest.raises(RunError, match=r"mujoco .*here 0.0.1"):
         run.require_same_packages()
+
+
+def test_a_look_at_whether_a_run_is_written_to_keeps_nobody_from_it(tmp_path: Path) -> None:
+    """Who looks takes the lock for a moment."""
+    locked(tmp_path).close()
+    looking = locked(tmp_path)
+    end = threading.Timer(0.06, looking.close)
+    end.start()
+    locked(tmp_path).close()
+    end.join()
+    writing = locked(tmp_path)
+    with pytest.raises(RunError, match="is writing to this run"):
+        locked(tmp_path)
+    writing.close()
+
+
+def test_a_bare_folder_is_removed_by_the_one_that_holds_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process may begin in it as soon as it is let go."""
+    seen, remove = [], shutil.rmtree
+
+    def removing(folder: Path) -> None:
+        seen.append(held(folder))
+        remove(folder)
+
+    monkeypatch.setattr("bo_sysid.runs.run.shutil.rmtree", removing)
+    with pytest.raises(UserError), Run.open(tmp_path / "run", {}, "identify"):
+        raise UserError("a wrong study")
+    assert seen == [True]
+    assert not (tmp_path / "run").exists()

@@ -99,6 +99,16 @@ def test_no_window_begins_before_its_controls_are_known(arm: Model) -> None:
         cut(arm, [apart], horizon=10)
 
 
+def test_no_window_begins_before_the_first_of_rare_commands(arm: Model) -> None:
+    """What acted before a setpoint was first sent is not known, however rarely they are sent."""
+    rare = [0.2, 0.4, 0.6]
+    sent = kept(simulated(arm), "ctrl.elbow", lambda t: np.isclose(t[:, None], rare).any(axis=1))
+    windows = cut(arm, [sent], horizon=10)
+    assert windows.time.min() >= 0.2 - 0.005
+    (note,) = windows.left_out
+    assert "ctrl.elbow begins 0.2 s after the measurements" in note
+
+
 def test_no_window_goes_on_after_its_controls_were_recorded(arm: Model) -> None:
     whole = simulated(arm)
     last = float(whole.channels["ctrl.elbow"].time[-1])

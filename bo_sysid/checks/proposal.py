@@ -54,7 +54,7 @@ def proposed_columns(
             made["scale"] = _rounded(scale)
         shift = wire.sign * wire.scale * offset + wire.offset
         if shift:
-            made["offset"] = _rounded(shift, 4)
+            made["offset"] = _rounded(shift, 4) if wire.offset else shift  # theirs, to the digit
         wrap, own = wraps.get(wire.source), rule.get("unwrap")
         if wrap is not None and wrap.signed:
             made["signed"] = wrap.signed

@@ -169,16 +169,22 @@ def _linearised(
 def _start_effect(
     simulator: Simulator, point: Point, windows: Windows, weight: np.ndarray, base: np.ndarray
 ) -> tuple[Float[np.ndarray, "W m k"], Bool[np.ndarray, " W"]]:
-    """Return the change with the k numbers of each start, and the windows that diverge then."""
+    """Return the change with the k numbers of each start, and the windows that diverge then.
+
+    Joints that follow through closed chains have no start of their own.
+    """
     dof = windows.start.qvel.shape[1]
-    size = np.repeat(_MOVE, dof)
+    own = np.setdiff1d(np.arange(dof), simulator.following)
+    size, free = np.repeat(_MOVE, dof), np.concatenate([own, dof + own])
     starts: list[State] = [
-        simulator.moved(windows.start, np.tile(row, (len(windows), 1))) for row in np.diag(size)
+        simulator.moved(windows.start, np.tile(row, (len(windows), 1)))
+        for row in np.diag(size)[free]
     ]
     points = np.repeat(point[None], len(starts), axis=0)
     moved = list(simulator.predictions(points, windows, starts))
     columns = [
-        (_whitened(p.values, windows, weight) - base) / h for p, h in zip(moved, size, strict=True)
+        (_whitened(p.values, windows, weight) - base) / h
+        for p, h in zip(moved, size[free], strict=True)
     ]
     return np.stack(columns, axis=-1), np.any([p.diverged for p in moved], axis=0)
 

@@ -13,7 +13,8 @@ from bo_sysid.recording.outliers import PERIODS
 
 _NEAR = 0.12  # relative difference of a jump from a turn
 _CLEAR = 4.0  # times the largest step that is no jump
-_WORDS = (16, 32)  # bits; of eight, 0 and 255 alone may be a motor switched on and off
+_WORDS = (16, 32)  # bits
+_SEVERAL = 4  # different values at least; of two, a motor may be switched on and off
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Wrap:
     def removed(self, values: np.ndarray) -> np.ndarray:
         """Return samples without the jumps."""
         if self.signed:
-            return twos_complement(values, self.signed)
+            return twos_complement(values, self.signed, "register")
         whole = np.unwrap(values, period=self.period)
         return np.asarray(whole - turns_at_start(whole, self.period) * self.period)
 
@@ -95,6 +96,8 @@ def _word(values: np.ndarray) -> Wrap | None:
     """Return the register that integers come from which lie at both ends of its range alone."""
     values = values[np.isfinite(values)]
     if not values.size or values.min() < 0 or (values != np.rint(values)).any():
+        return None
+    if len(np.unique(values)) < _SEVERAL:
         return None
     for bits in _WORDS:
         share = values / 2.0**bits

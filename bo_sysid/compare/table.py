@@ -100,6 +100,11 @@ class Counted:
         self.steps += len(points) * len(windows) * windows.steps
         return self.simulator.predictions(points, windows, starts)
 
+    @property
+    def following(self) -> Int[np.ndarray, " k"]:
+        """Those of the simulator that is counted."""
+        return self.simulator.following
+
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
         """Delegate to the simulator that is counted."""
         return self.simulator.moved(start, tangent)

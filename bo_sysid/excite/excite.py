@@ -62,8 +62,8 @@ def excite(
     Args:
         study: model with the forces beside it, parameters and limits; recordings are not read.
         seconds: length of the trajectory, 1 s or more.
-        interval: between two controls in [s], 0.1 s at most; at least the model's time step is
-            taken.
+        interval: between two controls in [s], 0.1 s at most; the multiple of the model's time step
+            that is nearest to it is taken, one step at least.
         budget: number of trajectories that are tried, 28 or more.
         effects: also make friction, damping, armature and springs of all joints tellable.
         report: told the number of trajectories tried and the lowest cost.

@@ -95,11 +95,15 @@ class _Worker:
     def take(self) -> tuple[JobOutcome, bool]:
         """Return the outcome of the job, and whether the process lives on."""
         try:
-            found = self.connection.recv()
+            answer = self.connection.recv_bytes()
         except (EOFError, OSError):
             self.process.join()
             code = self.process.exitcode
             return JobOutcome(self.key, error=f"its process ended with code {code}"), False
+        try:
+            found = ForkingPickler.loads(answer)
+        except Exception:  # a result that cannot be read is that of its job alone
+            return JobOutcome(self.key, error=traceback.format_exc()), True
         return JobOutcome(self.key, *found), True
 
     def stop(self) -> None:

@@ -22,7 +22,7 @@ class Attribute:
         compiled: names of the fields of the compiled model, their columns side by side; empty
             where the compiled model does not keep the value and the spec is read instead.
         size: number of components; 0 for a single number, which takes no index.
-        angle: whether a spec in degrees keeps it in degrees (hinge and ball joints).
+        angle: whether a spec in degrees keeps it in degrees (of hinges).
         polynomial: whether it is a polynomial whose linear term an address without index means.
     """
 

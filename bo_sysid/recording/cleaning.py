@@ -3,7 +3,8 @@
 Duplicate stamps: the first sample is kept; where a rule skips empty cells, the first that is not
 empty, for a merged log may write its channels in rows of their own. Gaps, dropped samples and
 jitter: kept as recorded, for predictions are compared at the recorded instants. A measurement is
-never invented: nothing that is predicted is interpolated, resampled or filled. Time that runs
+never invented: nothing that is predicted is interpolated, resampled or filled, and what a slow
+sensor showed before is no measurement of later rows (`repeats`). Time that runs
 backwards, a value that is not finite and an empty cell that no rule explains are errors. Rows count
 from 0.
 """
@@ -12,12 +13,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from bo_sysid.errors import RecordingError
 from bo_sysid.recording.alignment import GAP, Sampling
 from bo_sysid.recording.value import COARSE, Channel, Hold
 
 JITTER = 0.05  # intervals that spread by more than this share of their median are mentioned
+_RUNS, _REGULAR = 20, 0.9  # runs of equal values at least; share of them that is as long as usual
 _LOST = 0.05  # share of the samples that a coarse clock loses
 _KEPT: Mapping[Hold, str] = {
     "zero": "the value before it is held",
@@ -136,6 +139,28 @@ def usable_rows(
     if rows.size < 2:
         raise RecordingError(f"{where}: {rows.size} samples; at least 2 are needed")
     return rows, notes
+
+
+def repeats(values: np.ndarray) -> Bool[np.ndarray, " n"]:
+    """Return which samples repeat the one before since their sensor is slower than its log.
+
+    Values then stand for equally many rows each, as far as they change at all, and change by more
+    than an encoder's step: one that turns steadily, a step at a time, is read anew in every row.
+
+    Args:
+        values: `n` samples of a measured channel, in the order of their stamps.
+    """
+    same = np.append(False, values[1:] == values[:-1])
+    begins = np.flatnonzero(~same)
+    runs = np.diff(begins)[1:]  # without the first and the last, which the log may cut
+    if len(runs) < _RUNS or np.median(runs) < 2:
+        return np.zeros(len(values), bool)
+    usual = np.abs(runs - np.median(runs)) <= max(1.0, 0.25 * float(np.median(runs)))
+    steps = np.abs(np.diff(values[begins]))
+    stepwise = np.median(steps) < 1.5 * steps.min()
+    if usual.mean() < _REGULAR or stepwise:
+        return np.zeros(len(values), bool)
+    return same
 
 
 def coarse_clock(values: np.ndarray, clock: Clock, rows: np.ndarray, channel: str) -> list[str]:

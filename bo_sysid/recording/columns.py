@@ -24,7 +24,8 @@ _BITS = (8, 16, 32)  # bits of integers
 class ColumnRule:
     """How a channel is read from a column.
 
-    The value is sign · unwrap(scale · factor(unit) · signed(raw)) + offset, in SI units.
+    The value is sign · unwrap(scale · factor(unit) · signed(raw)) + offset, in SI units; one that
+    was unwrapped is moved by whole turns last, so that it begins nearest to zero.
 
     Attributes:
         source: name of the column (``from`` in a study); None for the channel's own name.

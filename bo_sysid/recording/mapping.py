@@ -20,6 +20,7 @@ from bo_sysid.recording.cleaning import (
     motion_flaws,
     read_clock,
     refuse,
+    repeats,
     usable_rows,
 )
 from bo_sysid.recording.columns import ClockRule, ColumnRule
@@ -126,6 +127,15 @@ class _Mapper:
         filled = np.flatnonzero(~np.isnan(raw))
         dropped = np.setdiff1d(filled, rows) if skip else clock.duplicates
         self._dropped[stated] = np.union1d(self._dropped[stated], dropped)
+        if hold == "none" and not name.rpartition(".")[2].isdecimal():  # of one coordinate
+            again = repeats(raw[rows])
+            if again.any():
+                each = round(len(rows) / np.count_nonzero(~again))
+                rows = rows[~again]
+                notes.append(
+                    f"each value stands in about {each} rows, since its sensor is slower than the "
+                    f"log; the {np.count_nonzero(again)} rows that repeat one are left out"
+                )
         if hold == "none":
             self._coarse += [] if skip else coarse_clock(raw, clock, rows, name)
             if stated not in self._measured:
@@ -171,11 +181,12 @@ class _Mapper:
         clock_rule = self._clock_rule(name)
         stated = rule.hold or (clock_rule.hold if clock_rule else None)
         default: Hold = "zero" if kind_of(name) in HELD_KINDS else "none"
-        if stated == "linear" and default == "none":
-            raise RecordingError(
-                f"{self.table.source}: {name}: hold is 'linear', which is for inputs "
-                f"({', '.join(sorted(HELD_KINDS))}); what is predicted is never interpolated"
-            )
+        if stated and (stated == "none") != (default == "none"):
+            inputs = ", ".join(sorted(HELD_KINDS))
+            why = f"which is for inputs ({inputs}); what is predicted is never held or interpolated"
+            if stated == "none":
+                why = f"and inputs ({inputs}) act between their samples: zero or linear"
+            raise RecordingError(f"{self.table.source}: {name}: hold is {stated!r}, {why}")
         return stated or self.table.holds.get(column, default)
 
     def _clock_rule(self, name: str) -> ClockRule | None:
@@ -238,7 +249,7 @@ class _Mapper:
             self.notes.append(f"Time stamps in column {column!r} converted from {named} to s.")
         raw = table.column(column)
         if stated.signed:
-            raw = twos_complement(raw, stated.signed)
+            raw = twos_complement(raw, stated.signed, where)
             self.notes.append(
                 f"Time stamps in column {column!r} read as signed numbers of {stated.signed} bits."
             )
@@ -247,7 +258,7 @@ class _Mapper:
         stamps = scaled / round(1 / factor) if factor < 1 else scaled * factor
         if stated.period:
             filled = ~np.isnan(stamps)
-            unwrapped = np.unwrap(stamps[filled], period=stated.period)
+            unwrapped = _counted_on(stamps[filled], stated.period)
             jumps = _jumps(stamps[filled], unwrapped, stated.period)
             self.notes.append(
                 f"Time stamps in column {column!r} unwrapped ({jumps} jumps of {stated.period:g})."
@@ -283,7 +294,7 @@ class _Mapper:
             si, factor = written, 1.0
         done = []
         if rule.signed:
-            raw = twos_complement(raw, rule.signed)
+            raw = twos_complement(raw, rule.signed, where)
             done.append(f"read as a signed number of {rule.signed} bits")
         values = raw if factor * rule.scale == 1.0 else factor * rule.scale * raw
         if factor != 1.0:
@@ -312,8 +323,25 @@ class _Mapper:
         return values, si, written if factor != 1.0 else ""
 
 
-def twos_complement(values: np.ndarray, bits: int) -> np.ndarray:
-    """Return what unsigned integers mean where they hold signed ones."""
+def _counted_on(stamps: np.ndarray, period: float) -> np.ndarray:
+    """Return the stamps of a counter that begins anew after each period: it only goes forward."""
+    back = np.diff(stamps, prepend=stamps[:1]) < -period / 2
+    return np.asarray(stamps + period * np.cumsum(back))
+
+
+def twos_complement(values: np.ndarray, bits: int, where: str) -> np.ndarray:
+    """Return what unsigned integers mean where they hold signed ones.
+
+    Raises:
+        RecordingError: a value is none of a register of so many bits; begins with `where`.
+    """
+    known = values[np.isfinite(values)]
+    wrong = known[(known < 0) | (known >= 2**bits) | (known != np.rint(known))]
+    if wrong.size:
+        raise RecordingError(
+            f"{where}: signed: {bits} is for the raw numbers of a register, from 0 to "
+            f"{2**bits - 1}; {wrong[0]:g} is none"
+        )
     return np.where(values >= 2 ** (bits - 1), values - 2**bits, values)
 
 

@@ -37,8 +37,10 @@ def numbers(values: Any, where: str) -> np.ndarray:
         RecordingError: they are no array of numbers; the message begins with `where`.
     """
     try:
+        if np.ma.is_masked(values):
+            values = np.ma.filled(np.ma.asarray(values).astype(float), np.nan)  # no samples
         array = np.asarray(values)
-        if array.dtype.kind not in DATED:
+        if array.dtype.kind not in (*DATED, "c"):
             return array.astype(float)
         why = f"they are {array.dtype}"
     except (TypeError, ValueError) as error:

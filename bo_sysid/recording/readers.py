@@ -73,8 +73,9 @@ def read_recording(
     """Read a log into a recording.
 
     Args:
-        path: a file whose ending names its format: ``.csv`` (``.csv.gz``, ``.tsv``), ``.parquet``,
-            ``.npz``, ``.mat``, ``.mcap``, ``.db3``, ``.bag``, ``.h5``.
+        path: a file whose ending names its format: ``.csv`` (``.csv.gz``, ``.tsv``, ``.txt``),
+            ``.parquet`` (``.pq``), ``.json``, ``.npz``, ``.mat``, ``.mcap``, ``.db3``, ``.bag``,
+            ``.h5`` (``.hdf5``).
         columns: a study's ``columns:``: by channel (or ``time``), which column it is and how it
             is converted; see `ColumnRule`.
         clocks: a study's ``clocks:``: by kind or channel, the column of its time stamps; see

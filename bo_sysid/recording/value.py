@@ -208,14 +208,15 @@ class Recording:
     def to_frame(self) -> pd.DataFrame:
         """Return the channels as columns beside ``time``.
 
-        Inputs are given, held or interpolated, at the stamps of all channels; measured channels are
-        NaN where they have no sample.
+        Inputs are given, held or interpolated, at the stamps of all channels from their first on;
+        measured channels are NaN where they have no sample. Units, and which inputs are
+        interpolated, are not in a frame.
         """
         time = np.unique(np.concatenate([c.time for c in self.channels.values()]))
         columns: dict[str, Any] = {"time": time}
         for name, channel in self.channels.items():
             if channel.continuous:
-                columns[name] = channel.at(time)
+                columns[name] = np.where(time < channel.time[0], np.nan, channel.at(time))
             else:
                 full = np.full(time.size, np.nan)
                 full[np.searchsorted(time, channel.time)] = channel.values

@@ -4,6 +4,7 @@ import errno
 import os
 import platform
 import sys
+import time
 from pathlib import Path
 from typing import IO
 
@@ -11,6 +12,7 @@ from bo_sysid.errors import RunError
 
 NAME = ".lock"
 _BEYOND = 1 << 30  # byte that is locked on Windows, after all that is written
+_TRIES, _MOMENT = 10, 0.02  # s
 _HELD = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK)  # by another process
 
 
@@ -18,7 +20,7 @@ def locked(folder: Path) -> IO[str]:
     """Take the lock of a folder; the system lets go of it when this process ends, however."""
     lock = open(folder / NAME, "a+", encoding="utf-8")  # noqa: SIM115 - held as long as the run
     try:
-        _lock_file(lock)
+        _lock_soon(lock)
     except OSError as error:
         if error.errno not in _HELD:  # a file system without locks: nothing is known of others
             lock.close()
@@ -33,6 +35,18 @@ def locked(folder: Path) -> IO[str]:
     lock.write(f"process {os.getpid()} on {platform.node()}")
     lock.flush()
     return lock
+
+
+def _lock_soon(lock: IO[str]) -> None:
+    """Lock a file, which `held` of another process may have locked for a moment."""
+    for _ in range(_TRIES):
+        try:
+            return _lock_file(lock)
+        except OSError as error:
+            if error.errno not in _HELD:
+                raise
+            time.sleep(_MOMENT)
+    _lock_file(lock)
 
 
 def held(folder: Path) -> bool:

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -210,14 +211,18 @@ class Run:
         if error is None or (self._untouched and isinstance(error, UserError)):
             self.close("finished")
             return
-        self.close("interrupted" if is_interrupt(error) else "failed")
-        if self._created and isinstance(error, UserError):
-            self._remove_if_bare()
-
-    def _remove_if_bare(self) -> None:
-        """Remove the folder where the input was wrong before anything was computed."""
-        if {p.name for p in self.folder.iterdir()} <= {RECORD, STUDY, LOCK, *_MADE_OF}:
+        if self._created and isinstance(error, UserError) and self._is_bare():
+            # by the one that holds it: another process could begin in it as soon as it is let go
+            if sys.platform == "win32":  # where what is open cannot be removed
+                self._lock.close()
             shutil.rmtree(self.folder)
+            self._lock.close()
+            return
+        self.close("interrupted" if is_interrupt(error) else "failed")
+
+    def _is_bare(self) -> bool:
+        """Whether the input was wrong before anything was computed."""
+        return {p.name for p in self.folder.iterdir()} <= {RECORD, STUDY, LOCK, *_MADE_OF}
 
 
 def _new_record(study: Mapping[str, Any], command: str, seed: int | None) -> dict[str, Any]:

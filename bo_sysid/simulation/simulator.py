@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from bo_sysid.arrays import Points
 from bo_sysid.mjcf import Edit, Loops, Model, parameter_edits
@@ -58,6 +58,10 @@ class Simulator(Protocol):
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
         """Return starts moved by `W x 2 nv` changes of position and velocity."""
 
+    @property
+    def following(self) -> Int[np.ndarray, " k"]:
+        """Columns of `qvel` of joints that follow others through closed chains."""
+
 
 @dataclass(frozen=True)
 class MujocoSimulator:
@@ -103,6 +107,11 @@ class MujocoSimulator:
     def moved(self, start: State, tangent: Float[np.ndarray, "W n"]) -> State:
         """Return starts moved along the tangent space of the joints, loops closed."""
         return start.moved(self._structure, tangent).closed(self._loops)
+
+    @property
+    def following(self) -> Int[np.ndarray, " k"]:
+        """Columns of `qvel` of joints that follow others through closed chains."""
+        return self._loops.dofs
 
     @cached_property
     def _structure(self) -> mujoco.MjModel:

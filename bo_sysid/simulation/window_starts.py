@@ -110,9 +110,10 @@ def _with_inputs(
     for channel, values in inputs.items():
         intervals = np.diff(values.time)
         reach = _LATE * float(np.median(intervals))
-        begun = time[first] >= values.time[0] - reach
         short = intervals <= reach
         steady = short.sum() >= max(_MANY, _STEADY * len(short))
+        late_at_most = reach if steady else _LATE * float(np.median(np.diff(time)))
+        begun = time[first] >= values.time[0] - late_at_most
         ended = time[first + horizon] > values.time[-1] + (reach if steady else np.inf)
         late, early = values.time[0] - time[0], time[-1] - values.time[-1]
         for out, fault in (

@@ -11,7 +11,7 @@ from bo_sysid.diagnosis.search.polish import fitted_at_itself, polished, stepped
 from bo_sysid.diagnosis.search.rounds import substitute
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.sharpen import repeated_anew
-from bo_sysid.diagnosis.search.variants import vary
+from bo_sysid.diagnosis.search.variants import turn_about, vary
 from bo_sysid.diagnosis.search.window_lengths import windows_of
 from bo_sysid.diagnosis.sets.fit import Fit, Names, set_key
 from bo_sysid.diagnosis.sets.refit import FINAL, Effort
@@ -92,6 +92,7 @@ def compare(final: Search, first: Fit) -> None:
         if explains_little(leader, final.nominal):
             return
         substitute(final, leader)
+        turn_about(final, leader, FINAL)
         place_loads(final, leader, leader)
         slide(final, leader)
         _fit_with_leader_shapes(final, leader)

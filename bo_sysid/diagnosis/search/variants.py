@@ -110,7 +110,7 @@ def enrich(search: Search, base: Fit) -> None:
             search.refit(known, x, start=base.start, guess=base.hypothesis)
 
 
-def turn_about(search: Search, base: Fit) -> None:
+def turn_about(search: Search, base: Fit, effort: Effort | None = None) -> None:
     """Fit a set with friction that differs between directions for a constant force beside friction.
 
     While a joint moves the two do the same, and at rest friction holds the force as if there were
@@ -129,7 +129,9 @@ def turn_about(search: Search, base: Fit) -> None:
             members = (*members, difference)
             size = size_of(members, grouped_labels(members, search.candidates))
             if size <= search.most and not clashes(members):
-                search.fit(members, (*own, x), start=base.start, guess=base.hypothesis)
+                search.fit(
+                    members, (*own, x), start=base.start, guess=base.hypothesis, effort=effort
+                )
 
 
 def _richer(search: Search, c: Candidate) -> list[Candidate]:

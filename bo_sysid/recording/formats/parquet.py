@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def read_parquet(path: Path) -> RawTable:
             f"{path}: several columns are named {repeated[0]!r}; each needs a name of its own"
         )
     described = {f.name: f.metadata or {} for f in table.schema}
-    own = json.loads((table.schema.metadata or {}).get(b"bo_sysid", b"{}"))
+    own = _own(table.schema.metadata or {}, path)
     columns, left_out = arrow_columns(table)
     return RawTable(
         source=str(path),
@@ -41,6 +42,17 @@ def read_parquet(path: Path) -> RawTable:
         name=own.get("name", ""),
         notes=(*own.get("notes", ()), *left_out),
     )
+
+
+def _own(metadata: Mapping[bytes, bytes], path: Path) -> dict[str, Any]:
+    """Return what `write_recording` left in a file beside its columns; nothing in others."""
+    try:
+        own = json.loads(metadata.get(b"bo_sysid", b"{}"))
+    except ValueError:
+        own = None
+    if not isinstance(own, dict):
+        raise RecordingError(f"{path}: its metadata 'bo_sysid' are not those of this package")
+    return own
 
 
 def arrow_columns(table: Any) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:

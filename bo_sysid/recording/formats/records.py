@@ -44,7 +44,7 @@ def read_json(path: Path) -> RawTable:
     length = max(map(len, columns.values()))
     for name, value in whole.items():
         if isinstance(value, int | float) and name not in columns:
-            columns[name] = np.full(length, float(value))
+            columns[name] = np.full(length, _number(value))
     return RawTable(str(path), columns)
 
 
