@@ -111,21 +111,25 @@ def enrich(search: Search, base: Fit) -> None:
 
 
 def turn_about(search: Search, base: Fit, effort: Effort | None = None) -> None:
-    """Fit a set with friction that differs between directions for a constant force beside friction.
+    """Fit a set with friction that differs between directions in the place of a constant force.
 
-    While a joint moves the two do the same, and at rest friction holds the force as if there were
-    none. What each does alone is far from that, so that no exchange of one effect leads there.
+    While a joint moves the two do the same. Where it rests, friction beside a force may hold that
+    as if there were none; each of the two alone is far from it, so that no exchange of one effect
+    leads there.
     """
     found = {d.site.name: d for d in search.candidates if d.effect.id == _DIFFERENCE}
     for k, c in enumerate(base.members):
-        held = [m for m in base.members if m.is_dry_friction and m.site.name == c.site.name]
-        if c.effect.id != _CONSTANT or not held or c.site.name not in found:
+        if c.effect.id != _CONSTANT or c.site.name not in found:
             continue
         # -x/2 in motion is the force, see `asymmetric_friction`
         difference, x = found[c.site.name], -2.0 * base.x[k]
-        without = all_but(base, (k, base.members.index(held[0])))
-        for keep in (without, all_but(base, (k,))):
-            members, own = subset(base, keep)
+        held = [
+            i
+            for i, m in enumerate(base.members)
+            if m.is_dry_friction and m.site.name == c.site.name
+        ]
+        for out in dict.fromkeys(((k, *held), (k,))):
+            members, own = subset(base, all_but(base, out))
             members = (*members, difference)
             size = size_of(members, grouped_labels(members, search.candidates))
             if size <= search.most and not clashes(members):
