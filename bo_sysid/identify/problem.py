@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from bo_sysid.arrays import Point
 from bo_sysid.checks.sensitivity import with_fitted_starts
 from bo_sysid.deviation import Deviation, Whitening
+from bo_sysid.errors import RecordingError
 from bo_sysid.execution import threads as cores
 from bo_sysid.mjcf import Model, nominal
 from bo_sysid.mjcf.address import resolve
@@ -28,6 +29,7 @@ from bo_sysid.study.requirements import (
 )
 
 _UNMEASURED = 0.15  # [s] shortest window where velocities were not recorded
+_GAP = 1.5  # times the usual length, from which a window holds a gap
 _STEPS, _ARRIVED = 4, 0.3  # to what fits with fitted starts; of a standard deviation, at the end
 
 
@@ -137,7 +139,7 @@ class Problem:
     ) -> FittedStarts | None:
         """Return what would fit best with fitted starts, in windows that are long enough for it.
 
-        None where a parameter has no order, and where recordings are too short.
+        None where a parameter has no order, and where recordings are too short or have gaps.
 
         Args:
             point: `d` values, from which that is one step, and more where it leaves the intervals.
@@ -148,12 +150,15 @@ class Problem:
         stamps = [s for r in self.recordings if len(s := _stamps(self.model, r)) > 1]
         if self.candidates.categories or not stamps:
             return None
-        horizon = self.horizon
-        if not self.deviation.fitted_starts:
-            horizon, _ = _long_enough_for_starts(self.study, self.model, stamps)
-        if min(map(len, stamps)) <= 2 * horizon:
+        horizon, interval = _long_enough_for_starts(self.study, self.model, stamps)
+        if self.deviation.fitted_starts:
+            horizon = self.horizon
+        try:
+            windows = self.on(self.recordings, horizon).windows
+        except RecordingError:  # no such long window fits into them
             return None
-        windows = self.on(self.recordings, horizon).windows
+        if windows.step.max() * windows.timestep > _GAP * horizon * interval:
+            return None
         simulator = self.deviation.simulator
         for _ in range(_STEPS):
             found = FittedStarts(*with_fitted_starts(simulator, point, windows, noise), horizon)

@@ -149,15 +149,15 @@ def cautions(about: Mapping[str, Any]) -> list[str]:
     share, episodes = about["simulated_share_beyond_limits"], about["simulated_episodes"]
     if share is None:
         return []
-    stop = "which clipping commands cannot prevent. Have the machine stop by itself."
+    stop = "Clipping commands cannot prevent that: have the machine stop by itself."
     if share:
         return [
             f"CAUTION: in {share:.0%} of {episodes} simulated episodes this policy leaves the "
-            f"limits of position or velocity, {stop}"
+            f"limits of position or velocity. {stop}"
         ]
     return [
         f"In none of {episodes} simulated episodes does this policy leave the limits of position "
-        f"or velocity, {stop}"
+        f"or velocity. {stop}"
     ]
 
 
