@@ -267,7 +267,7 @@ def _framing(
 
 
 def _long_enough_for_starts(
-    study: Study, model: Model, stamps: Sequence[Float[np.ndarray, " T"]]
+    study: Study, model: Model, stamps: Sequence[Float[np.ndarray, " _"]]
 ) -> tuple[int, float]:
     """Return the instants of a window that tells more than its start, and the [s] between two."""
     interval = float(np.median([np.median(np.diff(s)) for s in stamps]))
