@@ -30,7 +30,7 @@ from bo_sysid.plants.simulations import Simulations
 from bo_sysid.plants.tasks.base import VectorTask
 from bo_sysid.plants.tasks.pendulum import PendulumSwingup
 from bo_sysid.policy.store import LearnedPolicy
-from bo_sysid.runs import plain
+from bo_sysid.runs import Run, plain
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import load_model
 
@@ -192,6 +192,34 @@ def test_values_of_a_single_episode_are_written(grid: CandidateSet) -> None:
         guided=one.figures,
     )  # fmt: skip
     assert plain(settled.figures())["search_values"]["value"]["error"] is None
+
+
+def test_what_an_earlier_version_wrote_of_an_identification_is_read(
+    grid: CandidateSet, tmp_path: Path
+) -> None:
+    count = len(grid)
+    boot = np.zeros(count)
+    boot[[3, 4]] = 0.5
+    own = Identified(
+        rows=np.arange(2), deviation=np.ones(2), entropy=np.zeros(2), fresh=2,
+        probabilities=boot, bootstrap=boot, mean=np.zeros(count), reason=StopReason.CONVERGED,
+        floor=Floor(1.0, 1.0, 0.0), interval=np.array([grid.points.min(0), grid.points.max(0)]),
+        moved="It did.",
+    )  # fmt: skip
+    with Run.open(tmp_path / "run", {}, "learn") as run:
+        own.write(run, "iterations/01", grid)
+        again = Identified.read(run, "iterations/01")
+        assert again is not None
+        np.testing.assert_array_equal(again.interval, own.interval)
+        assert again.moved == "It did."
+        figures = run.read_json("iterations/01/identified.json")
+        del figures["interval"], figures["moved"]
+        run.write_json("iterations/01/identified.json", figures)
+        before = Identified.read(run, "iterations/01")
+    assert before is not None
+    likely = grid.points[[3, 4]]
+    np.testing.assert_array_equal(before.interval, [likely.min(axis=0), likely.max(axis=0)])
+    assert before.moved == ""
 
 
 def test_estimates() -> None:

@@ -109,6 +109,10 @@ class Identified:
         figures = run.read_json(f"{folder}/identified.json")
         evaluations = run.read_frame(f"{folder}/evaluations.parquet")
         belief = run.read_frame(f"{folder}/belief.parquet")
+        interval = figures.get("interval")
+        if interval is None:  # an earlier version left it out
+            points = belief.drop(columns=["P", "P_boot", "mean"]).to_numpy(float)
+            interval = credible_interval(points, belief["P_boot"].to_numpy(float))
         return cls(
             evaluations["row"].to_numpy(int),
             evaluations["deviation"].to_numpy(float),
@@ -119,8 +123,8 @@ class Identified:
             figures["new"],
             StopReason(figures["search_stopped"]),
             Floor(**figures["floor"]),
-            np.array(figures["interval"]),
-            figures["moved"],
+            np.array(interval),
+            figures.get("moved", ""),
             figures["search_values"],
         )
 
