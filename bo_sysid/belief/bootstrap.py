@@ -171,6 +171,26 @@ def credible_interval(
     return bounds
 
 
+def cell_interval(
+    candidates: Points,
+    cells: Points,
+    probabilities: Probabilities,
+    bounds: Float[np.ndarray, "2 d"],
+) -> Float[np.ndarray, "2 d"]:
+    """Return the 95 % interval of each parameter where a candidate stands for its cell.
+
+    Args:
+        candidates: `N x d`.
+        cells: `N x d` sides of the box that each stands for.
+        probabilities: `N`, sums to 1.
+        bounds: `2 x d`, beyond which no interval goes.
+    """
+    half = cells / 2
+    low = credible_interval(candidates - half, probabilities)[0]
+    high = credible_interval(candidates + half, probabilities)[1]
+    return np.asarray(np.clip([low, high], *bounds))
+
+
 def _minima(
     member: ConditionedGP,
     x: Points,

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from bo_sysid.arrays import Point
-from bo_sysid.belief.bootstrap import credible_interval
+from bo_sysid.belief.bootstrap import cell_interval
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.execution import OnProgress, Progress, limit_threads, silent, threads
 from bo_sysid.identify.discretisation import step_notes
@@ -214,17 +214,17 @@ def _parameters(problem: Problem, best: Point, refined: Refined) -> pd.DataFrame
     A candidate stands for its cell: the interval reaches half a cell further. Values
     without an order have nothing between or beyond them.
     """
-    points, half = refined.candidates.points, refined.cells / 2
-    low95 = credible_interval(points - half, refined.bootstrap, 0.95)[0]
-    high95 = credible_interval(points + half, refined.bootstrap, 0.95)[1]
     bounds = problem.candidates.bounds
+    low95, high95 = cell_interval(
+        refined.candidates.points, refined.cells, refined.bootstrap, bounds
+    )
     at_bound = (abs(best - bounds) < _AT_BOUND * (bounds[1] - bounds[0])).any(axis=0)
     at_bound[list(problem.candidates.categories)] = False
     frame = described(problem.model, problem.parameters)
     return frame[["name", "unit", "addresses", "apply", "nominal"]].assign(
         value=best,
-        low95=np.maximum(low95, bounds[0]),
-        high95=np.minimum(high95, bounds[1]),
+        low95=low95,
+        high95=high95,
         at_bound=at_bound,
     )
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import entr
 
 from bo_sysid.arrays import Point, Points, Probabilities
-from bo_sysid.belief.bootstrap import credible_interval
+from bo_sysid.belief.bootstrap import cell_interval, credible_interval
 from bo_sysid.belief.stopping import StopReason, StopRule
 from bo_sysid.deviation import Deviation
 from bo_sysid.execution import threads
@@ -158,7 +158,9 @@ def identified(
     best = int(found.deviation.argmin())
     blocks = deviation.blocks
     bootstrap = outcome.bootstrap(points, blocks.weight, blocks.session, scene.seed)
-    interval = _interval(scene.candidates, bootstrap)
+    candidates = scene.candidates
+    cells = np.broadcast_to(candidates.cell, points.shape)
+    interval = cell_interval(points, cells, bootstrap, candidates.bounds)
     return Identified(
         rows,
         found.deviation,
@@ -173,14 +175,6 @@ def identified(
         _moved(problem, points[rows[best]], interval, noise or {}),
         guided,
     )
-
-
-def _interval(candidates: CandidateSet, bootstrap: Probabilities) -> Float[np.ndarray, "2 d"]:
-    """Return between which values P_boot has 95 % of each parameter; a candidate is its cell."""
-    half = candidates.cell / 2
-    low = credible_interval(candidates.points - half, bootstrap)[0]
-    high = credible_interval(candidates.points + half, bootstrap)[1]
-    return np.asarray(np.clip([low, high], *candidates.bounds))
 
 
 def _moved(
