@@ -313,6 +313,10 @@ def test_names_that_recordings_dispute_are_told_and_count_as_unknown(friction) -
     assert answer.findings == ()
     stranger = next(a for a in answer.alternatives if a["findings"][0]["effect"] == "unknown")
     assert stranger["probability"] == max(a["probability"] for a in answer.alternatives)
+    flagged = replace(withdrawn, unexplained=Unexplained(0.2, "joint", "elbow"))
+    told = make_answer(friction.decision, flagged, machine).alternatives
+    assert sum(a["probability"] for a in told) == pytest.approx(1.0, abs=0.01)
+    assert [] in [a["findings"] for a in told]  # that nothing is missing is one of them
 
 
 def test_a_compliance_beside_friction_of_its_joint_may_be_its_bend(friction) -> None:

@@ -5,16 +5,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from diagnosis_helpers import SIGMA, arm, record
 
 from bo_sysid.diagnosis.answer.findings import Finding
-from bo_sysid.diagnosis.answer.jitter import jitter_sentence
 from bo_sysid.diagnosis.answer.quantities import details_of
 from bo_sysid.diagnosis.answer.sentences import found_sentences
 from bo_sysid.diagnosis.answer.unexplained import Unexplained
 from bo_sysid.diagnosis.answer.wording import sentence
 from bo_sysid.diagnosis.windows.candidate import candidates
-from bo_sysid.diagnosis.windows.evidence import make_evidence
 from bo_sysid.effects import CATALOGUE, Component, Extent, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.intervals import Quantity
@@ -256,24 +253,3 @@ def test_a_reading_that_a_motor_may_stand_for_leaves_the_model_in_doubt(instead,
     found = [{"effect": "encoder_scale", "site": "y", "equivalents": equivalents}]
     answer = {"verdict": "sensing", "holdout": {}, "findings": found}
     assert verdict_text(answer).startswith(begins)
-
-
-@pytest.mark.parametrize(("jitter", "said"), [(1e-3, True), (0.0, False), (2e-5, False)])
-def test_stamps_that_jitter_may_be_what_is_left(jitter: float, said: bool) -> None:
-    """A machine as modelled whose log stamped late was told to lack physics."""
-    clean, rng = record(duration=3.0), np.random.default_rng(0)
-    channels = {
-        n: replace(c, time=c.time + jitter * rng.uniform(-0.5, 0.5, len(c.time)))
-        for n, c in clean.channels.items()
-    }
-    recordings = (replace(clean, channels=channels),)
-    effects = [CATALOGUE["dry_friction"]]
-    made = make_evidence(arm(), recordings, effects=effects, noise={"qpos": SIGMA}, threads=1)
-    told = jitter_sentence(made)
-    assert bool(told) == said
-    if said:
-        # a uniform spread of 1 ms has a standard deviation of .29; told by the median of intervals
-        assert float(told.split("by ")[1].split(" ms")[0]) == pytest.approx(0.29, rel=0.2)
-        speed = max(j.speed for j in made.machine.joints.values())
-        moved = float(told.split("moves by ")[1].split(" of")[0])
-        assert moved == pytest.approx(speed * 0.29e-3 / SIGMA, rel=0.2)

@@ -1,10 +1,13 @@
 import numpy as np
 import pytest
 
-from bo_sysid.diagnosis.windows.channel_noise import channel_noise
+from bo_sysid.diagnosis.windows.channel_noise import channel_noise, timing_note
+from bo_sysid.diagnosis.windows.cutting import cut_problem
 from bo_sysid.effects import survey
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Channel, Recording, noise_sigma, sensor_noise
+from bo_sysid.recording.timing_noise import speeds, timing_noise
+from bo_sysid.simulation import Engine
 
 
 def clock(kind, size, rng):
@@ -98,3 +101,58 @@ def test_noise_of_a_pose_is_what_its_numbers_have_all_in_all() -> None:
         found = channel_noise([log], survey(hung.compile(), [log]), {})
         error = np.sqrt(np.mean((made - pose) ** 2, axis=0))
         assert [found[n] for n in names] == pytest.approx(error, rel=0.05)
+
+
+def motion(time: np.ndarray) -> np.ndarray:
+    """Return positions of a joint that moves at up to some 10 rad/s."""
+    rate, phase = 2 * np.pi * np.linspace(0.3, 2.5, 6), np.arange(6.0) ** 2
+    return np.asarray(0.4 * np.sin(rate * time[:, None] + phase).sum(axis=1))
+
+
+def stamped(jitter: float, *, late: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps that jitter, and a noisy motion that was sampled at them or beside them."""
+    rng, even = np.random.default_rng(3), 0.005 * np.arange(4000)
+    stamps = even + jitter * rng.standard_normal(len(even)).clip(-3, 3)
+    return stamps, motion(even if late else stamps) + 5e-4 * rng.standard_normal(len(even))
+
+
+@pytest.mark.parametrize("jitter", [2e-4, 4e-4, 8e-4])
+def test_noise_of_late_stamps_is_split_into_rest_and_motion(jitter: float) -> None:
+    found = timing_noise(*stamped(jitter, late=True))
+    assert found is not None
+    assert found.late == pytest.approx(jitter, rel=0.1)
+    assert found.sigma == pytest.approx(5e-4, rel=0.25)
+
+
+@pytest.mark.parametrize(("jitter", "late"), [(0.0, True), (2e-4, False), (8e-4, False)])
+def test_stamps_that_say_when_samples_were_taken_add_no_noise(jitter: float, late: bool) -> None:
+    assert timing_noise(*stamped(jitter, late=late)) is None
+
+
+def test_speed_is_the_slope_of_a_motion() -> None:
+    time = np.sort(np.random.default_rng(1).uniform(0, 2, 800))
+    inner = slice(5, -5)
+    found = speeds(time, np.sin(3 * time))
+    assert found[inner] == pytest.approx(3 * np.cos(3 * time)[inner], abs=0.03)
+
+
+def test_late_stamps_of_a_moving_joint_have_less_weight() -> None:
+    """Residuals of a model that is the plant have size 1 at rest and in fast motion."""
+    time, measured = stamped(8e-4, late=True)
+    log = Recording.from_arrays(time, qpos={"a": measured}, ctrl={"m": np.zeros(len(time))})
+    hung = Model.from_xml(
+        '<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1"/></body>'
+        '</worldbody><actuator><motor name="m" joint="a"/></actuator></mujoco>'
+    )
+    machine = survey(hung.compile(), [log])
+    sigma = channel_noise([log], machine, {})
+    problem = cut_problem(hung, machine, [log], sigma, (), horizon=40, engine=Engine(1))
+    w = problem.windows
+    at = w.time[:, None] + (w.step + w.fraction) * w.timestep
+    moved = motion(at.ravel())
+    left = ((w.observed[..., 0].ravel() - moved) * problem.weight[..., 0].ravel()) ** 2
+    fast = np.abs(np.interp(at.ravel(), time, speeds(time, measured))) > 4.0
+    assert left[fast].mean() == pytest.approx(1.0, abs=0.2)
+    assert left[~fast].mean() == pytest.approx(1.0, abs=0.2)
+    assert timing_note([log], sigma)
+    assert not timing_note([Recording.from_arrays(time, qpos={"a": 0 * time})], sigma)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 from bo_sysid.diagnosis.answer.hints import hints, leaves_much, left_sentence
 from bo_sysid.diagnosis.answer.holdout import Holdout
-from bo_sysid.diagnosis.answer.jitter import jitter_sentence
 from bo_sysid.diagnosis.answer.notes import unsought_sentence
 from bo_sysid.diagnosis.answer.seen_once import seen_once
 from bo_sysid.diagnosis.answer.sentences import (
@@ -84,8 +83,6 @@ def _reservations(frozen: Frozen) -> list[str]:
     sentences += hints(best, evidence.machine, located.decision.fits, evidence.still)
     if frozen.uncrossed:
         sentences.append(uncrossed_sentence(frozen.uncrossed))
-    if answer.unexplained.flagged:
-        sentences.append(jitter_sentence(evidence))
     if not frozen.contact and not answer.unexplained.flagged:
         prepared = located.prepared
         sentences.append(seen_once(prepared.problem, prepared.linear.Q, best))

@@ -14,6 +14,7 @@ from math import sqrt
 
 import numpy as np
 from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.value import Recording
@@ -21,8 +22,10 @@ from bo_sysid.recording.value import Recording
 MOVES = 15.0
 """Standard deviations of its noise that a channel's range exceeds where it shows motion."""
 _REPEATED = 0.1  # share of samples that equal the one before, from which on a channel is coarse
-_CUT = 1.5  # deviations beyond which a value counts no further
-_BETA = 0.7785  # E min(u², _CUT²) of a standard Gaussian u
+CUT = 1.5
+"""Deviations beyond which a difference counts no further."""
+BETA = 0.7785
+"""E min(u², CUT²) of a standard Gaussian u."""
 _ITERATIONS = 50  # of a contraction
 _DRAWS = 20  # of each sample, for the scale of noise of changing size
 _ORDERS = (3, 4, 5, 6, 7)
@@ -47,35 +50,43 @@ def noise_sigma(time: Times, values: Samples) -> float:
     """
     if len(values) < _ORDERS[0] + 1:
         return 0.0
-    sigma = _huber_scale(_differences(time, values, _ORDERS[0]))
+    sigma = _huber_scale(differences(*runs(time, values, _ORDERS[0] + 1)))
     for order in _ORDERS[1:]:
         if len(values) < 2 * order:
             break
-        less = _huber_scale(_differences(time, values, order))
+        less = _huber_scale(differences(*runs(time, values, order + 1)))
         if less > _LESS * sigma:
             break
         sigma = less
     return max(sigma, _resolution(values) / sqrt(12))
 
 
-def _differences(time: Times, values: Samples, order: int) -> Float[np.ndarray, " D"]:
-    """Return the divided differences of an order, with weights of unit length, but across gaps."""
-    count = len(time) - order
-    stamps = np.stack([time[i : count + i] for i in range(order + 1)], axis=1)
-    samples = np.stack([values[i : count + i] for i in range(order + 1)], axis=1)
+def runs(
+    time: Times, values: Samples, count: int
+) -> tuple[Float[np.ndarray, "D n"], Float[np.ndarray, "D n"]]:
+    """Return the stamps and the values of every `count` samples in a row, but across gaps."""
+    stamps, samples = (sliding_window_view(x, count) for x in (time, values))
+    span = stamps[:, -1] - stamps[:, 0]
+    whole = span <= _GAP * np.median(span)
+    return stamps[whole], samples[whole]
+
+
+def differences(
+    stamps: Float[np.ndarray, "D n"], samples: Float[np.ndarray, "D n"]
+) -> Float[np.ndarray, " D"]:
+    """Return the divided differences of order n - 1 of runs, with weights of unit length."""
     span = stamps[:, -1] - stamps[:, 0]
     offsets = (stamps[:, :, None] - stamps[:, None, :]) / span[:, None, None]
-    weights = 1.0 / np.prod(offsets + np.eye(order + 1), axis=2)
+    weights = 1.0 / np.prod(offsets + np.eye(stamps.shape[1]), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    found = np.sum(weights * (samples - samples[:, :1]), axis=1)
-    return np.asarray(found[span <= _GAP * np.median(span)])
+    return np.asarray(np.sum(weights * (samples - samples[:, :1]), axis=1))
 
 
 def _huber_scale(z: Float[np.ndarray, " D"]) -> float:
     """Return the scale σ of values about 0 that solves mean min(z², k²σ²) = β σ²."""
     square, scale = z**2, float(np.mean(z**2))
     for _ in range(_ITERATIONS):
-        scale = float(np.minimum(square, _CUT**2 * scale).mean()) / _BETA
+        scale = float(np.minimum(square, CUT**2 * scale).mean()) / BETA
     return sqrt(scale)
 
 

@@ -96,7 +96,9 @@ def diagnosis_text(
         parts += ["", "Recording by recording:", table(sessions)]
     others = alternatives_table(diagnosis["alternatives"])
     if len(others):
-        parts += ["", "Other explanations that were tried:", table(others)]
+        own = diagnosis["verdict"] == "unknown-physics" and not diagnosis["findings"]
+        which = "What it may be:" if own else "Other explanations that were tried:"
+        parts += ["", which, table(others)]
     if diagnosis["next_experiment"]:
         parts += ["", f"What to record next: {_experiment(diagnosis['next_experiment'])}"]
     return "\n".join([*parts, *notes_text(summary.get("notes") or ())])

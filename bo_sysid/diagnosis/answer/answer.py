@@ -26,7 +26,8 @@ _EQUIVALENTS = 3  # told of one name
 # fits say. With both what was stated in concealed cases came true (calibration in BENCHMARKS).
 _UNHEARD = 0.02
 _STRANGER = {"effect": "unknown", "kind": "world", "site": "world", "value": 0.0}
-_BESIDE_UNKNOWN = 0.3  # where something stays unexplained; of the names, where none of them holds
+_BESIDE_NAMES = 0.3  # where something stays unexplained beside names, or names are doubtful
+_UNNAMED = 0.9  # where nothing is named and something unexplained: so it was in 29 of 30
 
 
 @dataclass(frozen=True)
@@ -111,8 +112,9 @@ def make_answer(
     where `hints` says why.
 
     Names that a learned law replaces, or that recordings disagree on, are no findings. Where others
-    of their set stay, these have its probability; where none does, it is among the alternatives,
-    and something unknown is more probable.
+    of their set stay, these have its probability; where none does, it is among the alternatives.
+    An answer without names that leaves something unexplained says that it is something unknown:
+    "nothing is missing" is then one of the alternatives.
 
     Args:
         decision: between sets.
@@ -124,11 +126,14 @@ def make_answer(
             nominal one where left out.
     """
     best, kept = decision.best, outcome.fit
-    none_of_these = _BESIDE_UNKNOWN if outcome.unexplained.flagged or doubtful else _UNHEARD
-    if best.members and not kept.members:
-        none_of_these = 1.0 - _BESIDE_UNKNOWN  # the names keep that little
+    flagged, unnamed = outcome.unexplained.flagged, not kept.members
+    none_of_these = _BESIDE_NAMES if flagged or doubtful else _UNHEARD
+    if unnamed and (flagged or best.members):
+        none_of_these = _UNNAMED
     posterior = (1.0 - none_of_these) * decision.probability
-    answered = {best.key, kept.key} if kept.members else {kept.key}
+    answered = {kept.key} if unnamed else {best.key, kept.key}
+    if flagged and unnamed:
+        answered = set()
     shares = dict(zip((f.key for f in decision.fits), posterior, strict=True))
     probability = float(sum(shares.get(key, 0.0) for key in answered))
     equivalents = _equivalents(decision, kept, machine)

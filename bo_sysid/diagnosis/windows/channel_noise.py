@@ -1,14 +1,18 @@
 """The noise of each observed channel."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import product
 
 import numpy as np
+from jaxtyping import Float
 
 from bo_sysid.effects import Machine
 from bo_sysid.errors import RecordingError
 from bo_sysid.mjcf.joints import quaternions
-from bo_sysid.recording import Recording, stated_for
+from bo_sysid.recording import Channel, Recording, stated_for
 from bo_sysid.recording.noise import MOVES, noise_sigma, underrated
+from bo_sysid.recording.timing_noise import speeds, timing_noise
+from bo_sysid.simulation.windows import Windows
 
 _LEAST = 1e-9
 _FIXED = 0.3  # of the noise of its numbers, that the length of a quaternion shows at most
@@ -29,7 +33,7 @@ def channel_noise(
     most = 0.0, ""  # [sigma] by which a channel moves, and which
     for name in (n for n in machine.channels if n.startswith("qpos.")):
         series = [r.channels[name] for r in recordings if name in r.channels]
-        sigma = float(np.median([noise_sigma(c.time, c.values) for c in series]))
+        sigma = float(np.median([_at_rest(c) for c in series]))
         sigma = float(stated_for(name, given, sigma))
         moved = max(float(np.ptp(c.values)) for c in series)
         if moved > 0:
@@ -51,6 +55,45 @@ def channel_noise(
             "(bo-sysid excite)"
         )
     return found
+
+
+def _at_rest(channel: Channel) -> float:
+    """Return σ of a channel without what jitter of its stamps adds in motion."""
+    timing = timing_noise(channel.time, channel.values)
+    return timing.sigma if timing else noise_sigma(channel.time, channel.values)
+
+
+def noise_of(
+    windows: Windows, recordings: Sequence[Recording], sigma: Mapping[str, float]
+) -> Float[np.ndarray, "W H c"]:
+    """Return the standard deviation of each observation, with what jitter of its stamps adds."""
+    found = np.broadcast_to([sigma[n] for n in windows.channels], windows.observed.shape).copy()
+    time = windows.time[:, None] + (windows.step + windows.fraction) * windows.timestep
+    for number, recording in enumerate(recordings):
+        own = windows.recording == number
+        for k, name in enumerate(windows.channels):
+            channel = recording.channels.get(name)
+            timing = channel and timing_noise(channel.time, channel.values)
+            if channel and timing:
+                speed = np.interp(time[own], channel.time, speeds(channel.time, channel.values))
+                found[own, :, k] = np.hypot(sigma[name], timing.late * speed)
+    return found
+
+
+def timing_note(recordings: Sequence[Recording], channels: Collection[str]) -> tuple[str, ...]:
+    """Return of which channels samples are taken beside their stamps, in words."""
+    late: dict[str, float] = {}
+    for name, recording in product(channels, recordings):
+        channel = recording.channels.get(name)
+        timing = channel and timing_noise(channel.time, channel.values)
+        if timing:
+            late[name] = max(timing.late, late.get(name, 0.0))
+    if not late:
+        return ()
+    return (
+        f"Samples of {', '.join(late)} were taken {1e3 * max(late.values()):.2g} ms beside their "
+        "stamps (standard deviation), which counts as noise in proportion to speed.",
+    )
 
 
 def _of_poses(

@@ -6,6 +6,7 @@ import numpy as np
 
 from bo_sysid.deviation.measure import blocks_of
 from bo_sysid.diagnosis.windows.candidate import Candidate
+from bo_sysid.diagnosis.windows.channel_noise import noise_of
 from bo_sysid.diagnosis.windows.compared import at_positions
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.problem import BLOCKS, Problem
@@ -58,9 +59,8 @@ def cut_problem(
         controlled=[w.actuator for w in laws if isinstance(w, Controller)],
     )
     windows = windows.rows(np.arange(0, len(windows), keep_every)).among(sigma)
-    scale = np.array([sigma[n] for n in windows.channels])
     recorded = {n.removeprefix("qpos.") for n in windows.channels}
-    weight = np.isfinite(windows.observed) / scale
+    weight = np.isfinite(windows.observed) / noise_of(windows, recordings, sigma)
     return Problem(
         model=model,
         machine=machine,

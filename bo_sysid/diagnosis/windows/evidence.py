@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bo_sysid.diagnosis.windows.candidate import Candidate, candidates, parameter_candidates
-from bo_sysid.diagnosis.windows.channel_noise import channel_noise
+from bo_sysid.diagnosis.windows.channel_noise import channel_noise, timing_note
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
 from bo_sysid.diagnosis.windows.law_controls import driven
@@ -89,7 +89,11 @@ class Evidence:
                 f"are not compared{f', but in {whole}, of which half would go' if whole else ''}: "
                 "a late drive acts there on what was sent before, if anything was."
             )
-        return (*notes, *rates_note(self.recordings, self.model.qpos_channels))
+        return (
+            *notes,
+            *timing_note(self.recordings, self.sigma),
+            *rates_note(self.recordings, self.model.qpos_channels),
+        )
 
     def with_contact_of(self, recordings: Sequence[Recording]) -> "Evidence":
         """Return the same with the contact and the impacts of others, where it has none so far."""
