@@ -1,5 +1,6 @@
 """Logs of a motor that lags and was switched on with them, or before: plants by plain MuJoCo."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -19,7 +20,10 @@ XML = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
 LOOKED_FOR = ("actuator_lag", "actuator_gain", "viscous_damping", "armature", "actuator_saturation")
 
 
-def evidence(*, lag: float = 0.0, on: bool = False, limit: float = 0.0) -> Evidence:
+def evidence(
+    *, lag: float = 0.0, delay: float = 0.0, on: bool = False, limit: float = 0.0,
+    looked_for: Sequence[str] = LOOKED_FOR,
+) -> Evidence:  # fmt: skip
     """What a plant does from rest on: its motor is on before the log, or begins with it."""
     about = {
         "lag": f'dyntype="filterexact" dynprm="{lag}"' if lag else "",
@@ -32,12 +36,13 @@ def evidence(*, lag: float = 0.0, on: bool = False, limit: float = 0.0) -> Evide
     u[:30] = 2.5  # at once, and never again as much
     data.act[:] = u[0] if on else 0.0
     q, time = np.zeros(len(u)), STEP * np.arange(len(u))
+    sent = np.concatenate([np.full(round(delay / STEP), u[0] if on else 0.0), u])
     for k in range(len(u)):
-        q[k], data.ctrl[0] = data.qpos[0], u[k]
+        q[k], data.ctrl[0] = data.qpos[0], sent[k]
         mujoco.mj_step(plant, data, nstep=8)
     q += rng.normal(0.0, SIGMA, len(q))
     recording = Recording.from_arrays(time, qpos={"a": q}, ctrl={"drive": u})
-    effects = [e for e in CATALOGUE.values() if e.id in LOOKED_FOR]
+    effects = [e for e in CATALOGUE.values() if e.id in looked_for]
     model = Model.from_xml(XML.format(lag="", limit=""))
     return make_evidence(model, [recording], effects=effects, noise={"qpos": SIGMA}, threads=1)
 
@@ -71,3 +76,15 @@ def test_a_torque_limit_that_is_reached_in_the_first_moments_is_not_left_out() -
     located = locate(evidence(limit=2.2))
     assert [c.key for c in located.decision.best.members] == [("actuator_saturation", "drive")]
     assert located.evidence.skipped_start == 0
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_a_late_motor_and_a_late_encoder_of_one_joint_are_equals(on: bool) -> None:
+    """What was sent before the log told them apart, and that is not known."""
+    delays = ("actuator_delay", "sensor_delay", "viscous_damping")
+    decision = locate(evidence(delay=0.012, on=on, looked_for=delays)).decision
+    equals = [decision.best, *decision.equivalents]
+    names = [[c.effect.id for c in f.members] for f in equals]
+    assert sorted(names) == [["actuator_delay"], ["sensor_delay"]]
+    assert [f.x[0][0] for f in equals] == pytest.approx([0.012, 0.012], abs=5e-4)
+    assert decision.probability[:2] == pytest.approx([0.5, 0.5])

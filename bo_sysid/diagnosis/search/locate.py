@@ -28,6 +28,7 @@ from bo_sysid.diagnosis.sets.decide import Decision, decide
 from bo_sysid.diagnosis.sets.fit import Fit
 from bo_sysid.diagnosis.sets.meshing import backlash_suspects
 from bo_sysid.diagnosis.sets.rules import clean, explains_little, follows_anything
+from bo_sysid.diagnosis.sets.shifted import same_but_late
 from bo_sysid.diagnosis.windows.evidence import Evidence
 from bo_sysid.diagnosis.windows.problem import ROUGH
 from bo_sysid.diagnosis.windows.windowing import Prepared, meets_impacts, prepare
@@ -111,8 +112,11 @@ def _located(
     compare(final, search.best)
     prefer_static_friction(final)
     simulate_blocks(final)
-    fits, dof = list(final.fits.values()), final.prepared.problem.dof
-    decision = decide(fits, final.nominal, final.prior, final.frame.Q, dof)
+    fits, problem = list(final.fits.values()), final.prepared.problem
+    decision = decide(
+        fits, final.nominal, final.prior, final.frame.Q, problem.dof,
+        lambda one, two: same_but_late(one, two, problem),
+    )  # fmt: skip
     return Located(decision, final.prepared, final, evidence)
 
 

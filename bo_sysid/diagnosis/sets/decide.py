@@ -1,5 +1,6 @@
 """Decide between the sets that were fitted, on the training recordings alone."""
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
@@ -52,15 +53,28 @@ class Decision:
 
 
 def decide(
-    fits: Sequence[Fit], nominal: Fit, prior: SetPrior, Q: Float[np.ndarray, "W R k"], dof: int
+    fits: Sequence[Fit],
+    nominal: Fit,
+    prior: SetPrior,
+    Q: Float[np.ndarray, "W R k"],
+    dof: int,
+    equal: Callable[[Fit, Fit], bool] = operator.is_,
 ) -> Decision:
     """Return the posterior over sets.
 
     Posterior ∝ exp(-½ ΣD/κ)·prior with D the difference of the blocks' cross-validated squares
     to the best set; κ grows with the variance of D between blocks where that is larger than the
     one of two nearly true models.
+
+    Args:
+        fits: of all sets.
+        nominal: the fit of nothing.
+        prior: of sets.
+        Q: what starts make up for.
+        dof: degrees of freedom of the residuals.
+        equal: whether two sets are the same, whatever they leave.
     """
-    compared = _Compared(fits, nominal, prior, inflation(fits), Q, dof)
+    compared = _Compared(fits, nominal, prior, inflation(fits), Q, dof, equal)
     ranking = _rank_admitted(compared)
     leader = ranking.leader
     best, as_probable = _answer(compared, leader, ranking.fits)
@@ -81,6 +95,7 @@ class _Compared:
     kappa: float
     Q: Float[np.ndarray, "W R k"]
     dof: int
+    equal: Callable[[Fit, Fit], bool]
 
     @property
     def finite(self) -> list[Fit]:
@@ -289,7 +304,8 @@ def _equalise_indistinguishable(
     near = max(_SAME * sqrt(best.excess), min(_CHANCE * sqrt(best.excess), _SAME))
     level = score[[f is best for f in fits].index(True)] - prior.log(best)
     same = [
-        len(f.members) == len(best.members) and compared.rms_difference(f, best) < near
+        len(f.members) == len(best.members)
+        and (compared.rms_difference(f, best) < near or compared.equal(f, best))
         for f in fits
     ]
     return np.where(same, [level + prior.log(f) for f in fits], score)
