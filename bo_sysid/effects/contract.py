@@ -108,7 +108,8 @@ class Effect:
         apply: edits a spec, returns parts that MJCF cannot express.
         extent: bounds and probe at a site, None where the effect does not apply.
         noun: what it is called in a sentence, "dry friction".
-        sentence: with the placeholders {site}, {value} and {interval}, and those of its details.
+        sentence: with the placeholders {site}, {value} and {interval}, those of its details, and
+            {details} for their names.
         evidence: what gives it away in recordings.
         separation: which experiment separates it from what looks alike.
         shapes: how many of the last components are shapes, in which predictions are not linear.
@@ -226,4 +227,6 @@ class Effect:
 
     def value(self, x: Magnitudes) -> float:
         """Return the size of the change: the first component, or the norm of the vector."""
+        if self.discrete:
+            return float(np.round(x[0]))
         return float(x[0] if self.vector == 1 else np.linalg.norm(x[: self.vector]))

@@ -84,6 +84,8 @@ def details_of(
     for i, component in enumerate(c.effect.components):
         if i == 0 and c.effect.vector == 1 and component.name not in asked:
             continue  # it is the value
+        if c.effect.discrete:
+            continue  # there or not
         fitted, last = i < c.size, i == len(full) - 1
         optional = not fitted and ((c.may_preslide and last) or not c.extent.grid)
         if optional and full[i] == c.extent.probe[i] and component.name not in asked:
@@ -96,7 +98,8 @@ def details_of(
         derived = c.effect.details(full, machine, c.site)
         for name, (value, unit) in derived.items():
             variance = _propagated(c, x, covariance, machine, name)
-            out[name] = _quantity(value, variance, unit)
+            relative = 0.0 if c.effect.discrete else _RELATIVE
+            out[name] = _quantity(value, variance, unit, relative)
     return out
 
 

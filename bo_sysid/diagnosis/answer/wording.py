@@ -57,6 +57,7 @@ def sentence(
         if any(words in text for both in _OPPOSITE.items() for words in both):
             size = size.removeprefix("+")
         more = {name: amount(q) for name, q in details.items()}
+        more["details"] = " and ".join(details)
         between = f"{quantity.interval[0]:.4g} to {quantity.interval[1]:.4g}"
         text = text.format_map({**more, "site": site, "value": size, "interval": between})
     if presliding:

@@ -187,7 +187,7 @@ def _fitted_without(
     search: Search, f: Fit, out: Iterable[int], done: set[tuple[object, object]]
 ) -> bool:
     """Fit a set without each of some members from where it is; whether that came nearer."""
-    nearer, smooth = False, search.prepared.problem.windows.start
+    nearer, problem = False, search.prepared.problem
     for k in out:
         members, x = subset(f, all_but(f, (k,)))
         key = set_key(members)
@@ -195,7 +195,7 @@ def _fitted_without(
             continue
         done.add((f.key, key))
         known = search.fits.get(key)
-        for start in (f.start, smooth):
+        for start in (f.start, problem.smoothed(f.hypothesis)):
             made = search.refit(members, x, start=start, guess=f.hypothesis, effort=FINAL)
             if made.rms > _NEEDED * f.rms:
                 break

@@ -57,12 +57,26 @@ def round_at(search: Search, base: Fit) -> None:
         _drop(search, base, unit)
 
 
+def _there_or_not(search: Search) -> None:
+    """Fit signs and swaps of channels: those that simulations say leave least, as no slope does."""
+    problem, nominal = search.prepared.problem, search.nominal.hypothesis
+
+    def left(c: Candidate) -> float:
+        read = replace(nominal, members=(c,), x=(c.probe,))
+        return float((problem.residual(read, problem.smoothed(read)) ** 2).sum())
+
+    for c in sorted((c for c in search.candidates if c.effect.discrete), key=left)[: _TOP[1]]:
+        search.fit((c,), (c.probe,))
+
+
 def extend(search: Search, base: Fit) -> None:
     """Linearise at a fit and try what could be added to it."""
     _add(search, search.screened(base), base)
 
 
 def _first(search: Search, screen: Screen) -> None:
+    if search.nominal.rms > ROUGH:
+        _there_or_not(search)
     found = subsets.search(screen.gram((), {}), search.most, subsets.groups(search.candidates))
     _run(search, alone(found.get(1, [])), _TOP[1], None)
     if not clean(search.best):

@@ -100,7 +100,8 @@ def limit_by_growth_rate(
         at: the set whose mechanics are meant, by default nothing.
     """
     problem = windows_of(evidence, max(int(horizon * _SHORTEST), LEAST), step)
-    linear = linearise(problem, at or nothing(problem), problem.windows.start)
+    at = at or nothing(problem)
+    linear = linearise(problem, at, problem.smoothed(at))
     mechanics = slice(0, 2 * evidence.machine.model.nv)
     growth = np.abs(np.linalg.eigvals(linear.A[..., mechanics, mechanics])).max(axis=-1)
     rates = np.log(np.maximum(growth, 1e-12)) / (linear.macro * problem.windows.timestep)

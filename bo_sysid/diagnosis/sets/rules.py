@@ -111,6 +111,7 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
       without a member; rms₀ is that of fits with all the rest
     - saturated, a large magnitude whose slope is nothing since more of it would change nothing: d
       in the same way
+    - there or not, with no slope in between: d
     - no magnitude: min(u, d) with u then nothing, however far the fit is
 
     u stands for d where no fit without the member was made.
@@ -123,7 +124,7 @@ def sizes(fit: Fit, fits: Iterable[Fit]) -> tuple[float, ...]:
         x = member.total(x)
         there = bool((np.abs(x) > _NOTHING * probe).any())
         full = linear <= FLAT and bool((np.abs(x) > probe).any())
-        far = there and (fit.rms > LOOSE or full)
+        far = there and (fit.rms > LOOSE or full or member.effect.discrete)
         left = min((f.rms for f in others if _without(f, fit, member, far)), default=None)
         lost = unique if left is None else sqrt(_gained(left**2, fit.rms**2))
         found.append(lost if far else min(unique, lost))

@@ -104,7 +104,7 @@ def _forces(
 
     The residual is that of a time step `finer` times smaller.
     """
-    start = problem.windows.start
+    start = problem.smoothed(hypothesis)
     for _ in range(_ROUNDS):
         linear = linearise(problem, hypothesis, start)
         start, _ = settle(problem, linear, hypothesis, start, 1, _SHARES)

@@ -107,7 +107,7 @@ def first_starts(problem: Problem, hypothesis: Hypothesis, finer: int = 1) -> li
         hypothesis: simulates.
         finer: divides the time step.
     """
-    smooth = problem.windows.start
+    smooth = problem.smoothed(hypothesis)
     tried = [smooth, *problem.starts(hypothesis, smooth, moving=True)]
     if len(tried) == 1:
         return tried

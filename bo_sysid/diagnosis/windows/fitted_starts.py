@@ -139,7 +139,7 @@ class FittedStarts:
         rows = rows[self.cost[rows] > _ASTRAY * np.median(self.cost)]
         if rows.size:
             problem = self._problem.rows(rows)
-            start = problem.windows.start
+            start = problem.smoothed(self._hypothesis)
             other = FittedStarts(problem, self._hypothesis, start, self._finer, worth=self._worth)
             other.fit()
             other.rested()
@@ -154,7 +154,7 @@ class FittedStarts:
         Args:
             half: only in the half of the windows that leaves more.
         """
-        smooth = self._problem.windows.start
+        smooth = self._problem.smoothed(self._hypothesis)
         for joint in held_joints(self._problem, self._hypothesis):
             rows = self.left_behind(anywhere=True)
             rows = rows[self.cost[rows] >= np.median(self.cost)] if half else rows
@@ -170,7 +170,7 @@ class FittedStarts:
         if not rows.size:
             return
         whole = self._problem.rows(rows)
-        start = whole.windows.start
+        start = whole.smoothed(self._hypothesis)
         for share in _GROWING:
             part = whole.beginning(int(np.ceil(share * whole.windows.observed.shape[1])))
             other = FittedStarts(part, self._hypothesis, start, self._finer, worth=self._worth)
@@ -191,7 +191,9 @@ class FittedStarts:
         unsure, at = start_noise(self._problem), np.arange(len(rows))
         move = np.random.default_rng(0).normal(size=(_DRAWS, len(unsure))) * unsure
         problem = self._problem.rows(np.tile(rows, _DRAWS))
-        drawn = problem.moved(problem.windows.start, np.repeat(move, len(rows), axis=0))
+        drawn = problem.moved(
+            problem.smoothed(self._hypothesis), np.repeat(move, len(rows), axis=0)
+        )
         left = (problem.residual(self._hypothesis, drawn, self._finer) ** 2).sum(axis=1)
         left = left.reshape(_DRAWS, len(rows))
         for best in np.argsort(left, axis=0)[:_DRAWN]:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from bo_sysid.effects import Part
 from bo_sysid.effects.readings import readings
-from bo_sysid.simulation import Trajectory
+from bo_sysid.simulation import State, Trajectory
 from bo_sysid.simulation.windows import Layout, Windows, predicted
 
 
@@ -26,6 +26,24 @@ def observe(
                 value = value + _delayed(layout, windows, trajectory, source, r.delay)
             shown[..., windows.channels.index(r.channel)] = (1.0 + r.scale) * value + r.offset
     return shown
+
+
+def undone(layout: Layout, shown: State, parts: Sequence[Part]) -> State:
+    """Return states that channels show, with the readings among `parts` undone.
+
+    q = (shown - offset) / (1 + scale), and rates alike, of hinges and slides. What a delay does to
+    a start is small.
+    """
+    qpos, qvel = shown.qpos.copy(), shown.qvel.copy()
+    for r in readings(parts).values():
+        if r.channel not in layout.qpos or 1.0 + r.scale == 0.0:
+            continue
+        channel, of = (layout.qpos[name] for name in (r.channel, r.source or r.channel))
+        rate, rate_of = int(layout.velocity[channel]), int(layout.velocity[of])
+        if min(rate, rate_of) >= 0:
+            qpos[:, of] = (shown.qpos[:, channel] - r.offset) / (1.0 + r.scale)
+            qvel[:, rate_of] = shown.qvel[:, rate] / (1.0 + r.scale)
+    return replace(shown, qpos=qpos, qvel=qvel)
 
 
 def _delayed(

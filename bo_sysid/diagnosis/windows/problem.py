@@ -14,7 +14,7 @@ from bo_sysid.diagnosis.windows.commanded import changed_activations, commanded
 from bo_sysid.diagnosis.windows.coordinates import Coordinates, transmitted
 from bo_sysid.diagnosis.windows.hypothesis import Hypothesis, edits_and_parts
 from bo_sysid.diagnosis.windows.kept_fits import NO_CACHE, FitCache
-from bo_sysid.diagnosis.windows.observation import observe
+from bo_sysid.diagnosis.windows.observation import observe, undone
 from bo_sysid.diagnosis.windows.process_noise import ProcessNoise
 from bo_sysid.diagnosis.windows.recent import Recent
 from bo_sysid.diagnosis.windows.timestep import refined
@@ -132,6 +132,14 @@ class Problem:
     def moved(self, start: State, change: Float[np.ndarray, "W n"]) -> State:
         """Return starts moved along their tangent space, loops closed."""
         return start.moved(self.machine.model, change).closed(self.loops)
+
+    def smoothed(self, hypothesis: Hypothesis) -> State:
+        """Return a smoother's starts, as the readings of a hypothesis leave them."""
+        start = self.windows.start
+        if not any(c.effect.family == "sensing" for c in hypothesis.members):
+            return start
+        _, parts = self.compiled(hypothesis)
+        return undone(self.layout, start, parts).closed(self.loops)
 
     def rows(self, keep: np.ndarray) -> "Problem":
         """Return the problem with some of its windows, blocks numbered anew."""

@@ -62,7 +62,7 @@ def first_start(
     Starts fitted to another hypothesis took over part of what that one lacked. Joints that the
     hypothesis adds are tried in all places where they may begin.
     """
-    smooth = problem.windows.start
+    smooth = problem.smoothed(hypothesis)
     r = problem.residual(hypothesis, start)
     for other in (smooth, *problem.starts(hypothesis, smooth)):
         start, r, _ = better_of(start, r, other, problem.residual(hypothesis, other))

@@ -71,7 +71,7 @@ def prepare(problem: Problem, at: Hypothesis | None = None, known: State | None 
         known: starts that were fitted to it before.
     """
     at = at or nothing(problem)
-    _require_finite(problem, at, problem.windows.start)
+    _require_finite(problem, at, problem.smoothed(at))
     linear, contact = _begun(problem, at, known), problem.machine.impacts
     if contact:
         start, _ = caught_up(problem, at, linear.start)
