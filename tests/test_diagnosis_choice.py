@@ -135,6 +135,13 @@ def test_the_search_of_the_argmin_bears_sets_that_were_not_fitted_to_their_end(f
     assert found.best is best
 
 
+def test_one_block_of_a_short_recording_tells_no_other_recordings(friction) -> None:
+    one, Q = friction.prepared.problem.rows(np.array([0])), friction.search.frame.Q[:1]
+    found = argmin_sets(one, Q, friction.decision)
+    assert found.of(friction.decision.best) is None
+    assert not found.disagrees(friction.decision.best)
+
+
 def test_a_disagreement_is_said(friction) -> None:
     problem, Q = friction.prepared.problem, friction.search.frame.Q
     found = argmin_sets(problem, Q, friction.decision)

@@ -52,6 +52,16 @@ def test_a_recording_that_ended_at_once_is_named(samples: int) -> None:
         evidence_of(SWING + NOISE[0], NOISE[1], aborted)
 
 
+def test_a_recording_that_is_shorter_than_a_window_is_left_out() -> None:
+    """It made the diagnosis of all others fail."""
+    time = 0.002 * np.arange(100)
+    motion = {"qpos": {"a": np.sin(9 * time), "b": 0.5 * time}, "ctrl": {"m": time}}
+    short = Recording.from_arrays(time, name="jog", **motion)
+    made = evidence_of(SWING + NOISE[0], NOISE[1], short)
+    assert [r.name for r in made.recordings] == ["recording"]
+    assert any(n.startswith("jog: left out") for n in made.notes)
+
+
 def test_channels_that_are_not_compared_have_no_faults() -> None:
     """Velocities are recorded, but positions alone are compared with what is predicted."""
     recording = Recording.from_arrays(

@@ -534,6 +534,21 @@ class TestCommandsBeyondTheirRange:
         found, plainly = moved(nominal, out), moved(nominal, self.WAVE)
         assert np.abs(found - wanted).max() < 0.01 * np.abs(plainly - wanted).max()
 
+    @pytest.mark.parametrize("way", ["zoh", "linear"])
+    def test_more_of_a_delay_in_a_file_is_what_was_fitted(self, way) -> None:
+        """One that is held, and no multiple of the step, was interpolated from then on."""
+        late = f'delay=".0105" nsample="40" interp="{way}"'
+        bench = Bench(self.LIMITED.replace("<motor", f"<motor {late}"))
+        model, parts = bench.edited("actuator_delay", "actuator", "drive", [0.003], written=True)
+        told, dt = Channel(np.arange(2000) * 0.001, self.WAVE, hold="zero"), 0.001
+        fitted = filtered(bench, "actuator_delay", 0.003, told)
+        u, sent = control_steps(fitted, np.zeros(1), 2000, dt)[0], self.WAVE
+        if parts:
+            sent = control_steps(parts[0].change(told, dt), np.zeros(1), 2000, dt)[0]
+        nominal = bench.model.compile()
+        plainly, wanted = moved(nominal, self.WAVE), moved(nominal, u)
+        assert np.abs(moved(model, sent) - wanted).max() < 0.02 * np.abs(plainly - wanted).max()
+
     def test_a_dead_zone_cuts_from_what_is_left(self) -> None:
         told = Channel(np.arange(2.0), np.full(2, 1.2), hold="zero")
         out = filtered(Bench(self.LIMITED), "actuator_deadzone", 0.1, told)

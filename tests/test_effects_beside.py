@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnosis_helpers import ARM, SIGMA, arm, record
-from effect_bench import SERVO, pendulum
+from effect_bench import SERVO, Bench, pendulum
 
 from bo_sysid.diagnosis import diagnose
 from bo_sysid.diagnosis.answer.repaired import BESIDE, MODEL, write_model
@@ -119,6 +119,17 @@ def test_stepping_in_plain_mujoco_is_the_lock_step_simulation(machine, tmp_path)
     np.testing.assert_allclose(stepper.data.qpos, with_laws.qpos[0, -1], atol=1e-9)
     without = Engine(1).rollout(compiled, state, ctrl)
     assert np.abs(without.qpos[0, -1] - stepper.data.qpos).max() > 1e-3
+
+
+def test_a_force_of_a_recorded_channel_cannot_be_stepped_on(tmp_path) -> None:
+    drive = '<mujoco><worldbody><body><joint name="x" type="slide"/><geom size=".1"/></body>'
+    drive += '</worldbody><actuator><motor name="drive" joint="x"/></actuator></mujoco>'
+    bench = Bench(drive, {"voltage": np.linspace(24.0, 18.0, 2000)})
+    (tmp_path / "drive.xml").write_text(drive)
+    sag = Placed("voltage_sag", Site("actuator", "drive"), (1.5,))
+    Beside(bench.machine, (sag,)).write(tmp_path / "drive.json")
+    with pytest.raises(ModelError, match=r"'aux.voltage', which is recorded: it cannot be stepped"):
+        Stepper(tmp_path / "drive.xml", tmp_path / "drive.json").step()
 
 
 def test_a_dead_zone_is_stepped_on_the_command(machine, tmp_path) -> None:

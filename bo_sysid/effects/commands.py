@@ -82,11 +82,12 @@ def _delay_filter(site: Site, x: Magnitudes, machine: Machine) -> Filter:
 def _write_delay(spec: mujoco.MjSpec, site: Site, x: Magnitudes, machine: Machine) -> Part | None:
     """Write the delay as the actuator's own, interpolated between steps.
 
-    MuJoCo has no command newer than the last step's: a delay of less than a step remains a filter.
+    MuJoCo has no command newer than the last step's: a delay of less than a step remains a filter,
+    and so does one beside a delay of the model that is not interpolated.
     """
     a, dt = spec.actuator(site.name), spec.option.timestep
     late = a.delay + float(x[0])
-    if late < dt:
+    if late < dt or (a.delay and a.interp != _INTERPOLATED):
         return _delay_filter(site, x, machine)
     a.delay, a.nsample, a.interp = late, int(np.ceil(late / dt)) + 1, _INTERPOLATED
     return None

@@ -13,7 +13,7 @@ _SLIDE = {
     "rad": "m",
     "rad/s": "m/s",
     "rad/(N m)": "m/N",
-    "1/rad": "1/m",
+    "1/rad": "rad/m",
 }
 
 

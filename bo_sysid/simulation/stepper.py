@@ -10,6 +10,7 @@ import numpy as np
 from bo_sysid.effects import Filter, catalogue
 from bo_sysid.effects.beside import read_beside
 from bo_sysid.effects.learned import ELAPSED
+from bo_sysid.errors import ModelError
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.commands import controlled
 from bo_sysid.recording import Channel
@@ -84,7 +85,12 @@ class Stepper:
         assert self._lockstep is not None  # noqa: S101 - made by the first step
         if self._step % self._every == 0:
             self._signals[ELAPSED][0, 0] = self.data.time
-            self._lockstep.apply(self._step, column=0)
+            try:
+                self._lockstep.apply(self._step, column=0)
+            except KeyError as channel:
+                raise ModelError(
+                    f"a force reads {channel}, which is recorded: it cannot be stepped on"
+                ) from None
             self._held = self.data.qfrc_applied.copy()
         self._step += 1
         return self._held

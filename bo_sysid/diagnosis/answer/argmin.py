@@ -54,7 +54,7 @@ class ArgminSets:
 
     def disagrees(self, answer: Fit) -> bool:
         """Whether the arg-min lies, more often than not, in another set than the answer."""
-        return self.best is not answer and float(self.bootstrap.max()) > _SURE
+        return bool(self.sets) and self.best is not answer and float(self.bootstrap.max()) > _SURE
 
     def of(self, fit: Fit) -> float | None:
         """Return P_boot of a set, None where it was not carried."""
@@ -75,6 +75,9 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
         return ArgminSets(sets, np.ones(len(sets)))
     keep = problem.windows.evenly(_WINDOWS)
     part = problem.rows(keep)
+    blocks = int(part.block.max()) + 1
+    if blocks < 2:  # other recordings cannot be drawn from it
+        return ArgminSets((), np.zeros(0))
     candidates, owner = _candidates(sets)
 
     def evaluate(row: int) -> Evaluation:
@@ -86,7 +89,6 @@ def argmin_sets(problem: Problem, Q: Float[np.ndarray, "W R k"], decision: Decis
     rules = Rules(
         _ACQUISITION, StopRule(budget=min(_BUDGET, len(candidates)), entropy=0.02, last=4)
     )
-    blocks = int(part.block.max()) + 1
     outcome = search(candidates, evaluate, rules, History.empty(blocks))
     weights = np.bincount(part.block).astype(float)
     bootstrap = outcome.bootstrap(candidates.points, weights, _recordings(part), rules.seed)

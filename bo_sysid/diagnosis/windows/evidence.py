@@ -46,6 +46,7 @@ class Evidence:
         kept: long fits of a diagnosis that was killed.
         skipped_start: time in [s] after a log's first command in which nothing is compared.
         input_noise: σ of what recorded controls show and the machine did not get, by actuator.
+        too_short: names of recordings that are left out, since they hold no window.
     """
 
     model: Model
@@ -62,6 +63,7 @@ class Evidence:
     kept: FitCache
     skipped_start: float = 0.0
     input_noise: Mapping[str, float] = field(default_factory=dict)
+    too_short: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -82,6 +84,10 @@ class Evidence:
             notes.append(f"{', '.join(following)}: not recorded, as the model's equalities say.")
         if self.model is not self.given:
             notes.append("Nothing touches in the training recordings: contact is left out there.")
+        if self.too_short:
+            notes.append(
+                f"{', '.join(self.too_short)}: left out, with fewer samples than a window has."
+            )
         if self.skipped_start:
             whole = ", ".join(r.name for r in self.recordings if not self._begins_late(r))
             notes.append(
@@ -194,21 +200,33 @@ def make_evidence(
     wanted = [e for e in wanted if e.family != "numerics"]  # fits take the step along as it is
     sigma = channel_noise(recordings, machine, noise or {})
     machine = replace(machine, impacts=shows_impacts(model, recordings, sigma))
+    window = _window(machine)
+    lasting = _lasting(recordings, round(window / machine.sampling))
     offered = _observed(_once(model, candidates(wanted, machine)), machine, sigma)
     return Evidence(
         model,
         given,
         machine,
-        tuple(recordings),
+        lasting,
         sigma,
         parameter_candidates(model, parameters),
         _possible(model, machine, _felt(model, machine, offered, laws), known),
         most,
-        _window(machine),
+        window,
         Engine(threads),
         tuple(laws),
         kept,
+        too_short=tuple(sorted({r.name for r in recordings} - {r.name for r in lasting})),
     )
+
+
+def _lasting(recordings: Sequence[Recording], instants: int) -> tuple[Recording, ...]:
+    """Return the recordings with positions at more than so many instants; all if none has."""
+
+    def longest(recording: Recording) -> int:
+        return max((len(c.time) for c in recording.of_kind("qpos").values()), default=0)
+
+    return tuple(r for r in recordings if longest(r) > instants) or tuple(recordings)
 
 
 def _once(model: Model, all_of: Sequence[Candidate]) -> tuple[Candidate, ...]:
