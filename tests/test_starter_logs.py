@@ -52,6 +52,42 @@ def test_the_unit_of_a_clock_that_names_none_is_told_by_its_steps(
         assert f"of {1e3 * interval:g} ms in {unit}, but" in guess.reason
 
 
+@pytest.mark.parametrize(
+    ("name", "stated", "seconds"),
+    [
+        ("time [s]", "", 1.0), ("time_s", "", 1.0), ("t_sec", "", 1.0), ("seconds", "", 1.0),
+        ("time", "s", 1.0), ("millis", "", 1e-3), ("micros", "", 1e-6), ("time [min]", "", 60.0),
+        ("stamp", "ms", 1e-3),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("interval", [1e-4, 0.2, 1.0])
+def test_the_unit_that_a_clock_states_stands_whatever_its_steps(
+    name: str, stated: str, seconds: float, interval: float
+) -> None:
+    time = interval * np.arange(400.0)
+    wave = np.sin(0.05 * np.arange(400.0))
+    log = {name: time / seconds, "wheel_pos": wave, "wheel_torque": wave**2}
+    table = RawTable("log", log, units={name: stated} if stated else {})
+    rules = guess_rules(Model.from_xml(WHEEL), table)
+    np.testing.assert_allclose(read(table, rules).channels["qpos.wheel"].time, time)
+    assert "time" not in rules.guesses
+
+
+def test_a_clock_that_only_its_steps_tell_is_said_to_be_one_by_them(tmp_path: Path) -> None:
+    """Where the name tells it, nothing of its steps is written."""
+    time = 0.01 * np.arange(400.0)
+    wave = np.sin(3 * time)
+    (tmp_path / "wheel.xml").write_text(WHEEL)
+    for name, reason in (("column1", "it alone rises in equal steps"), ("stamp", "")):
+        log = pd.DataFrame({name: time, "wheel_pos": wave, "wheel_torque": wave**2})
+        log.to_csv(tmp_path / f"{name}.csv", index=False)
+        to = tmp_path / f"{name}.yaml"
+        text = init(tmp_path / "wheel.xml", [tmp_path / f"{name}.csv"], to).path.read_text()
+        (line,) = (x for x in text.splitlines() if x.strip().startswith("time:"))
+        assert line.partition("#")[2].endswith(reason)
+        assert ("#" in line) == bool(reason)
+
+
 def test_a_merged_log_with_empty_cells_is_read_with_its_gaps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

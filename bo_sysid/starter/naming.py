@@ -65,7 +65,8 @@ _PER_SECOND = {
     "turn": "turn", "turns": "turn", "rev": "rev", "revs": "rev",
 }  # fmt: skip
 _GYROSCOPES = frozenset({"gyro", "gyros", "gyroscope"})
-_SECONDS = frozenset({"s", "sec", "secs", "seconds", "millis", "micros"})
+_SECONDS = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "millis": "ms", "micros": "us"}
+"""Units that names of clocks carry as a word of theirs, which in other names may be an element."""
 _RATES = {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "mmps": "mm/s"}
 """Units of rates, by the words that stand before a second, and as one word."""
 _CONVENTION: dict[str, Kind] = {"qpos": "position", "qvel": "velocity", "ctrl": "command"}
@@ -147,6 +148,7 @@ def named(name: str, unit: str) -> Column:
     kind: Kind = "other"
     if (bare and bare[-1] in WORDS["time"]) or parts[:1] == ("time",):
         kind = "time"
+        unit = unit or next((_SECONDS[w] for w in reversed(parts) if w in _SECONDS), "")
     elif "foreign" in kinds or _of_gyroscope(parts, kinds):
         kind = "foreign"
     elif "command" in kinds:

@@ -161,14 +161,16 @@ def clock_rule(table: RawTable, columns: Sequence[Column]) -> tuple[Rule, Guess 
     rule: Rule = {} if clock.name == "time" else {"from": clock.name}
     if table.columns[clock.name].dtype.kind in "mM":  # read in seconds, however it is called
         return rule, None
-    if clock.unit in ("ms", "us", "µs", "ns"):
+    if stated_unit(clock.unit, clock.name).quantity == "time":
         return rule | {"unit": clock.unit}, None
     values = table.column(clock.name)
     steps = np.diff(values[np.isfinite(values)])
     guess = _by_steps(float(np.median(steps)), clock.name) if steps.size else None
-    if guess and clock.reason == BY_STEPS and (steps == 1).all():
-        reason = f"{guess.reason}; it counts the rows, and may be no clock"
-        guess = replace(guess, reason=reason, confidence=_UNTOLD)
+    if clock.reason == BY_STEPS:
+        guess = guess or Guess("time", clock.name, "s", BY_STEPS, _STEPPED)
+        if (steps == 1).all():
+            reason = f"{guess.reason}; it counts the rows, and may be no clock"
+            guess = replace(guess, reason=reason, confidence=_UNTOLD)
     return (rule if guess is None else rule | {"unit": guess.unit}), guess
 
 

@@ -121,8 +121,7 @@ def _block(title: str, block: object, rules: Rules, hints: Mapping[str, str]) ->
 def _comment(key: str, rules: Rules) -> str:
     guess = rules.guesses.get(key)
     if guess is None:
-        steps = key == "time" and "rate" not in rules.columns["time"]
-        return "  # by its steps" if steps else ""
+        return ""
     word = next(w for least, w in _WORDS if guess.confidence >= least)
     return f"  # {word}: {guess.reason}"
 
