@@ -140,6 +140,64 @@ def _kept(model: mujoco.MjModel, ctrl: np.ndarray) -> None:
             assert abs(data.qfrc_actuator[j]) <= limit["effort"]
 
 
+FLAT = POLE.replace("<option ", '<option gravity="0 0 0" ').replace('damping=".01"', 'damping="1"')
+MOTOR = '<motor name="m" joint="hinge" ctrlrange="-2 2"/>'
+
+
+@pytest.mark.parametrize(
+    "drive",
+    [
+        MOTOR.replace("-2 2", "0 4"),
+        '<position name="m" joint="hinge" kp="20" kv="1"/>',
+        '<velocity name="m" joint="hinge" kv="2" ctrlrange="-1 3"/>',
+        '<position name="m" joint="hinge" kp="20" kv="1" timeconst=".1"/>',
+    ],
+)
+def test_a_plan_begins_and_ends_without_a_step_where_the_range_of_a_control_is_lopsided(
+    drive: str,
+) -> None:
+    """No gravity: what holds the machine is no force at all."""
+    made = pole(FLAT.replace(MOTOR, drive), 1.0, (-0.3, 2.5))
+    np.testing.assert_allclose(made.series.at_rest, 0.0, atol=1e-9)
+    controls = made.series.controls(np.ones((1, made.series.size)))[0]
+    np.testing.assert_allclose(controls[0], 0.0, atol=1e-9)
+    assert np.abs(controls).max() > 0.1
+    model = made.model.compile()
+    data = mujoco.MjData(model)
+    data.ctrl[:], data.act[:] = controls[0], made.start.act[0]
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_actuator, 0.0, atol=1e-9)
+
+
+def test_lags_start_at_the_controls_that_rest() -> None:
+    lag = '<general name="m" joint="hinge" dyntype="filter" dynprm=".1" ctrlrange="-3 3"/>'
+    lying = POLE.replace("0 0 .4", ".4 0 0").replace(MOTOR, lag)
+    made = pole(lying, 1.0, (-9.0, 9.0))
+    np.testing.assert_allclose(made.series.at_rest, -0.5 * G * 0.2)
+    np.testing.assert_allclose(made.start.act, [made.series.at_rest])
+    assert made.left < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("ends", "low", "said"),
+    [
+        ("-2 2", 0.45, "rest at m -0.981, which hold the model"),
+        ("-.5 2", 0.45, "rest at m -0.5, which come nearest to holding the model"),
+        ("-2 2", 0.1, "rest in the middle of their ranges"),  # under that force the lightest spins
+    ],
+)
+def test_what_controls_do_at_rest_is_told(ends: str, low: float, said: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(POLE.replace("0 0 .4", ".4 0 0").replace("-2 2", ends))
+    data = {
+        "model": "arm.xml", "recordings": {"train": "later.csv"},
+        "parameters": [{"address": "geom[rod].mass", "low": low, "high": 0.55}],
+        "limits": {"hinge": {"velocity": 20}},
+    }  # fmt: skip
+    found = excite(Study.from_dict(data, tmp_path), seconds=1.0, interval=0.02, budget=28)
+    assert any(said in n for n in found.notes)
+    assert found.used <= 1.0
+
+
 def test_what_drifts_whatever_is_done_is_refused_before_the_search(tmp_path: Path) -> None:
     wide = [{"name": "fore", "address": "geom[fore].mass", "low": 0.1, "high": 2.0}]
     tried: list[int] = []

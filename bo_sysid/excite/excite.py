@@ -11,7 +11,7 @@ from bo_sysid.errors import UserError
 from bo_sysid.excite.beside import simulated_forces
 from bo_sysid.excite.design import LEAST, design
 from bo_sysid.excite.limits import Limits
-from bo_sysid.excite.trial import Trial
+from bo_sysid.excite.trial import STANDS, Trial
 from bo_sysid.mjcf import Model
 from bo_sysid.mjcf.address import resolve
 from bo_sysid.parameters import Parameter
@@ -91,6 +91,12 @@ def excite(
     notes += _assumed(study, model, trial)
     if trial.hold is not None:
         notes.append(_resting(model, trial))
+    elif trial.left > STANDS:
+        notes.append(
+            "Controls rest in the middle of their ranges, under which the model leaves its "
+            "reference as soon as the plan begins: with those that hold it, machines within the "
+            "bounds of the parameters exceed limits."
+        )
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
     frame = pd.DataFrame(controls, columns=list(model.ctrl_channels))
@@ -190,8 +196,9 @@ def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]
 def _resting(model: Model, trial: Trial) -> str:
     """Return what is to be said of controls that hold the machine at rest."""
     held = zip(model.controlled, trial.series.at_rest, strict=True)
+    which = "hold" if trial.left <= STANDS else "come nearest to holding"
     return (
-        f"Controls rest at {', '.join(f'{a} {u:.4g}' for a, u in held)}, which hold the model "
+        f"Controls rest at {', '.join(f'{a} {u:.4g}' for a, u in held)}, which {which} the model "
         "against gravity and springs. Place the machine at the model's reference, and let go of "
         "it when the plan begins."
     )

@@ -29,6 +29,8 @@ from bo_sysid.simulation import Engine, ForceLaw, MujocoSimulator, Trajectory, c
 
 PROOF = 24
 """Drawn parameter vectors that must keep the limits at the end."""
+STANDS = 1e-4
+"""Distance within which a machine stands at its reference, in [rad] or [m]."""
 _HARMONICS, _BAND = 12, (0.15, 10.0)  # base frequencies, in [Hz]
 _WINDOW = 0.5  # [s]
 _SHRINK, _SMALLEST = 0.98, 1e-3  # of controls that exceed limits: factor, and least size
@@ -67,6 +69,8 @@ class Trial:
     Attributes:
         commands: least and largest control of every actuator for all machines within the bounds
             of the parameters, and the nominal one; infinite where unlimited.
+        hold: the controls that hold the machine at its reference, where those in the middle of
+            their ranges do not.
 
     Raises:
         StudyError: a machine exceeds a limit where it should stand at its reference.
@@ -94,7 +98,7 @@ class Trial:
         highest = min(_BAND[1], 0.2 / step)
         tones = np.geomspace(_BAND[0], highest, _HARMONICS)
         self.series = Series(middle, half, tones, seconds, step)
-        self.start = held(compiled, np.zeros(compiled.nu))
+        self.start = held(compiled, middle)
         self.hold: Hold | None = None
         self._engine = Engine(threads())
         self._simulator = MujocoSimulator(model, self.parameters, Engine(threads()), self.laws)
@@ -109,12 +113,20 @@ class Trial:
         self._horizon = max(round(_WINDOW / step), 1)
         if self.violation(self._still, self.machines, 1.0) > 0:
             self._rest_held(self._corners)
+        elif self.left > STANDS:
+            self._prefer_held()
         self._require_stable()
 
     @property
     def proof(self) -> Float[np.ndarray, "M d"]:
         """The machines with which a plan must keep the limits: `machines`, and corners."""
         return np.vstack([self.machines, self._corners])
+
+    @property
+    def left(self) -> float:
+        """How far the nominal machine leaves its reference at rest, in [rad] or [m]."""
+        run = self.run(self._still, self.point[None])
+        return float(np.abs(run.trajectory.qpos - self.start.qpos).max())
 
     @property
     def _still(self) -> Float[np.ndarray, "R nu"]:
@@ -131,20 +143,36 @@ class Trial:
         Raises:
             StudyError: the limits are exceeded even so.
         """
-        s = self.series
-        model = self._models(self.point[None])[0]
-        hold = holding(model, self.laws, s.middle - s.half, s.middle + s.half)
-        self.series = replace(s, rest=(hold.ctrl - s.middle) / s.half)
-        self.start = held(model, hold.ctrl)
+        self.hold = hold = self._held()
         self.machines = np.vstack([self.machines, further])
-        self.hold = hold
         if self.violation(self._still, self.machines, 1.0) > 0:
-            self.series = replace(self.series, rest=self._calmest(len(further)))
+            self._rest_at(self._calmest(len(further)))
         run = self.run(self._still, self.machines)
         if self.limits.violation(*run, 1.0).max() > 0:
             worst = first_exceeded(self.limits, *run)
             context = self.model.joints, hold, self.parameters, self.machines
             raise StudyError(why_not_held(worst, *context))
+
+    def _prefer_held(self) -> None:
+        """Let controls rest where they hold the machine, if they do better and keep the limits."""
+        left, hold = self.left, self._held()
+        if self.left < left and self.violation(self._still, self.proof, 1.0) == 0:
+            self.hold = hold
+        else:
+            self._rest_at(np.zeros_like(self.series.half))
+
+    def _held(self) -> Hold:
+        """Let controls rest where they come nearest to holding the nominal machine."""
+        s, model = self.series, self._models(self.point[None])[0]
+        hold = holding(model, self.laws, s.middle - s.half, s.middle + s.half)
+        self._rest_at((hold.ctrl - s.middle) / s.half)
+        return hold
+
+    def _rest_at(self, rest: Float[np.ndarray, " nu"]) -> None:
+        """Let controls rest at distances from their middles, in half widths, and lags with them."""
+        self.series = replace(self.series, rest=rest)
+        self.start = held(self.model.compile(), self.series.at_rest)
+        self._judges.clear()
 
     def _calmest(self, last: int) -> Float[np.ndarray, " nu"]:
         """Return where controls rest so that machines use least of their limits.
