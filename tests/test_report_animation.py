@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 from PIL import Image
 
 from bo_sysid.mjcf import Model
@@ -34,6 +35,26 @@ def test_one_second_is_shown_in_real_time(tmp_path: Path) -> None:
         assert 19 <= moving.n_frames <= 21
         assert moving.info["duration"] == 50
     assert (tmp_path / "a.gif").stat().st_size < 300_000
+
+
+@pytest.mark.parametrize("interval", [0.008, 0.1, 0.15])
+def test_what_is_slower_than_pictures_is_shown_in_real_time_as_well(
+    interval: float, tmp_path: Path
+) -> None:
+    time = 1.7e9 + np.arange(0.0, 2.0, interval)
+    piece = pd.DataFrame(
+        {
+            "recording": "a", "time": time, "window": 0, "channel": "qpos.elbow",
+            "recorded": np.sin(time), "nominal": np.sin(time) + 0.2, "repaired": np.sin(time),
+        }
+    )  # fmt: skip
+    assert write_animation(tmp_path / "a.gif", Model.from_file(ARM), piece)
+    played = 0
+    with Image.open(tmp_path / "a.gif") as moving:
+        for k in range(moving.n_frames - 1):
+            moving.seek(k)
+            played += moving.info["duration"]
+    assert 1e-3 * played == pytest.approx(time[-1] - time[0], abs=0.05)
 
 
 def lines(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -53,7 +53,7 @@ def write_animation(path: Path, model: Model, traces: pd.DataFrame) -> bool:
         _frame([(m, shown["recorded"][k], shown[m][k]) for m in _COMPARED], place)
         for k in range(len(poses["recorded"]))
     ]
-    times = [1000 // _RATE] * (len(frames) - 1) + [_PAUSE]
+    times = [*_durations(instants), _PAUSE]
     few = [f.quantize(_COLOURS) for f in frames]
     few[0].save(path, "GIF", save_all=True, append_images=few[1:], duration=times, loop=0)
     return True
@@ -73,6 +73,12 @@ def _shown(time: pd.Series) -> Float[np.ndarray, " T"]:
     times = np.unique(time)
     wanted = np.arange(times[0], times[-1] + 1e-9, 1 / _RATE)[:_MOST]
     return np.unique(times[np.minimum(np.searchsorted(times, wanted), len(times) - 1)])
+
+
+def _durations(instants: Float[np.ndarray, " T"]) -> list[int]:
+    """Return how long each picture but the last is shown, in [ms]: whole hundredths of a second."""
+    ends = 10 * np.rint(100 * (instants - instants[0]))
+    return [int(d) for d in np.diff(ends)]
 
 
 def _poses(
