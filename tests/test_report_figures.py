@@ -9,11 +9,12 @@ import pytest
 
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import Recording
-from bo_sysid.report import interactive
+from bo_sysid.report import interactive, interactive_search
+from bo_sysid.report.bins import bin_edges
 from bo_sysid.report.check_figures import recording_figure
 from bo_sysid.report.diagnosis_figures import evidence, forces, held_out
 from bo_sysid.report.figures import marginals, predictions, save
-from bo_sysid.report.look import COLOURS, worst_channels
+from bo_sysid.report.look import COLOURS, top_sets, worst_channels
 from bo_sysid.report.robot import Posed, find_site
 
 EPOCH = 1_762_000_000.0  # [s] since 1970
@@ -142,6 +143,30 @@ def test_a_plan_is_drawn_between_its_limits() -> None:
     assert figure.axes[0].get_title() == "plan\ndashed: limits"
 
 
+def test_what_a_check_has_found_is_drawn_and_shaded() -> None:
+    """An outlier of one sample among many, and a joint without the kind of its channel."""
+    time = np.arange(40_000) * 1e-3
+    angle = np.sin(time)
+    angle[[12_345, 23_456]] = 50.0, -40.0
+    recording = Recording.from_arrays(time, qpos={"elbow": angle}, ctrl={"m": np.cos(time)})
+    one, other = recording_figure(recording, {"elbow"}).axes
+    assert one.get_facecolor() != other.get_facecolor()
+    assert "shaded" in one.get_title()
+    x, y = one.lines[0].get_data()
+    assert (x[np.argmax(y)], x[np.argmin(y)]) == pytest.approx((12.345, 23.456))
+    assert (y.max(), y.min()) == (50.0, -40.0)
+    assert (x[0], x[-1]) == pytest.approx((0.0, 39.999))
+    assert len(x) <= 4_002
+    assert (np.diff(x) > 0).all()
+
+
+def test_limits_that_are_not_drawn_are_not_explained() -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    plan = Recording.from_arrays(time, name="plan", qpos={"boom": np.sin(time)})
+    figure = recording_figure(plan, limits={"qpos.boom": (-np.inf, np.inf)})
+    assert figure.axes[0].get_title() == "plan"
+
+
 def test_words_of_the_evidence_stand_right_of_the_line_of_the_noise() -> None:
     sets = pd.DataFrame(
         {
@@ -151,7 +176,26 @@ def test_words_of_the_evidence_stand_right_of_the_line_of_the_noise() -> None:
         }
     )  # fmt: skip
     words = [t for t in evidence(sets).axes[0].texts if "probability" in t.get_text()]
-    assert [t.get_position()[0] for t in words] == [1.0, 55.0, 1.0]
+    assert [t.get_position()[0] for t in words] == [1.0, 1.0, 55.0]  # the most probable first
+
+
+def test_the_answer_and_what_may_be_it_are_shown_however_many_sets_there_are() -> None:
+    """The table ends with "none of these", whatever its probability."""
+    names = [f"s{k}" for k in range(12)]
+    sets = pd.DataFrame(
+        {
+            "set": [*names, "nothing is missing", "none of these"], "effects": [1] * 12 + [0, 1],
+            "probability": [0.05] * 2 + [0.02] * 10 + [0.0, 0.7], "rms": [20.0] * 13 + [np.nan],
+            "best": [k == 13 for k in range(14)], "equivalent": [k == 10 for k in range(14)],
+        }
+    )  # fmt: skip
+    shown = list(top_sets(sets)["set"])
+    assert shown == ["none of these", *names[:7], "s10", "nothing is missing"]
+    bars = [p for p in evidence(sets).axes[0].patches if np.isfinite(p.get_width())]
+    assert len(bars) == len(shown) - 1
+    bar, words = interactive.evidence(top_sets(sets)).data
+    assert np.isnan(bar.x).tolist() == [False] * (len(shown) - 1) + [True]
+    assert "probability 0.7" in words.text[-1]
 
 
 def test_errors_of_forecasts_are_named_outside_their_panel() -> None:
@@ -251,6 +295,24 @@ def test_a_dollar_in_a_name_begins_no_formula(tmp_path) -> None:
         save(figure, tmp_path / "drawn.png")
     assert (tmp_path / "drawn.png").stat().st_size > 1000
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [wrong]
+
+
+@pytest.mark.parametrize(("count", "bars"), [(41, 41), (51, 51), (61, 61), (101, 101), (202, 101)])
+def test_a_flat_belief_over_a_grid_looks_flat(count: int, bars: int) -> None:
+    levels = np.linspace(0.4, 0.8, count)
+    belief = pd.DataFrame({"mass": levels, "arm": levels, "P": 1 / count, "P_boot": 1 / count})
+    edges = bin_edges(levels)
+    assert len(edges) == bars + 1
+    assert edges[[0, -1]] == pytest.approx([0.4 - 0.2 / (count - 1), 0.8 + 0.2 / (count - 1)])
+    told = {"nominal": 0.5, "value": 0.5, "low95": 0.4, "high95": 0.8}
+    axis = marginals(belief, pd.DataFrame([{"name": "mass", "unit": "kg", **told}])).axes[0]
+    drawn = [bar.get_height() for part in axis.containers for bar in part]
+    assert drawn == pytest.approx([1 / bars] * 2 * bars)
+    for trace in interactive_search.marginal(belief, "mass", "kg", 0.5).data:
+        assert trace.y == pytest.approx([1 / bars] * bars)
+        assert trace.x == pytest.approx((edges[:-1] + edges[1:]) / 2)
+    (both,) = interactive_search.pair(belief, "mass", "arm").data
+    assert both.z == pytest.approx(np.eye(bars) / bars)
 
 
 @pytest.mark.parametrize("value", [5.0, -2e-6, 0.0])

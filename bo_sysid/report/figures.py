@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter
 
+from bo_sysid.report.bins import bin_edges
 from bo_sysid.report.look import (
     GREY,
     IDENTIFIED,
@@ -38,8 +39,6 @@ __all__ = [
 _WIDTH = 7.2  # inches
 _CHANNELS = 6
 _SHOWN = 3_000
-_LEVELS = 41  # of a grid that have a bar each
-_ALONE = 0.1  # of a value that is the only one, between the edges about it
 _LINES: dict[str, dict[str, Any]] = {
     "nominal": {"color": NOMINAL, "linewidth": 1.8},
     "identified": {"color": IDENTIFIED, "linewidth": 1.1, "linestyle": (0, (3, 3))},
@@ -60,7 +59,7 @@ def marginals(belief: pd.DataFrame, parameters: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(_WIDTH, 2.3 * count), layout="constrained")
     axes = figure.subplots(count, 1, squeeze=False)[:, 0]
     for axis, row in zip(axes, parameters.itertuples(), strict=True):
-        edges = _edges(belief[row.name].to_numpy())
+        edges = bin_edges(belief[row.name].to_numpy(float))
         middle, width = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
         for column, colour, label in (
             ("P_boot", SECOND, "P_boot: what the recordings say about the machine"),
@@ -170,16 +169,3 @@ def _as_written(figure: Figure) -> None:
 
 def _label(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
-
-
-def _edges(values: np.ndarray) -> np.ndarray:
-    """Return bin edges: between the levels of a grid, or even where there are many values."""
-    levels = np.unique(values)
-    if len(levels) == 1:
-        half = 0.5 * _ALONE * (abs(float(levels[0])) or 1.0)
-        return np.array([levels[0] - half, levels[0] + half])
-    if 2 <= len(levels) <= _LEVELS:
-        between = (levels[:-1] + levels[1:]) / 2
-        ends = levels[0] - (between[0] - levels[0]), levels[-1] + (levels[-1] - between[-1])
-        return np.concatenate([[ends[0]], between, [ends[1]]])
-    return np.linspace(levels[0], levels[-1] + 1e-12, 31)

@@ -138,15 +138,21 @@ def evidence(sets: pd.DataFrame) -> go.Figure:
     place = np.arange(len(shown))
     figure = go.Figure()
     figure.add_bar(
-        x=light(shown["rms"].fillna(1.0)),
+        x=light(shown["rms"]),
         y=place,
         orientation="h",
         marker={"color": [set_colour(row) for row in shown.itertuples()]},
-        text=[left_words(r["rms"], r["probability"], r.get("p_boot", np.nan))
-              for r in shown.to_dict("records")],
-        textposition="outside",
-        cliponaxis=False,
         name="",
+    )
+    figure.add_scatter(  # words alone where nothing is known of what is left
+        x=light(shown["rms"].fillna(1.0)),
+        y=place,
+        mode="text",
+        text=[" " + left_words(r["rms"], r["probability"], r.get("p_boot", np.nan))
+              for r in shown.to_dict("records")],
+        textposition="middle right",
+        cliponaxis=False,
+        hoverinfo="skip",
     )  # fmt: skip
     figure.add_vline(x=1.0, line={"dash": "dash", "color": GREY})
     figure.update_layout(showlegend=False)

@@ -6,6 +6,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from bo_sysid.intervals import half_width
+from bo_sysid.report.bins import bin_edges
 from bo_sysid.report.look import EQUIVALENT, IDENTIFIED, NOMINAL, SECOND
 from bo_sysid.report.plotly_style import dressed, escaped, in_unit, light
 
@@ -22,13 +23,15 @@ def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) ->
         nominal: the model's own value.
     """
     figure = go.Figure()
+    edges = bin_edges(belief[parameter].to_numpy(float))
     for column, colour, label in (
         ("P_boot", SECOND, "P_boot: what the recordings say about the machine"),
         ("P", IDENTIFIED, "P: where the minimum lies on these recordings"),
     ):
-        mass = _marginal(belief, [parameter], column)
+        mass = np.histogram(belief[parameter], edges, weights=belief[column])[0]
         figure.add_bar(
-            x=light(mass.index.to_series()), y=light(mass), name=label, marker={"color": colour},
+            x=((edges[:-1] + edges[1:]) / 2).astype(np.float32), y=mass.astype(np.float32),
+            width=np.diff(edges).astype(np.float32), name=label, marker={"color": colour},
             opacity=0.85,
         )  # fmt: skip
     figure.add_vline(x=nominal, line={"dash": "dash", "color": NOMINAL}, annotation_text="nominal")
@@ -40,11 +43,13 @@ def marginal(belief: pd.DataFrame, parameter: str, unit: str, nominal: float) ->
 
 def pair(belief: pd.DataFrame, first: str, second: str) -> go.Figure:
     """Return P_boot over two parameters, all others summed over."""
-    mass = _marginal(belief, [first, second], "P_boot").unstack().fillna(0.0)  # noqa: PD010
+    one, other, weight = (belief[n].to_numpy(float) for n in (first, second, "P_boot"))
+    across, up = bin_edges(other), bin_edges(one)
+    mass = np.histogram2d(one, other, (up, across), weights=weight)[0]
     figure = go.Figure()
     figure.add_heatmap(
-        x=light(mass.columns.to_series()), y=light(mass.index.to_series()),
-        z=mass.to_numpy(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
+        x=across.astype(np.float32), y=up.astype(np.float32),
+        z=mass.astype(np.float32), colorscale="Cividis", colorbar={"title": "P_boot"},
     )  # fmt: skip
     figure.update_layout(showlegend=False)
     figure.update_xaxes(title=escaped(second))
@@ -118,17 +123,3 @@ def training(rounds: pd.DataFrame) -> go.Figure:
     figure.update_xaxes(title="simulated control steps")
     figure.update_yaxes(title="mean reward of a batch<br>× steps of an episode")
     return dressed(figure, 320)
-
-
-def _marginal(belief: pd.DataFrame, names: list[str], column: str) -> pd.Series:
-    """Return the probability summed over all other parameters; many values are put into bins."""
-    keys = []
-    for name in names:
-        values = belief[name]
-        if values.nunique() > 60:
-            edges = np.linspace(values.min(), values.max(), 41)
-            middle = (edges[:-1] + edges[1:]) / 2
-            values = pd.Series(middle[np.clip(np.searchsorted(edges, values) - 1, 0, 39)])
-            values.index = belief.index
-        keys.append(values.rename(name))
-    return belief[column].groupby(keys).sum()

@@ -140,10 +140,18 @@ def with_gaps(part: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_sets(sets: pd.DataFrame) -> pd.DataFrame:
-    """Return the sets that are shown: the most probable, and "nothing is missing"."""
-    top = sets.iloc[:_SETS]
-    nothing = sets[(sets["effects"] == 0) & ~sets.index.isin(top.index)]
-    return pd.concat([top, nothing])
+    """Return the sets that are shown, the most probable first.
+
+    Among them are in any case the answer, what is equivalent to it, "nothing is missing" and "none
+    of these".
+    """
+    ordered = sets.sort_values("probability", ascending=False, kind="stable")
+    shown = ordered["effects"].eq(0) | ordered["set"].eq("none of these")
+    shown.iloc[:_SETS] = True
+    for column in ("best", "equivalent"):
+        if column in ordered:
+            shown |= ordered[column].astype(bool)
+    return ordered[shown]
 
 
 def set_colour(row: object) -> str:
