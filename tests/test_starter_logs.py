@@ -12,6 +12,7 @@ from bo_sysid.recording import RawTable, read_tables
 from bo_sysid.starter.columns import describe
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
+from bo_sysid.starter.write import _outwards
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import read_train
 
@@ -86,6 +87,30 @@ def test_a_clock_that_only_its_steps_tell_is_said_to_be_one_by_them(tmp_path: Pa
         (line,) = (x for x in text.splitlines() if x.strip().startswith("time:"))
         assert line.partition("#")[2].endswith(reason)
         assert ("#" in line) == bool(reason)
+
+
+def test_what_columns_are_called_stays_in_comments(tmp_path: Path) -> None:
+    """Lines of their names would be lines of the study."""
+    time = 0.01 * np.arange(400.0)
+    log = {"time": time, "wheel\npos": np.sin(3 * time), "torque": np.cos(3 * time)}
+    log |= {f"x{k}\nsearch: {{budget: 7}}\n#": np.sin(k * time) for k in (5, 6)}
+    pd.DataFrame(log).to_parquet(tmp_path / "log.parquet")
+    (tmp_path / "wheel.xml").write_text(WHEEL)
+    started = init(tmp_path / "wheel.xml", [tmp_path / "log.parquet"], tmp_path / "study.yaml")
+    study = Study.load(started.path)
+    assert study.recordings.columns["qpos.wheel"].source == "wheel\npos"
+    assert study.search.budget == 100
+    assert "search: {budget: 7}" in started.path.read_text()  # as a comment
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(1000.1, 1000.34), (-0.6180, 1.4142), (-123456.0, 98765.0), (0.5, 0.5)]
+)
+def test_proposed_limits_hold_what_was_recorded_and_little_more(low: float, high: float) -> None:
+    ends = [float(x) for x in _outwards(low, high)]
+    assert ends[0] <= low
+    assert ends[1] >= high
+    assert ends[1] - ends[0] <= 1.03 * (high - low) + 3e-6
 
 
 def test_a_merged_log_with_empty_cells_is_read_with_its_gaps(

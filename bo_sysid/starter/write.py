@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from math import ceil, floor, log10
 from pathlib import Path
 
 import pandas as pd
@@ -54,9 +55,9 @@ def study_text(
     source |= {"hold": held} if held else {}
     source |= {"unrecorded": dict.fromkeys(rules.following)} if rules.following else {}
     lines = [
-        f"# {name}: a first study, written by `bo-sysid init`. Read the comments behind each line:",
+        f"# {_one_line(name)}: a first study, written by `bo-sysid init`. Read the comments behind each line:",
         "# what is marked GUESS rests on little. Then: bo-sysid check",
-        *(f"# {n}" for n in notes),
+        *(f"# {_one_line(n)}" for n in notes),
         "version: 1",
         f"name: {flow_text(name)}",
         f"model: {flow_text(model) if len(source) == 1 else flow(source)}" + _held(rules),
@@ -71,7 +72,7 @@ def study_text(
         lines.append("  # no holdout: the last quarter of the log, by time, is set aside")
     lines += _block("columns", rules.columns, rules, hints) + _open(rules)
     if rules.unused:
-        lines.append(f"    # columns not used: {', '.join(rules.unused)}")
+        lines.append(f"    # columns not used: {_one_line(', '.join(rules.unused))}")
     lines += _block("clocks", rules.clocks, rules, {})
     if scales.empty:
         lines += ["", *_NOTHING_KNOWN]
@@ -84,16 +85,18 @@ def _open(rules: Rules) -> list[str]:
     """Return the channels that the user has to say, with the columns that are left."""
     left = "one of those below"
     if len(rules.unused) <= _FEW:
-        left = f"one of: {', '.join(rules.unused)}" if rules.unused else _SHARED
+        left = f"one of: {_one_line(', '.join(rules.unused))}" if rules.unused else _SHARED
     lines = [] if rules.columns or not rules.to_fill_in else ["  columns:"]
-    lines += [f"    {c}: {{from: {FILL_IN}}}  # not found; {left}" for c in rules.to_fill_in]
+    lines += [
+        f"    {flow_text(c)}: {{from: {FILL_IN}}}  # not found; {left}" for c in rules.to_fill_in
+    ]
     held = rules.of_held if rules.unused else ()
-    return lines + [f"    # {c}: {{from: {FILL_IN}}}  # or held; {left}" for c in held]
+    return lines + [f"    # {_one_line(c)}: {{from: {FILL_IN}}}  # or held; {left}" for c in held]
 
 
 def _held(rules: Rules) -> str:
     """Return what becomes of joints that were not recorded, as a comment."""
-    held, following = ", ".join(rules.held), ", ".join(rules.following)
+    held, following = (_one_line(", ".join(n)) for n in (rules.held, rules.following))
     notes = [f"held where the model puts them: {held}"] if held else []
     notes += (
         [f"left to move, since the model ties them to others: {following}"] if following else []
@@ -113,8 +116,8 @@ def _block(title: str, block: object, rules: Rules, hints: Mapping[str, str]) ->
     for channel, rule in block.items():
         key = f"clocks.{channel}" if title == "clocks" else channel
         if channel in hints:
-            lines.append(f"    # {hints[channel]}")
-        lines.append(f"    {channel}: {flow(rule)}{_comment(key, rules)}")
+            lines.append(f"    # {_one_line(hints[channel])}")
+        lines.append(f"    {flow_text(channel)}: {flow(rule)}{_comment(key, rules)}")
     return lines
 
 
@@ -123,7 +126,12 @@ def _comment(key: str, rules: Rules) -> str:
     if guess is None:
         return ""
     word = next(w for least, w in _WORDS if guess.confidence >= least)
-    return f"  # {word}: {guess.reason}"
+    return f"  # {word}: {_one_line(guess.reason)}"
+
+
+def _one_line(text: str) -> str:
+    """Return what stands in a comment: names of columns and joints may have more lines."""
+    return " ".join(text.split())
 
 
 def _parameters(scales: pd.DataFrame) -> list[str]:
@@ -135,7 +143,7 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
     ]
     for row in scales.itertuples():
         if row.mute:
-            lines.append(f"  # {row.joint} {row.mute!s}")
+            lines.append(f"  # {_one_line(f'{row.joint} {row.mute}')}")
             continue
         for what, high, unit in (
             ("frictionloss", row.friction, "N m"), ("damping", row.damping, "N m s/rad"),
@@ -162,11 +170,19 @@ def _limits(scales: pd.DataFrame) -> list[str]:
         "# limits:",
     ]
     for row in scales.itertuples():
+        low, high = _outwards(row.low, row.high)
         lines.append(
-            f"#   {row.joint}: {{position: [{row.low:.3g}, {row.high:.3g}], "
-            f"velocity: {row.speed:.2g}}}"
+            f"#   {_one_line(row.joint)}: {{position: [{low}, {high}], velocity: {row.speed:.2g}}}"
         )
     return lines
+
+
+def _outwards(low: float, high: float) -> tuple[str, str]:
+    """Return the ends of a range, to about three digits of its width, and not within it."""
+    places = 2 - floor(log10(max(high - low, 1e-4)))
+    step = 10.0**-places
+    ends = floor(low / step) * step, ceil(high / step) * step
+    return f"{ends[0]:.{max(places, 0)}f}", f"{ends[1]:.{max(places, 0)}f}"
 
 
 def relative(path: Path, folder: Path) -> str:
