@@ -55,7 +55,8 @@ def study_text(
     source |= {"hold": held} if held else {}
     source |= {"unrecorded": dict.fromkeys(rules.following)} if rules.following else {}
     lines = [
-        f"# {_one_line(name)}: a first study, written by `bo-sysid init`. Read the comments behind each line:",
+        f"# {_one_line(name)}: a first study, written by `bo-sysid init`. Read the comments behind "
+        "each line:",
         "# what is marked GUESS rests on little. Then: bo-sysid check",
         *(f"# {_one_line(n)}" for n in notes),
         "version: 1",
@@ -143,7 +144,7 @@ def _parameters(scales: pd.DataFrame) -> list[str]:
     ]
     for row in scales.itertuples():
         if row.mute:
-            lines.append(f"  # {_one_line(f'{row.joint} {row.mute}')}")
+            lines.append(f"  # {_one_line(f'{row.joint!s} {row.mute!s}')}")
             continue
         for what, high, unit in (
             ("frictionloss", row.friction, "N m"), ("damping", row.damping, "N m s/rad"),
@@ -169,10 +170,11 @@ def _limits(scales: pd.DataFrame) -> list[str]:
         "# what the machine bears. Correct it, then remove the marks.",
         "# limits:",
     ]
-    for row in scales.itertuples():
-        low, high = _outwards(row.low, row.high)
+    for row in scales.to_dict("records"):
+        low, high = _outwards(row["low"], row["high"])
         lines.append(
-            f"#   {_one_line(row.joint)}: {{position: [{low}, {high}], velocity: {row.speed:.2g}}}"
+            f"#   {_one_line(row['joint'])}: {{position: [{low}, {high}], "
+            f"velocity: {row['speed']:.2g}}}"
         )
     return lines
 
