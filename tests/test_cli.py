@@ -1,5 +1,6 @@
 """The command line: exit codes, one message for wrong input, nothing heavy before it is needed."""
 
+import argparse
 import importlib
 import json
 import re
@@ -18,6 +19,7 @@ import yaml
 
 from bo_sysid import __version__
 from bo_sysid.cli import VERBS, main
+from bo_sysid.cli.common import arguments
 from bo_sysid.errors import UserError, is_input_error
 from bo_sysid.recording import Recording, read_recording
 from bo_sysid.recording.writers import write_recording
@@ -619,3 +621,9 @@ def test_a_grid_that_is_too_large_is_for_identify_alone_to_refuse(folder: Path, 
     assert code == 2
     assert "search.candidates: a grid of" in err
     assert "{candidates: {sobol: 20000}}" in err
+
+
+@pytest.mark.parametrize("out", [["--out", "there"], ["--out=there"], ["--out="], ["--ou=there"]])
+def test_the_command_that_a_run_keeps_is_all_but_where_it_writes_to(out: list[str]) -> None:
+    given = argparse.Namespace(given=["identify", "arm.yaml", *out, "--seed", "3"])
+    assert arguments(given) == ["identify", "arm.yaml", "--seed", "3"]

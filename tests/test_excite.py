@@ -156,6 +156,7 @@ def test_the_effort_of_each_machine_is_that_of_its_own_actuators() -> None:
             'biastype="affine" biasprm="0 -10 -.1" actearly="true"/>',
             "",
         ),
+        ('<general name="m" joint="hinge" gainprm="2" biastype="none" biasprm="1 -5 0"/>', ""),
     ],
 )
 def test_efforts_are_those_of_drives_that_saturate_or_lag(drive: str, joint: str) -> None:
@@ -395,6 +396,19 @@ def test_wrong_arguments_say_the_rule(
     )
     assert main(["excite", str(study), "--out", str(tmp_path / "out"), f"{option}={value}"]) == 2
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("step", ["0.3", "2"])
+def test_a_model_whose_steps_are_longer_than_controls_may_be_apart_is_refused(
+    step: str, tmp_path: Path
+) -> None:
+    (tmp_path / "rod.xml").write_text(ROD.replace("0.005", step))
+    data = {
+        "model": "rod.xml", "recordings": {"train": "later.csv"},
+        "parameters": [{"address": "geom[rod].mass", "low": 0.4, "high": 0.6}],
+    }  # fmt: skip
+    with pytest.raises(StudyError, match=f"its time step is {step} s"):
+        excite(Study.from_dict(data, tmp_path), seconds=2.0, budget=28)
 
 
 def test_the_help_says_the_least_budget(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,7 @@ from bo_sysid.errors import RecordingError, UserError
 from bo_sysid.mjcf import Model
 from bo_sysid.recording import RawTable
 from bo_sysid.simulation import Engine, State
+from bo_sysid.starter import columns as starter_columns
 from bo_sysid.starter import signs
 from bo_sysid.starter.behaviour import _judged
 from bo_sysid.starter.columns import derivatives, describe
@@ -255,6 +256,26 @@ def test_rates_are_told_from_positions_by_behaviour() -> None:
     assert kinds == {
         "clock": "time", "a": "position", "b": "position", "c": "velocity", "d": "velocity",
     }  # fmt: skip
+
+
+def test_columns_are_smoothed_one_by_one_and_not_in_pairs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Logs of thousands of columns take long enough without."""
+    smooth, calls = starter_columns._smooth, []
+
+    def counted(values: np.ndarray) -> np.ndarray:
+        calls.append(1)
+        return smooth(values)
+
+    monkeypatch.setattr(starter_columns, "_smooth", counted)
+    time, taken = np.arange(0.0, 6.0, 0.01), []
+    for count in (5, 10):
+        waves = {f"c{k}": np.sin((1 + k) * time) for k in range(count)}
+        calls.clear()
+        derivatives(RawTable("log", waves), list(waves))
+        taken.append(len(calls))
+    assert taken[1] == 2 * taken[0]
 
 
 def test_axes_of_one_place_are_no_rates_of_each_other() -> None:

@@ -103,9 +103,9 @@ def arguments(args: argparse.Namespace) -> list[str]:
     said: list[str] = []
     given = iter(getattr(args, "given", ()))
     for word in given:
-        name, _, value = word.partition("=")
+        name, equals, _ = word.partition("=")
         if len(name) > 2 and "--out".startswith(name):  # argparse takes what is short of it, too
-            if not value:
+            if not equals:
                 next(given, None)
         else:
             said.append(word)

@@ -78,6 +78,7 @@ def excite(
         report(0, np.inf)
     model = load_model(study)
     _require_controls(study, model)
+    _require_steps(study, model)
     laws, notes = _beside(study, model)
     parameters = _parameters(study, model, effects)
     noise = _noise(study, model)
@@ -110,6 +111,17 @@ def excite(
         trial.violation(controls, trial.proof, 0.0),
         tuple(notes),
     )
+
+
+def _require_steps(study: Study, model: Model) -> None:
+    """Refuse a model whose own steps are longer than controls may be apart."""
+    step = float(model.compile().opt.timestep)
+    if step > _COARSEST:
+        raise study.error(
+            ("model",),
+            f"its time step is {step:g} s; excite sets controls at steps of the model, which must "
+            f"be at most {_COARSEST:g} s: <option timestep=…/>",
+        )
 
 
 def _require_controls(study: Study, model: Model) -> None:

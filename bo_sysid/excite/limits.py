@@ -9,7 +9,14 @@ from jaxtyping import Bool, Float
 
 from bo_sysid.errors import StudyError, nearest
 from bo_sysid.mjcf import Model
-from bo_sysid.mjcf.commands import ALONG_JOINT, LAGS, common_bounds, controlled, follows
+from bo_sysid.mjcf.commands import (
+    ALONG_JOINT,
+    LAGS,
+    bias_of,
+    common_bounds,
+    controlled,
+    follows,
+)
 from bo_sysid.mjcf.joints import SCALAR
 from bo_sysid.mjcf.touching import can_touch
 from bo_sysid.simulation import Trajectory
@@ -178,7 +185,7 @@ class Limits:
             dof = int(first.jnt_dofadr[first.actuator_trnid[a, 0]])
             gear = np.array([m.actuator_gear[a, :1] for m in models])
             gain = np.array([m.actuator_gainprm[a, :1] for m in models])
-            bias = np.array([m.actuator_biasprm[a, :3, None] for m in models]).swapaxes(0, 1)
+            bias = np.array([bias_of(m, a) for m in models]).T[..., None]
             q, v = trajectory.qpos[:, :-1, dof], trajectory.qvel[:, :-1, dof]
             u = _acting(first, trajectory, a, ctrl[..., k])
             force = gain * u + bias[0] + gear * (bias[1] * q + bias[2] * v)

@@ -192,14 +192,23 @@ def units(model: mujoco.MjModel) -> dict[str, str]:
         if not along or gear != 1 or rate or not fixed:
             continue
         hinge = model.jnt_type[j] == HINGE
-        gain, bias = model.actuator_gainprm[a, 0], model.actuator_biasprm[a]
+        gain, bias = model.actuator_gainprm[a, 0], bias_of(model, a)
         if gain and gain == -bias[1]:
             found[f"ctrl.{model.actuator(a).name}"] = "rad" if hinge else "m"
-        elif gain == 1 and not bias[:3].any():
+        elif gain == 1 and not bias.any():
             found[f"ctrl.{model.actuator(a).name}"] = "N m" if hinge else "N"
     return found
 
 
 def has_bias(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether the force of an actuator depends on more than its control, as that of servos does."""
-    return bool(model.actuator_biasprm[actuator, :3].any())
+    return bool(bias_of(model, actuator).any())
+
+
+def bias_of(model: mujoco.MjModel, actuator: int) -> Float[np.ndarray, " 3"]:
+    """Return an actuator's force without a control: b0, and that per position and per speed.
+
+    MuJoCo heeds none of the numbers of an actuator whose biastype is none.
+    """
+    none = int(model.actuator_biastype[actuator]) == mujoco.mjtBias.mjBIAS_NONE
+    return np.zeros(3) if none else np.asarray(model.actuator_biasprm[actuator, :3])

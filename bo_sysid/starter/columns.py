@@ -162,17 +162,21 @@ def derivatives(
     """
     values = {n: table.column(n)[:_MOST] for n in names}
     values = {n: v for n, v in values.items() if np.isfinite(v).all() and np.ptp(v) > 0}
+    smooth = {n: _smooth(_smooth(v)) for n, v in values.items()}
+    rough = {n: _rough(v) for n, v in smooth.items()}
+    place = {n: k for k, n in enumerate(values)}
+    rating = [n for n in values if among is None or n in among]
     pairs = []
     for source, q in values.items():
         rate = _smooth(np.gradient(_smooth(q)))
-        for name, v in values.items():
-            never = among is not None and name not in among
-            if never or name == source or len(v) != len(q) or _axes_of_one(name, source):
+        for name in rating:
+            other = name == source or len(values[name]) != len(q)
+            if other or _axes_of_one(name, source):
                 continue
-            faster = _rough(v) / max(_rough(q), 1e-300)
-            later = list(values).index(name) > list(values).index(source)
+            faster = rough[name] / max(rough[source], 1e-300)
+            later = place[name] > place[source]
             if faster > 1.1 or (faster > 0.9 and later):  # one tone: loggers put rates behind
-                pairs.append((_likeness(rate, _smooth(_smooth(v))), name, source))
+                pairs.append((_likeness(rate, smooth[name]), name, source))
     rates: dict[str, str] = {}
     for likeness, name, source in sorted(pairs, reverse=True):
         free = name not in rates and source not in rates and name not in rates.values()
@@ -193,9 +197,8 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.convolve(values, np.ones(width) / width, mode="valid")
 
 
-def _rough(values: np.ndarray) -> float:
+def _rough(smooth: np.ndarray) -> float:
     """Return how fast a column changes for its size: a rate changes faster than its integral."""
-    smooth = _smooth(_smooth(values))
     return float(np.diff(smooth).std() / max(float(smooth.std()), 1e-300))
 
 
