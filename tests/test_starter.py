@@ -400,7 +400,11 @@ def test_bounds_and_limits_are_those_of_all_logs_but_the_held_out(tmp_path: Path
     path = init(model, paths, tmp_path / "wheel.yaml").path
     text = path.read_text()
     low, high = (float(f(np.concatenate(turned[:3]))) for f in (np.min, np.max))
-    assert f"#   wheel: {{position: [{low:.3g}, {high:.3g}], velocity: " in text
+    ends = re.search(r"#   wheel: \{position: \[(.*), (.*)\], velocity: ", text)
+    assert ends is not None
+    assert [float(x) for x in ends.groups()] == pytest.approx((low, high), abs=0.01 * (high - low))
+    assert float(ends[1]) <= low
+    assert float(ends[2]) >= high
     told = float(text.split("velocity: ")[1].split("}")[0])
     assert told == pytest.approx(np.abs(np.gradient(turned[1], time)).max(), rel=0.1)
     bounds = {

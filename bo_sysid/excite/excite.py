@@ -90,14 +90,7 @@ def excite(
         seconds=seconds, interval=interval, seed=study.search.seed, laws=laws,
     )  # fmt: skip
     notes += _assumed(study, model, trial)
-    if trial.hold is not None:
-        notes.append(_resting(model, trial))
-    elif trial.left > STANDS:
-        notes.append(
-            "Controls rest in the middle of their ranges, under which the model leaves its "
-            "reference as soon as the plan begins: with those that hold it, machines within the "
-            "bounds of the parameters exceed limits."
-        )
+    notes += _resting(model, trial)
     controls = design(trial, budget, study.search.seed, report=report)
     found = trial.information(controls)
     frame = pd.DataFrame(controls, columns=list(model.ctrl_channels))
@@ -205,15 +198,24 @@ def _beside(study: Study, model: Model) -> tuple[tuple[ForceLaw, ...], list[str]
     return forces, [f"Limits hold for what is, not for what is shown by {', '.join(shown)}."]
 
 
-def _resting(model: Model, trial: Trial) -> str:
-    """Return what is to be said of controls that hold the machine at rest."""
+def _resting(model: Model, trial: Trial) -> list[str]:
+    """Return what is to be said of controls at rest, where some are needed to hold the machine."""
+    stands = trial.left <= STANDS
+    if trial.hold is None and stands:
+        return []
+    if trial.hold is None:
+        return [
+            "Controls rest in the middle of their ranges, under which the model leaves its "
+            "reference as soon as the plan begins: with those that hold it, machines within the "
+            "bounds of the parameters exceed limits."
+        ]
     held = zip(model.controlled, trial.series.at_rest, strict=True)
-    which = "hold" if trial.left <= STANDS else "come nearest to holding"
-    return (
+    which = "hold" if stands else "come nearest to holding"
+    return [
         f"Controls rest at {', '.join(f'{a} {u:.4g}' for a, u in held)}, which {which} the model "
         "against gravity and springs. Place the machine at the model's reference, and let go of "
         "it when the plan begins."
-    )
+    ]
 
 
 def catalogue_parameters(model: Model, known: Sequence[Parameter]) -> list[Parameter]:
