@@ -250,7 +250,8 @@ def rubbing_one_way(difference: float) -> Evidence:
 def test_a_force_that_friction_holds_leads_to_friction_that_differs_between_directions() -> None:
     """The two do the same while a joint moves; what each does alone is far from that."""
     made = rubbing_one_way(0.6)
-    search = Search.on(prepare(windows_of(made, 100, 0.004)), list(made.candidates), 3, None)
+    prepared = prepare(windows_of(made, 100, 0.004))
+    search = Search.on(prepared, list(made.candidates), 3, None)
     own = {c.key: c for c in search.candidates if not c.secant}
     pair = [own["constant_force", "rail"], own["dry_friction", "rail"]]
     held = search.fit(pair, [np.array([-0.3]), np.array([0.3])])
@@ -258,3 +259,6 @@ def test_a_force_that_friction_holds_leads_to_friction_that_differs_between_dire
     found = search.fits[set_key([own["asymmetric_friction", "rail"]])]
     assert found.x[0] == pytest.approx(0.6, rel=0.05)
     assert found.rms == pytest.approx(1.0, abs=0.05)
+    single = Search.on(prepared, search.candidates, 1, None)  # one name for another, though rarer
+    turn_about(single, single.fit(pair[:1], [np.array([-0.3])]))
+    assert set_key([own["asymmetric_friction", "rail"]]) in single.fits

@@ -4,8 +4,8 @@ import numpy as np
 
 from bo_sysid.diagnosis.search.search import Search
 from bo_sysid.diagnosis.search.stand_ins import stand_in
-from bo_sysid.diagnosis.sets.fit import Fit, set_key, size_of
-from bo_sysid.diagnosis.sets.groups import all_but, grouped_labels, subset, units_of
+from bo_sysid.diagnosis.sets.fit import Fit, set_key
+from bo_sysid.diagnosis.sets.groups import all_but, subset, units_of
 from bo_sysid.diagnosis.sets.refit import Effort, refit_at
 from bo_sysid.diagnosis.sets.rules import clean
 from bo_sysid.diagnosis.sets.shapes import reshaped
@@ -131,8 +131,7 @@ def turn_about(search: Search, base: Fit, effort: Effort | None = None) -> None:
         for out in dict.fromkeys(((k, *held), (k,))):
             members, own = subset(base, all_but(base, out))
             members = (*members, difference)
-            size = size_of(members, grouped_labels(members, search.candidates))
-            if size <= search.most and not clashes(members):
+            if len(members) <= search.most and not clashes(members):
                 search.fit(
                     members, (*own, x), start=base.start, guess=base.hypothesis, effort=effort
                 )
