@@ -32,6 +32,7 @@ def judge(seed: int, *, clean: bool) -> dict[str, object]:
         (wire.source, wire.sign) == log.rules[name][:2]
         and abs(wire.scale / log.rules[name][2] - 1) < 0.01
         and abs(wire.offset - log.rules[name][3]) < _ZERO
+        and not wire.less
         for name, wire in found.wires.items()
     )
     return {

@@ -11,12 +11,14 @@ import pandas as pd
 import pytest
 
 from bo_sysid.checks.balance import Dynamics, Terms, free_gain, unexplained
+from bo_sysid.checks.carriers import carriers
 from bo_sysid.checks.channels import channel_flags
 from bo_sysid.checks.evidence import WiringEvidence
 from bo_sysid.checks.hypothesis import FREE, Wire, WiringHypothesis
 from bo_sysid.checks.motion import range_flags, turned_inside
 from bo_sysid.checks.motors import scaled
 from bo_sysid.checks.proposal import proposed_columns
+from bo_sysid.checks.rewired import rewired
 from bo_sysid.checks.search import SUSPICIOUS, moves, search
 from bo_sysid.checks.traces import Traces
 from bo_sysid.checks.wiring import Wiring, find_wiring
@@ -109,6 +111,63 @@ def test_a_sign() -> None:
     assert found.wires == {"ctrl.b": Wire("ctrl.b", sign=-1)}
     assert [f.kind for f in found.flags] == ["sign"]
     assert "ctrl.b" in found.flags[0].sentence
+
+
+@pytest.mark.parametrize("speed", [True, False])
+def test_an_encoder_that_counts_from_the_base(speed: bool) -> None:
+    """The elbow's shows the sum of both angles, as one does that a belt drives from the base."""
+
+    def change(values: dict[str, np.ndarray]) -> None:
+        for kind in ("qpos", *(["qvel"] if speed else [])):
+            values[f"{kind}.elbow"] += values[f"{kind}.shoulder"]
+
+    found = spoilt(change)
+    assert found.wires["qpos.elbow"] == Wire("qpos.elbow", less="qpos.shoulder")
+    assert ("qvel.elbow" in found.wires) is speed
+    assert found.balance["after"].max() < 0.05
+    sentence = next(f.sentence for f in found.flags if f.kind == "absolute")
+    assert "qpos.elbow shows qpos.shoulder as well" in sentence
+    written = {"qpos.elbow": {"from": "theta2", "unit": "deg"}}
+    assert proposed_columns(written, found.wires, {})["qpos.elbow"] == {
+        "from": "theta2", "unit": "deg", "less": "qpos.shoulder",
+    }  # fmt: skip
+    values = {n: c.values.copy() for n, c in recorded().channels.items()}
+    change(values)
+    shown = {n: Channel(c.time, values[n], hold=c.hold) for n, c in recorded().channels.items()}
+    (log,) = rewired([Recording("log", shown)], found.wires, 0.0, "ctrl")
+    own = recorded().channels["qpos.elbow"].values
+    np.testing.assert_allclose(log.channels["qpos.elbow"].values, own, atol=1e-12)
+
+
+def test_encoders_that_all_count_from_the_base_are_told_apart() -> None:
+    """In a chain of three each shows what the one before it shows, and its own joint."""
+    text = ARM.replace(
+        "</body></body>",
+        '<body pos="0 0 -.25"><joint name="wrist" axis="0 1 0" damping=".03"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -.15" size=".015" mass=".4"/></body></body></body>',
+    ).replace("</actuator>", '<motor name="c" joint="wrist"/></actuator>')
+    model = Model.from_xml(text).compile()
+    assert carriers(model) == {"elbow": "shoulder", "wrist": "elbow"}
+    time = np.arange(0.0, 12.0, 0.004)
+    u = np.stack([2.0 * tones(time, 1), 0.8 * tones(time, 2), 0.2 * tones(time, 3)], axis=1)
+    start = State(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 0)))
+    run = Engine(1).rollout(model, start, np.repeat(u, 4, axis=0)[None])
+    noise = 3e-4 * np.random.default_rng(0).standard_normal((len(time), 3))
+    shown = np.cumsum(run.qpos[0, ::4][:-1], axis=1) + noise
+    log = Recording.from_arrays(
+        time,
+        qpos=dict(zip(("shoulder", "elbow", "wrist"), shown.T, strict=True)),
+        ctrl=dict(zip("abc", u.T, strict=True)),
+    )
+    found = find_wiring(model, [log])
+    assert {n: w.less for n, w in found.wires.items()} == {
+        "qpos.elbow": "qpos.shoulder", "qpos.wrist": "qpos.elbow",
+    }  # fmt: skip
+
+
+def test_joints_about_different_axes_do_not_carry_each_other() -> None:
+    turned = ARM.replace('name="elbow" axis="0 1 0"', 'name="elbow" axis="1 0 0"')
+    assert carriers(Model.from_xml(turned).compile()) == {}
 
 
 LIMITED = ARM.replace(
@@ -355,7 +414,7 @@ class Told(WiringEvidence):
     def __init__(self, late: float) -> None:
         self.joints, self.hinges, self.inputs, self.motors = ["a", "b"], {"a", "b"}, set(), set()
         self.stated, self.weights, self.late = {"qpos.a": "", "qpos.b": ""}, np.ones(2), late
-        self.converted = set()
+        self.converted, self.carriers = set(), {}
 
     def scores(self, h: WiringHypothesis, delays) -> np.ndarray:
         felt = {"qpos.a": 3.0, "qpos.b": 0.85}

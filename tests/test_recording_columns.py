@@ -122,6 +122,19 @@ def test_rule_order_is_unit_scale_unwrap_sign_offset():
         assert word in note
 
 
+def test_an_encoder_that_counts_from_the_base_is_less_what_carries_it():
+    """In a chain each is less what the one before it shows."""
+    own, wrist = 0.3 * np.cos(TIME), 0.1 * TIME
+    rules = {
+        "qpos.a": {"offset": 0.5}, "qpos.b": {"from": "two", "less": "qpos.a"},
+        "qpos.c": {"from": "three", "less": "qpos.b"},
+    }  # fmt: skip
+    made = read(rules, two=WAVE + 0.5 + own, three=WAVE + 0.5 + own + wrist)
+    np.testing.assert_allclose(made.channels["qpos.b"].values, own, atol=1e-12)
+    np.testing.assert_allclose(made.channels["qpos.c"].values, wrist, atol=1e-12)
+    assert "qpos.b is what its column shows less qpos.a." in made.notes
+
+
 def test_a_register_keeps_its_sign():
     true = np.tile([-32768.0, -3.0, 0.0, 7.0, 32767.0], 10)
     rule = {"from": "load", "signed": 16, "scale": 0.5}
@@ -306,6 +319,10 @@ def test_a_rule_of_none_values_is_the_default_rule():
             {"qpos.b": {"from": "theta", "sine": -1}},
             "unknown key 'sine'; did you mean 'signed' or 'sign'",
         ),
+        ({"qpos.b": {"from": "theta", "less": "qpos.aa"}}, "'qpos.aa' is not in .*mean 'qpos.a'"),
+        ({"qpos.b": {"from": "theta", "less": "qvel.a"}}, "another channel of the kind qpos"),
+        ({"qpos.b": {"from": "theta", "less": "qpos.b"}}, "another channel of the kind qpos"),
+        ({"time": {"from": "theta", "less": "qpos.a"}}, "time stamps have none"),
         ({"qpos.b": {"from": "theta", "sign": -2}}, "sign is -2; it must be 1 or -1"),
         ({"qpos.b": {"from": "theta", "sign": "-1"}}, "sign is '-1'; it must be a number"),
         ({"qpos.b": {"from": 3}}, "from is 3; it must be text"),

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import mujoco
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from bo_sysid.checks.balance import Dynamics, Terms, unexplained
+from bo_sysid.checks.carriers import carriers
 from bo_sysid.checks.hypothesis import Wire, WiringHypothesis
 from bo_sysid.checks.traces import Traces
 from bo_sysid.mjcf.commands import LAGS, controlled, driven_joint, follows
@@ -43,6 +45,7 @@ class WiringEvidence:
         ids = controlled(model)
         self.actuators = [model.actuator(a).name for a in ids]
         self._reference = np.array(model.qpos0)
+        self.carriers = carriers(model)
         step = max(traces.count // most, 1)
         self.rows: Bool[np.ndarray, " n"] = np.arange(traces.count) % step == 0
         self.recorded = set.intersection(*(set(r.channels) for r in traces.recordings))
@@ -219,7 +222,12 @@ class WiringEvidence:
         """Return a channel at the instants, as a hypothesis reads it; see `Traces.column`."""
         wire = hypothesis.wires.get(name, Wire(name))
         raw = self.traces.column(wire.source, held=held, delay=delay, lag=lag)[self.rows]
-        return np.asarray(wire.sign * wire.scale * raw + wire.offset)
+        own = wire.sign * wire.scale * raw + wire.offset
+        if wire.less:
+            other = replace(hypothesis.wires[wire.less], less="")
+            shown = replace(hypothesis, wires={wire.less: other})
+            own = own - self.value(shown, wire.less, held=held, delay=delay, lag=lag)
+        return np.asarray(own)
 
     def _computed(
         self, actuator: str, hypothesis: WiringHypothesis, delay: float
@@ -270,6 +278,10 @@ class WiringEvidence:
                 raw = self.traces.column(wire.source, held=False, order=order, delay=delay)
                 raw = raw[self.rows]
                 out[:, k] = wire.sign * wire.scale * raw + wire.offset * (order == 0)
+        shown = out.copy()
+        for k, wire in enumerate(wires):
+            if wire is not None and wire.less:
+                out[:, k] -= shown[:, self.joints.index(wire.less.removeprefix("qpos."))]
         return out
 
     def _weights(self, model: mujoco.MjModel) -> Float[np.ndarray, " nv"]:

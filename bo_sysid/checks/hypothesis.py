@@ -17,7 +17,7 @@ FREE = "of its own"
 
 @dataclass(frozen=True, order=True)
 class Wire:
-    """How a channel follows from a recorded one: sign · scale · recorded + offset.
+    """How a channel follows from a recorded one: sign · scale · recorded + offset - less.
 
     Attributes:
         source: name of the recorded channel.
@@ -25,6 +25,7 @@ class Wire:
         scale: SI value of its unit.
         offset: added last, in SI units.
         unit: name of the unit, where it is not what it was taken for; `FREE` for a motor's own.
+        less: channel whose wire shows what this one shows as well; empty for nothing.
     """
 
     source: str
@@ -32,6 +33,7 @@ class Wire:
     scale: float = 1.0
     offset: float = 0.0
     unit: str = ""
+    less: str = ""
 
     def plain(self, name: str) -> bool:
         """Whether the channel `name` is what was recorded as such."""

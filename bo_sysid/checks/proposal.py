@@ -52,6 +52,8 @@ def proposed_columns(
             made["sign"] = -1
         if scale != 1:
             made["scale"] = _rounded(scale)
+        if less := wire.less or rule.get("less"):
+            made["less"] = less
         shift = wire.sign * wire.scale * offset + wire.offset
         if shift:
             made["offset"] = _rounded(shift, 4) if wire.offset else shift  # theirs, to the digit

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from bo_sysid.checks.hypothesis import Wire
 from bo_sysid.recording import Recording
 
@@ -28,5 +30,10 @@ def _rewired(recording: Recording, wires: Mapping[str, Wire], delay: float, kind
         c = recording.channels[wire.source]
         time = c.time + delay if name.startswith(f"{kind}.") else c.time
         values = wire.sign * wire.scale * c.values + wire.offset
+        if wire.less:
+            other = wires.get(wire.less, Wire(wire.less))
+            shown = recording.channels[other.source]
+            less = other.sign * other.scale * shown.values + other.offset
+            values = values - np.interp(c.time, shown.time, less)
         channels[name] = replace(c, time=time, values=values, unit=own.unit, hold=own.hold)
     return replace(recording, channels=channels)

@@ -102,13 +102,14 @@ def _timed(
 def _turned(
     evidence: WiringEvidence, best: tuple[float, WiringHypothesis]
 ) -> tuple[float, WiringHypothesis]:
-    """Return score and hypothesis with signs turned that explain forces much better yet.
+    """Return score and hypothesis with other signs or bases that explain forces much better yet.
 
     Where gravity is most of what motors bear, a turned sign leaves a few per cent of the forces:
     little enough for missing physics, but a hundred times what the right one leaves.
     """
     for _ in range(_MOST):
-        turned = min((_timed(evidence, h) for h in _signs(best[1])), key=itemgetter(0))
+        others = (*_signs(best[1]), *_absolute(evidence, best[1]))
+        turned = min((_timed(evidence, h) for h in others), key=itemgetter(0))
         if turned[0] > best[0] - _BEYOND_DOUBT:
             break
         best = turned
@@ -152,6 +153,7 @@ def moves(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypot
     yield from scaled(evidence, h, _DELAYS)
     yield from _orders(evidence, h)
     yield from _confusions(evidence, h)
+    yield from _absolute(evidence, h)
     yield from _zeros(evidence, h)
 
 
@@ -262,6 +264,15 @@ def _confusions(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[Wirin
         for q, u in group:
             wires |= {q: h.wires[u], u: h.wires[q]}
         yield h.with_wires(wires, "commands and positions swapped")
+
+
+def _absolute(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:
+    """Yield encoders that count from the base, and show the joint that carries theirs as well."""
+    for joint, carrier in evidence.carriers.items():
+        name, other = f"qpos.{joint}", f"qpos.{carrier}"
+        if name in h.wires and other in h.wires and not h.wires[name].less:
+            cause = f"{name} shows {other} as well"
+            yield h.with_wires({name: replace(h.wires[name], less=other)}, cause)
 
 
 def _zeros(evidence: WiringEvidence, h: WiringHypothesis) -> Iterator[WiringHypothesis]:

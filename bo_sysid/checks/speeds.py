@@ -56,7 +56,8 @@ def speed_wires(
         units = TURNING if q.removeprefix("qpos.") in hinges else SLIDING
         stated = traces.recordings[0].channels[source].unit
         unit, scale = _unit(factor, (*units, *UNDONE.get(stated, ())))
-        wires[v] = Wire(source, sign, scale, 0.0, unit)
+        less = wire.less.replace("qpos.", "qvel.", 1)
+        wires[v] = Wire(source, sign, scale, 0.0, unit, less if less in speeds else "")
     return wires, found
 
 

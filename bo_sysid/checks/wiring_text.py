@@ -99,12 +99,16 @@ def _faults(name: str, wire: Wire) -> list[tuple[str, str]]:
         faults.append(("sign", "Sign"))
     if wire.offset:
         faults.append(("zero", "Zero"))
+    if wire.less:
+        faults.append(("absolute", "Counted from the base"))
     return faults
 
 
 def _correction_text(name: str, wire: Wire, kind: str) -> str:
     if kind in ("order", "swap"):
         return f"{name} is in column {wire.source}"
+    if kind == "absolute":
+        return f"{name} shows {wire.less} as well"
     if kind == "zero":
         return f"{name} lacks {wire.offset:+.4g}"
     return name

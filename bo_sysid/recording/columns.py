@@ -18,6 +18,7 @@ Missing = Literal["error", "skip"]
 _CHOICES = {"hold": get_args(Hold), "missing": get_args(Missing)}
 _NUMBERS = ("sign", "scale", "offset", "unwrap", "shift", "signed", "rate")
 _BITS = (8, 16, 32)  # bits of integers
+_NOT_OF_TIME = {"sign": 1, "missing": "error", "hold": None, "clock": None, "less": None}
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,9 @@ class ColumnRule:
     """How a channel is read from a column.
 
     The value is sign · unwrap(scale · factor(unit) · signed(raw)) + offset, in SI units; one that
-    was unwrapped is moved by whole turns last, so that it begins nearest to zero.
+    was unwrapped is moved by whole turns last, so that it begins nearest to zero. Of a joint whose
+    column shows another joint's angle as well, as encoders do that count from the base, that angle
+    is taken off then.
 
     Attributes:
         source: name of the column (``from`` in a study); None for the channel's own name.
@@ -40,11 +43,12 @@ class ColumnRule:
         clock: column of the time stamps, in [s] or as the rule of ``time`` reads that column; None
             for what ``clocks:`` or the file says.
         missing: what an empty cell means: "error", or "skip" where the row holds no new sample.
+        less: channel whose own column shows what this column shows as well; None for nothing.
         rate: of ``time`` alone, where rows came at a steady rate and no column stamps them: rows
             per second in [Hz]; 0 where one does.
 
-    The rule of ``time`` has no sign, hold, clock or missing, and states the size of a jump; one
-    with a rate has nothing else.
+    The rule of ``time`` has no sign, hold, clock, missing or less, and states the size of a jump;
+    one with a rate has nothing else.
     """
 
     source: str | None = None
@@ -57,6 +61,7 @@ class ColumnRule:
     hold: Hold | None = None
     clock: str | None = None
     missing: Missing = "error"
+    less: str | None = None
     rate: float = 0.0
 
     def __post_init__(self) -> None:
@@ -94,6 +99,10 @@ class ColumnRule:
             raise RecordingError(
                 f"{where}: rate is {rule.rate:g}, but rows have one rate; say it once, as "
                 f"columns: {{time: {{rate: {rule.rate:g}}}}}"
+            )
+        if rule.less is not None and (rule.less == channel or kind_of(rule.less) != kind):
+            raise RecordingError(
+                f"{where}: less is {rule.less!r}; it must be another channel of the kind {kind}"
             )
         if rule.unit is not None:
             require_scale(unit_of_kind(rule.unit, kind, where), rule.unit, rule.scale, where)
@@ -149,7 +158,7 @@ class ClockRule:
 
 def _require_clock(rule: ColumnRule, where: str) -> None:
     """Refuse what says nothing of a clock, in a rule for the time stamps."""
-    for key, none in (("sign", 1), ("missing", "error"), ("hold", None), ("clock", None)):
+    for key, none in _NOT_OF_TIME.items():
         if getattr(rule, key) != none:
             raise RecordingError(
                 f"{where}: {key} is {getattr(rule, key)!r}, but time stamps have none; they take "

@@ -73,7 +73,8 @@ def to_recording(
     if (timed := rules.get("time")) and timed.rate:
         table, rules["time"] = table.counted(timed.rate), ColumnRule(ROWS, "s")
     mapper = _Mapper(table, rules, clock_rules, name)
-    channels = {c: mapper.channel(c) for c in rules if c != "time"}
+    shown = {c: mapper.channel(c) for c in rules if c != "time"}
+    channels = {c: mapper.own_part(c, shown) for c in shown}
     if all(channel.continuous for channel in channels.values()):
         raise RecordingError(
             f"{table.source}: no column is a measured channel (qpos.<joint>, qvel.<joint>, "
@@ -149,6 +150,20 @@ class _Mapper:
             self._outliers.append(f"{self.name}: {name} jumps to {text}; all are used.")
         source = f"{table.source}: {column}"
         return Channel(clock.stamps[rows], values, si, source, hold, converted)
+
+    def own_part(self, name: str, shown: Mapping[str, Channel]) -> Channel:
+        """Return a channel without what its column shows of another, which is interpolated."""
+        channel, less = shown[name], self.rules[name].less
+        if less is None:
+            return channel
+        if less not in shown:
+            raise RecordingError(
+                f"{self.table.source}: columns: {name}: less: {less!r} is not in this log; "
+                f"{nearest(less, shown)}"
+            )
+        self.notes.append(f"{name} is what its column shows less {less}.")
+        other = np.interp(channel.time, shown[less].time, shown[less].values)
+        return replace(channel, values=channel.values - other)
 
     def flaws(self) -> list[str]:
         """Return sentences about all clocks that were read, and about outliers of positions."""

@@ -60,7 +60,10 @@ class ModelSource(Section):
 
 
 class Column(Section):
-    """How a channel is read: sign · unwrap(scale · factor(unit) · signed(column)) + offset."""
+    """How a channel is read: sign · unwrap(scale · factor(unit) · signed(column)) + offset.
+
+    What the column shows of another channel is taken off then (`less`).
+    """
 
     source: Annotated[Name | None, Field(alias="from")] = None
     """Name of the column in the log; the channel's own name where left out."""
@@ -83,6 +86,8 @@ class Column(Section):
     """Name of the column with the time stamps, in s."""
     missing: Literal["error", "skip"] = "error"
     """skip: an empty cell holds no new sample."""
+    less: Name | None = None
+    """Channel that the column shows as well, as an encoder does that counts from the base."""
     rate: NotNegative = 0.0
     """Of time alone, where no column has the time stamps: steady rows per second, in Hz."""
 
