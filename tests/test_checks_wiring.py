@@ -328,7 +328,7 @@ def test_the_zero_of_an_encoder(zero: float) -> None:
     assert set(found.wires) == {"qpos.shoulder"}
     assert found.wires["qpos.shoulder"].offset == pytest.approx(-zero, abs=0.01)
     (told,) = (f.sentence for f in found.flags if f.kind == "zero")
-    assert "A load that the model lacks, as a tool, may look like another zero" in told
+    assert "A load that the model lacks, as a tool, or a base that is not level may look" in told
 
 
 @pytest.mark.parametrize("sign", [1, -1])

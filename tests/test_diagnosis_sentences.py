@@ -16,7 +16,7 @@ from bo_sysid.effects import CATALOGUE, Component, Extent, Machine, Site, survey
 from bo_sysid.effects.contract import Effect
 from bo_sysid.intervals import Quantity
 from bo_sysid.recording import Recording
-from bo_sysid.report.diagnosis_text import verdict_text
+from bo_sysid.report.diagnosis_text import diagnosis_text, verdict_text
 
 PENDULUM = """<mujoco><worldbody><body name="bob" gravcomp="{gravcomp}">
 <joint name="hinge" axis="0 1 0" stiffness="{stiffness}" springref="{rest}"/>
@@ -253,3 +253,20 @@ def test_a_reading_that_a_motor_may_stand_for_leaves_the_model_in_doubt(instead,
     found = [{"effect": "encoder_scale", "site": "y", "equivalents": equivalents}]
     answer = {"verdict": "sensing", "holdout": {}, "findings": found}
     assert verdict_text(answer).startswith(begins)
+
+
+def test_an_answer_without_names_says_what_it_may_be_and_once_what_to_record() -> None:
+    after = "To learn what acts on the machine: vary one thing at a time."
+    unknown = {"effect": "unknown", "site": "world", "value": 0.0}
+    answer = {
+        "verdict": "unknown-physics", "findings": [], "holdout": {},
+        "next_experiment": {"sentence": after},
+        "alternatives": [{"findings": [unknown], "probability": 0.9},
+                         {"findings": [], "probability": 0.1}],
+    }  # fmt: skip
+    summary = {"sentences": ["Something acts.", after], "notes": []}
+    text = diagnosis_text(answer, summary, None)
+    assert text.count(after) == 1
+    assert text.index("What it may be:") < text.index("something unknown")
+    assert text.index("something unknown") < text.index("nothing is missing")
+    assert diagnosis_text(answer, {"sentences": ["Something acts."]}, None).count(after) == 1

@@ -16,7 +16,9 @@ _DOUBT = (
     "No joint is explained well with it either, and a force that the model lacks may look like it: "
     "look at the machine."
 )
-LOADED = "a load that the model lacks, as a tool, may look like another zero"
+LOADED = (
+    "a load that the model lacks, as a tool, or a base that is not level may look like another zero"
+)
 _CONSTANT = ", as the model's masses have it; a constant from a data sheet is better"
 
 

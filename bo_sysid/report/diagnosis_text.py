@@ -99,8 +99,9 @@ def diagnosis_text(
         own = diagnosis["verdict"] == "unknown-physics" and not diagnosis["findings"]
         which = "What it may be:" if own else "Other explanations that were tried:"
         parts += ["", which, table(others)]
-    if diagnosis["next_experiment"]:
-        parts += ["", f"What to record next: {_experiment(diagnosis['next_experiment'])}"]
+    proposal = diagnosis["next_experiment"]
+    if proposal and (after := _experiment(proposal)) not in parts:  # the sentences may end with it
+        parts += ["", f"What to record next: {after}"]
     return "\n".join([*parts, *notes_text(summary.get("notes") or ())])
 
 
