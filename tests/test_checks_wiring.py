@@ -170,6 +170,31 @@ def test_joints_about_different_axes_do_not_carry_each_other() -> None:
     assert carriers(Model.from_xml(turned).compile()) == {}
 
 
+@pytest.mark.parametrize("noise", [0.0, 2e-4])
+def test_a_servo_that_a_brake_holds_has_no_other_zero(noise: float) -> None:
+    """Where its goal is not, the brake bears the load: that tells no offset of the goal."""
+    braked = ARM.replace(
+        '<motor name="b" joint="elbow"/>', '<position name="b" joint="elbow" kp="40"/>'
+    )
+    model, time = Model.from_xml(braked).compile(), np.arange(0.0, 8.0, 0.004)
+    fixed = Model.from_xml(
+        ARM.replace(
+            'name="elbow" axis="0 1 0" damping=".05"', 'name="elbow" axis="0 1 0" damping="1e6"'
+        )
+    )
+    start = State(np.array([[0.0, 0.4]]), np.zeros((1, 2)), np.zeros((1, 0)))
+    u = np.stack([2.0 * tones(time, 1), np.zeros_like(time)], axis=1)
+    run = Engine(1).rollout(fixed.compile(), start, np.repeat(u, 4, axis=0)[None])
+    rng = np.random.default_rng(0)
+    shoulder = run.qpos[0, ::4][:-1, 0] + 3e-4 * rng.standard_normal(len(time))
+    log = Recording.from_arrays(
+        time,
+        qpos={"shoulder": shoulder, "elbow": 0.4 + noise * rng.standard_normal(len(time))},
+        ctrl={"a": u[:, 0], "b": np.full_like(time, 0.4)},
+    )
+    assert "ctrl.b" not in find_wiring(model, [log]).wires
+
+
 LIMITED = ARM.replace(
     'joint="shoulder"/><motor', 'joint="shoulder" ctrlrange="-.6 .6"/><motor'
 ).replace('joint="elbow"/></actuator>', 'joint="elbow" ctrlrange="-.25 .25"/></actuator>')

@@ -32,6 +32,8 @@ def test_a_joint_that_never_moves_is_swapped_with_none() -> None:
     swaps = [c for c in evidence_of(a, b).candidates if c.effect.id == "channel_swap"]
     assert [c.site.name for c in swaps] == ["qpos.a"]
     still = evidence_of(a, np.zeros_like(b))
+    assert still.still == ("b",)  # so that what is named there is a hint
+    assert evidence_of(a, b).still == ()
     assert [c.effect.id for c in still.candidates if c.effect.id == "channel_swap"] == []
 
 

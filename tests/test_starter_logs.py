@@ -12,6 +12,7 @@ from bo_sysid.recording import RawTable, read_tables
 from bo_sysid.starter.columns import describe
 from bo_sysid.starter.guess import guess_rules, read
 from bo_sysid.starter.init import init
+from bo_sysid.starter.supply import with_supply
 from bo_sysid.starter.write import _outwards
 from bo_sysid.study import Study
 from bo_sysid.study.inputs import read_train
@@ -183,3 +184,31 @@ def test_a_log_of_one_row_is_refused_without_warnings(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("time,qpos.wheel,qvel.wheel,ctrl.wheel\n0,0.1,0.2,0.3\n")
     with pytest.raises(RecordingError, match="at least 2 are needed"):
         init(tmp_path / "wheel.xml", [tmp_path / "log.csv"], tmp_path / "wheel.yaml")
+
+
+@pytest.mark.parametrize(
+    ("called", "ends", "unit"),
+    [("vbus", 18.0, "V"), ("battery_mV", 18e3, "mV"), ("vbus", -1.0, ""), ("temp", 18.0, "")],
+)
+def test_a_column_that_is_called_like_a_supply_is_its_voltage(
+    called: str, ends: float, unit: str
+) -> None:
+    """Unless it is no voltage of one; a supply that sags takes torque, which nothing else tells."""
+    time = 0.01 * np.arange(400.0)
+    wave, volts = np.sin(time), np.linspace(abs(ends) * 4 / 3, ends, 400)
+    table = RawTable(
+        "log", {"time": time, "wheel_pos": wave, "wheel_torque": wave**2, called: volts}
+    )
+    rules = with_supply([table], guess_rules(Model.from_xml(WHEEL), table))
+    assert ("aux.voltage" in rules.columns) is bool(unit)
+    assert (called in rules.unused) is not bool(unit)
+    if unit:
+        shown = read(table, rules).channels["aux.voltage"]
+        assert shown.unit == "V"
+        assert (shown.values[-1], shown.hold) == (pytest.approx(18.0), "zero")
+
+
+def test_a_clock_that_never_rises_is_named() -> None:
+    table = RawTable("log", {"stamp": np.full(50, 7.0), "wheel_pos": np.sin(np.arange(50.0))})
+    with pytest.raises(RecordingError, match="'stamp' is called like one and never rises"):
+        describe(table)

@@ -299,7 +299,7 @@ class WiringEvidence:
                 for i, a in enumerate(self.actuators)
                 if felt[i, k] and a not in self.laws and self._input(a) not in self.inputs
             ]
-            moved = float(self.traces.column(name, held=False).std())
+            moved = any(np.ptp(r.channels[name].values) for r in self.traces.recordings)
             follows = joint in self.dynamics.loops.joints
-            weights[k] = float(not self.unknown[joint] and moved > 0 and not follows)
+            weights[k] = float(not self.unknown[joint] and moved and not follows)
         return weights

@@ -26,6 +26,7 @@ from bo_sysid.checks.hypothesis import (
     WiringHypothesis,
 )
 from bo_sysid.checks.motors import scaled
+from bo_sysid.checks.speeds import moving
 from bo_sysid.execution import OnProgress, Progress, silent
 
 SUSPICIOUS = 0.08
@@ -309,7 +310,8 @@ def zero_groups(
         servos = [n for n in servos if evidence.driven(n) == joint]
         if position not in h.wires:
             continue
-        for servo in servos:  # a servo rests where it is told to, but for its load
+        held = servos and not moving(evidence.traces, position)  # and where, a brake may say
+        for servo in () if held else servos:  # it rests where it is told to, but for its load
             rest = float(np.mean(evidence.value(h, servo, held=True) - evidence.value(h, position)))
             yield (position,), (rest,)
             yield (servo,), (-rest,)

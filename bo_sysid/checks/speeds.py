@@ -48,7 +48,7 @@ def speed_wires(
         found[v] = correlation[source]
         if abs(correlation[source]) < MIN_CORRELATION:
             wires[v] = Wire(v)
-            if not _moves(traces, v) and not _moves(traces, wire.source):
+            if not moving(traces, v) and not moving(traces, wire.source):
                 del found[v]
             continue
         sign = 1 if correlation[source] > 0 else -1
@@ -61,8 +61,8 @@ def speed_wires(
     return wires, found
 
 
-def _moves(traces: Traces, name: str) -> bool:
-    """Whether a channel does more than its noise in any recording."""
+def moving(traces: Traces, name: str) -> bool:
+    """Return whether a channel does more than its noise in any recording."""
     channels = [r.channels[name] for r in traces.recordings]
     return any(np.ptp(c.values) > MOVES * noise_sigma(c.time, c.values) for c in channels)
 

@@ -146,7 +146,7 @@ def alternatives_table(alternatives: Sequence[Mapping[str, Any]]) -> pd.DataFram
     """Return the most probable of the other sets with their probabilities."""
     return pd.DataFrame(
         [
-            {"explanation": set_text(a["findings"]), "probability": float(a["probability"])}
+            {"explanation": set_text(a["findings"]), "probability": round(a["probability"], 4)}
             for a in alternatives[:_SHOWN]
         ]
     )

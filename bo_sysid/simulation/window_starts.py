@@ -62,7 +62,7 @@ def _spread(
     if limit <= 0:
         raise RecordingError(
             f"{name}: {len(complete)} instants are too few for a window of {horizon} "
-            "(deviation.horizon, in a study)"
+            "(deviation.horizon, where `identify` or `learn` cuts it)"
         )
     if not first.size:
         raise RecordingError(

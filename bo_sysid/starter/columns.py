@@ -69,12 +69,16 @@ def spoilt(table: RawTable) -> tuple[str, ...]:
 
 
 def _unread_clocks(table: RawTable) -> list[str]:
-    """Return which columns of text are called like a clock, and what could be read."""
+    """Return which columns are called like a clock and are text or one number, and what reads."""
     found = []
     for name, values in table.columns.items():
         cells = pd.Series(values).dropna().astype(str)
-        text = pd.to_numeric(cells, errors="coerce").isna()
-        if named(name, "").kind == "time" and text.all() and len(cells):
+        numbers = pd.to_numeric(cells, errors="coerce")
+        if named(name, "").kind != "time" or not len(cells):
+            continue
+        if (numbers == numbers.iloc[0]).all():
+            found.append(f"column {name!r} is called like one and never rises")
+        elif numbers.isna().all():
             found.append(
                 f"column {name!r} is called like one and holds text, as {cells.iloc[0]!r}: stamps "
                 "are numbers, or times of day with or without a date: 2024-05-01 12:00:00.25"

@@ -27,6 +27,7 @@ from bo_sysid.starter.columns import spoilt
 from bo_sysid.starter.guess import Rules, guess_rules, read
 from bo_sysid.starter.pose import pose_guesses
 from bo_sysid.starter.reading import constant_hint, without_constant
+from bo_sysid.starter.supply import with_supply
 from bo_sysid.starter.write import relative, study_text
 
 _WINDOW = 0.3  # [s]
@@ -163,6 +164,7 @@ def _guessed(
             edits
         ):
             return _guessed(source, whole, recognised, tables, base)
+        rules = with_supply(tables, rules)
         scales = _scales(nominal, [read(t, rules) for t in tables])
         hints = _hints(nominal, tables[0], rules)
         bare = [

@@ -139,10 +139,14 @@ class Evidence:
 
     @property
     def still(self) -> tuple[str, ...]:
-        """The recorded joints that move no more than the noise of their encoders."""
-        joints, sigma = self.machine.joints.values(), self.sigma
-        held = (j for j in joints if f"qpos.{j.name}" in sigma)
-        return tuple(j.name for j in held if j.spread < _STILL * sigma[f"qpos.{j.name}"])
+        """The recorded joints that move no more than the noise of their encoders, or not at all."""
+        recorded = set().union(*(r.channels for r in self.recordings))
+        noise = {j: self.sigma.get(f"qpos.{j}", np.inf) for j in self.machine.joints}
+        return tuple(
+            name
+            for name, joint in self.machine.joints.items()
+            if f"qpos.{name}" in recorded and joint.spread < _STILL * noise[name]
+        )
 
     @property
     def rigid(self) -> "Evidence":
