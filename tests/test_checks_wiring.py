@@ -173,17 +173,16 @@ def test_joints_about_different_axes_do_not_carry_each_other() -> None:
 @pytest.mark.parametrize("noise", [0.0, 2e-4])
 def test_a_servo_that_a_brake_holds_has_no_other_zero(noise: float) -> None:
     """Where its goal is not, the brake bears the load: that tells no offset of the goal."""
-    braked = ARM.replace(
-        '<motor name="b" joint="elbow"/>', '<position name="b" joint="elbow" kp="40"/>'
+    turning = ARM.replace('name="shoulder" axis="0 1 0"', 'name="shoulder" axis="0 0 1"')
+    servo, elbow = (
+        '<position name="b" joint="elbow" kp="20"/>',
+        'name="elbow" axis="0 1 0" damping=',
     )
-    model, time = Model.from_xml(braked).compile(), np.arange(0.0, 8.0, 0.004)
-    fixed = Model.from_xml(
-        ARM.replace(
-            'name="elbow" axis="0 1 0" damping=".05"', 'name="elbow" axis="0 1 0" damping="1e6"'
-        )
-    )
+    model = Model.from_xml(turning.replace('<motor name="b" joint="elbow"/>', servo)).compile()
+    fixed = Model.from_xml(turning.replace(f'{elbow}".05"', f'{elbow}"1e6"'))
+    time = np.arange(0.0, 8.0, 0.004)
     start = State(np.array([[0.0, 0.4]]), np.zeros((1, 2)), np.zeros((1, 0)))
-    u = np.stack([2.0 * tones(time, 1), np.zeros_like(time)], axis=1)
+    u = np.stack([0.05 * tones(time, 1), np.zeros_like(time)], axis=1)
     run = Engine(1).rollout(fixed.compile(), start, np.repeat(u, 4, axis=0)[None])
     rng = np.random.default_rng(0)
     shoulder = run.qpos[0, ::4][:-1, 0] + 3e-4 * rng.standard_normal(len(time))
