@@ -35,7 +35,7 @@ def test_the_catalogue_has_every_id_at_its_kind_of_site() -> None:
 class TestWords:
     def test_sentence_and_evidence(self, effect: Effect) -> None:
         more = {c.name: "0.2" for c in effect.components}
-        words = {**more, "site": "the elbow", "value": "0.1 N m", "interval": ""}
+        words = {**more, "site": "the elbow", "value": "0.1 N m", "interval": "", "details": ""}
         said = effect.sentence.format_map(words)
         assert effect.discrete or "0.1 N m" in said
         assert effect.sentence[0].isupper() or effect.sentence.startswith("{site}")

@@ -657,7 +657,8 @@ def test_columns_of_no_name_are_matched_by_what_they_move(tmp_path: Path) -> Non
         "ch7", "ch3_mm",
     )  # fmt: skip
     assert "the force at x_axis" in rules.guesses["ctrl.x_motor"].reason
-    assert rules.unused == ("vbat",)
+    assert rules.unused == ()
+    assert rules.columns["aux.voltage"] == {"from": "vbat", "unit": "V"}  # by its name
 
 
 def test_a_log_that_fits_nothing_gives_a_study_to_fill_in(tmp_path: Path) -> None:
