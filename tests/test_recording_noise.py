@@ -129,6 +129,16 @@ def test_stamps_that_say_when_samples_were_taken_add_no_noise(jitter: float, lat
     assert timing_noise(*stamped(jitter, late=late)) is None
 
 
+def test_a_coarse_encoder_that_rests_has_no_less_than_a_rounding_error() -> None:
+    """Where it rests, as it does for half of the log, it shows one number."""
+    stamps, _ = stamped(1e-3, late=True)
+    even, count = 0.005 * np.arange(len(stamps)), 2 * np.pi / 8192
+    measured = count * np.round(np.where(even % 4.0 < 2.0, 0.0, motion(even)) / count)
+    found = timing_noise(stamps, measured)
+    assert found is not None
+    assert found.sigma >= count / np.sqrt(12) * (1 - 1e-9)
+
+
 def test_speed_is_the_slope_of_a_motion() -> None:
     time = np.sort(np.random.default_rng(1).uniform(0, 2, 800))
     inner = slice(5, -5)

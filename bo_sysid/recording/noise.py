@@ -58,7 +58,7 @@ def noise_sigma(time: Times, values: Samples) -> float:
         if less > _LESS * sigma:
             break
         sigma = less
-    return max(sigma, _resolution(values) / sqrt(12))
+    return max(sigma, resolution(values) / sqrt(12))
 
 
 def runs(
@@ -90,7 +90,7 @@ def _huber_scale(z: Float[np.ndarray, " D"]) -> float:
     return sqrt(scale)
 
 
-def _resolution(values: Samples) -> float:
+def resolution(values: Samples) -> float:
     """Return the smallest step between values that occur; 0 where few samples repeat."""
     if np.mean(np.diff(values) == 0) < _REPEATED:
         return 0.0

@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from bo_sysid.arrays import Samples, Times
 from bo_sysid.recording.alignment import Sampling
-from bo_sysid.recording.noise import BETA, CUT, differences, runs
+from bo_sysid.recording.noise import BETA, CUT, differences, resolution, runs
 
 _RUN = 6  # samples in a row, of which a difference is made
 _FEWEST = 50  # samples of a channel
@@ -46,8 +46,8 @@ def timing_noise(time: Times, values: Samples) -> TimingNoise | None:
 
     It is there where squares of differences grow with the square of the slope: where their
     correlation r, times the root of the number of independent differences, exceeds `_SURE`. As in
-    `noise_sigma` each square counts up to that of `CUT` deviations. τ is no larger than the jitter
-    of the stamps explains.
+    `noise_sigma` each square counts up to that of `CUT` deviations, and σ is at least that of a
+    rounding error. τ is no larger than the jitter of the stamps explains.
 
     Args:
         time: `T` increasing stamps in [s].
@@ -65,7 +65,7 @@ def timing_noise(time: Times, values: Samples) -> TimingNoise | None:
     independent = len(square) / _RUN  # neighbours share all samples but one
     if r * sqrt(independent) < _SURE or late > _MOST * jitter:
         return None
-    return TimingNoise(float(sigma), float(late))
+    return TimingNoise(max(float(sigma), resolution(values) / sqrt(12)), float(late))
 
 
 def speeds(time: Times, values: Samples) -> Samples:
