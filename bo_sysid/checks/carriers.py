@@ -18,9 +18,8 @@ def carriers(model: mujoco.MjModel) -> Mapping[str, str]:
     mujoco.mj_kinematics(model, data)
     found: dict[str, str] = {}
     for j in range(model.njnt):
-        body = int(model.jnt_bodyid[j])
-        above = [k for k in range(j) if int(model.jnt_bodyid[k]) in _up_to(model, body)]
-        for k in reversed(above):
+        bodies = _up_to(model, int(model.jnt_bodyid[j]))
+        for k in (k for k in reversed(range(j)) if int(model.jnt_bodyid[k]) in bodies):
             hinges = int(model.jnt_type[j]) == HINGE == int(model.jnt_type[k])
             if hinges and data.xaxis[j] @ data.xaxis[k] > _ALONG:
                 found[model.joint(j).name] = model.joint(k).name

@@ -23,6 +23,7 @@ from bo_sysid.recording.noise import BETA, CUT, differences, resolution, runs
 _RUN = 6  # samples in a row, of which a difference is made
 _FEWEST = 50  # samples of a channel
 _SURE = 4.0  # standard deviations of that correlation; 200 right logs had 1.7 at most, late ones 7
+_LITTLE = 1e-3  # of an interval, that stamps must jitter by
 _MOST = 1.5  # times the jitter of the stamps, that τ is at most
 _ITERATIONS = 30  # of a contraction
 _TINY = 1e-12  # of the mean square, that a variance is at least
@@ -53,7 +54,11 @@ def timing_noise(time: Times, values: Samples) -> TimingNoise | None:
         time: `T` increasing stamps in [s].
         values: `T` samples.
     """
-    if len(values) < _FEWEST or not (jitter := Sampling.of(time).jitter / sqrt(2)):
+    if len(values) < _FEWEST:
+        return None
+    sampling = Sampling.of(time)
+    jitter = sampling.jitter / sqrt(2)
+    if jitter < _LITTLE * sampling.median_dt:
         return None
     stamps, samples = runs(time, values, _RUN)
     square, slope = differences(stamps, samples) ** 2, _slopes(stamps, samples)
